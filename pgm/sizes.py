@@ -21,17 +21,9 @@ def gibibytes(entries: float) -> str:
 def require_memory(
     entries: int, what: str, advice: str, *, error: type[PgmError] = ModelError, **where: Any
 ) -> None:
-    """Refuse arrays that this machine cannot hold.
+    """Refuse arrays of at least so many doubles, which this machine cannot hold.
 
-    Parameters
-    ----------
-    entries : int
-        Numbers in double precision that are surely needed.
-    what, advice : str
-        Of the message: the arrays, and the way out.
-    error : type of PgmError
-    **where
-        The objects concerned, as of a `PgmError`.
+    `what` names the arrays in the message, `advice` the way out; `where` are the objects concerned.
     """
     limit = memory.most()
     if entries * NUMBER > limit:

@@ -15,7 +15,6 @@ from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import Kind
-from pgm.inference.loopy_schedules import Flooding, Residual, Sequential
 from pgm.inference.lost import Lost
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
@@ -31,7 +30,16 @@ from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import Posterior
 from pgm.inference.query import query
 from pgm.inference.rejections import Rejections
-from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.inference.schedule import (
+    Calibration,
+    Filtering,
+    FixedLag,
+    Flooding,
+    Residual,
+    Schedule,
+    Sequential,
+    Smoothing,
+)
 from pgm.inference.status import Status
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""The associations of sightings of which nobody said what was seen."""
+"""The associations of sightings of unknown identity."""
 
 from __future__ import annotations
 
@@ -74,10 +74,7 @@ class Associations(Shown, Immutable):
         return np.asarray(~np.isnan(self.probability).any(axis=-1))
 
     def judged(self, *, gated: bool) -> tuple[Mask, Mask]:
-        """Sightings taken for no candidate, and those that count with them, (M, runs) each.
-
-        Of a sensor with a gate these are the same: it judges the others.
-        """
+        """Sightings taken for no candidate, and those judged, (M, runs): alike where gated."""
         measured = self.measured.reshape(-1, len(self.step)).T
         strange = measured & (self.candidate < 0).reshape(-1, len(self.step)).T
         return strange, strange if gated else measured

@@ -16,17 +16,14 @@ class Component(Protocol):
     @property
     def variable(self) -> Variable:
         """The variable."""
-        ...
 
     @property
     def component(self) -> int:
         """Its place in the variable."""
-        ...
 
     @property
     def label(self) -> str:
         """Its name, with that of the variable where variables share it."""
-        ...
 
 
 def places_of(each: Sequence[Component], asked: Sequence[str], what: str) -> tuple[int, ...]:

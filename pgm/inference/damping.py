@@ -27,14 +27,14 @@ class LevenbergMarquardt(InCode):
 
     It suits `Taylor`, and rules as exact as `GaussHermite`. With few points F is only nearly the
     derivative of E[f(X)], so that close to a fixed point no step may lower the cost: the means then
-    stay, a residual of some hundredths of a deviation short of it, and `status` says not converged;
-    a number as damping gets there.
+    stay, some hundredths of a deviation short of it, and `status` says not converged; a number as
+    damping gets there.
 
     The first solution of a smoother is not controlled: it is the filter's linearisation. From a
-    start, or dead reckoning on a `Balanced` tree, the first step is controlled as well, with one
-    iteration too: the cost of the start is never exceeded. A start that does not obey the exact
-    CPDs (linear, with singular noise) has no cost, and is represented by its projection onto them;
-    so is a filter's predicted belief beside an exact measurement, by the belief given that alone.
+    start, or dead reckoning on a `Balanced` tree, the first step is controlled too: the cost of the
+    start is never exceeded. A start that does not obey the exact CPDs (linear, with singular noise)
+    has no cost, and is represented by its projection onto them; so is a filter's predicted belief
+    beside an exact measurement, by the belief given that alone.
 
     Parameters
     ----------
@@ -44,11 +44,6 @@ class LevenbergMarquardt(InCode):
         What λ is multiplied with at each failure, and divided by after each success; above 1.
     tries : int
         Tries at the most in one iteration.
-
-    Raises
-    ------
-    ModelError
-        If one of them is no such number.
 
     References
     ----------

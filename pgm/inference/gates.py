@@ -1,7 +1,4 @@
-"""Gates: the probability within which a reading has to lie to be taken in, of all sensors or each.
-
-They are part of a schedule; how they decide is `pgm/inference/chain/gate.py`.
-"""
+"""Gates: the probability within which a reading has to lie to be taken in, by sensor or of all."""
 
 from __future__ import annotations
 
@@ -64,6 +61,6 @@ def _probability(owner: str, value: object, of: str) -> float:
     return float(value)
 
 
-def gate_of(gate: float | Mapping[Variable, float] | None, sensor: Variable) -> float | None:
+def gate_of(gate: Gate, sensor: Variable) -> float | None:
     """The gate of one sensor, None where it has none."""
     return gate.get(sensor) if isinstance(gate, Mapping) else gate

@@ -35,18 +35,10 @@ class Labelled:
         along a last dimension ``<name>_state``.
 
         ``log_evidence`` has the dimensions of runs. Attributes are ``kind``, where there is time,
-        and ``log_evidence_kind``.
-
-        Returns
-        -------
-        xarray.Dataset
-
-        Raises
-        ------
-        ImportError
-            If xarray is not installed (``pip install 'sepset[frames]'``).
+        and ``log_evidence_kind``. An `ImportError` says how to install xarray where it is missing.
 
         Examples
+        --------
         --------
         >>> from pgm.examples import drive
         >>> found = pgm.filter(drive, {}, steps=4).to_xarray()

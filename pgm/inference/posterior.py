@@ -1,16 +1,17 @@
-"""The interface of posteriors, of any network."""
+"""The interface of posteriors of any network, and of results by sensor."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
 from importlib import import_module
-from typing import ClassVar, overload
+from typing import ClassVar, TypeVar, overload
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.display import NoArray, Shown
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
-from pgm.factors.scope import Scope
+from pgm.factors.scope import Scope, listed
 from pgm.inference.labelled import Labelled
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
@@ -86,14 +87,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     def __getitem__(self, variable: Variable) -> Gaussian | Table:
         """The marginal of a variable without evidence.
 
-        Parameters
-        ----------
-        variable : Variable
-
-        Returns
-        -------
-        Gaussian or Table
-            Leading axes are runs; of a variable over time, the last of them is of steps.
+        Of a variable over time, the last of the leading axes is of steps.
 
         Raises
         ------
@@ -109,16 +103,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
 
     @abstractmethod
     def joint(self, *variables: Variable) -> Gaussian | Table:
-        """The joint of some variables without evidence.
-
-        Parameters
-        ----------
-        *variables : Variable
-
-        Returns
-        -------
-        Gaussian or Table
-            In the order given; leading axes are runs.
+        """The joint of some variables without evidence, in the order given.
 
         Raises
         ------
@@ -130,16 +115,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
 
     @abstractmethod
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm | Table:
-        """The message from one cluster to a neighbour, over their sepset, unnormalised.
-
-        Parameters
-        ----------
-        source, target : int or Cluster
-
-        Returns
-        -------
-        CanonicalForm or Table
-            Leading axes are runs.
+        """The message from one cluster to a neighbour, over their sepset.
 
         Raises
         ------
@@ -151,16 +127,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
 
     @abstractmethod
     def belief(self, cluster: int | Cluster) -> CanonicalForm | Table:
-        """The belief of a cluster over its variables without evidence, unnormalised.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        CanonicalForm or Table
-            Leading axes are runs.
+        """The belief of a cluster over its variables without evidence.
 
         Raises
         ------
@@ -174,24 +141,9 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     def potential(self, cluster: int | Cluster) -> CanonicalForm | Table:
         """The potential of a cluster: the product of its CPDs, with their evidence put in.
 
-        Nonlinear CPDs are as they were linearised last. Times all messages to the cluster it is
-        the belief, where these were sent.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        CanonicalForm or Table
-            Over the cluster's variables without evidence; leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If the graph has no such cluster.
-        NumericalError
-            If it has no canonical form, since a noise is singular.
+        It is over the cluster's variables without evidence, nonlinear CPDs as they were linearised
+        last. Times all messages to the cluster it is the belief, where these were sent. Errors are
+        those of `belief`.
         """
 
     @property
@@ -220,3 +172,36 @@ def require_variable(variable: Variable) -> Variable:
     if not isinstance(variable, Variable):
         raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")
     return variable
+
+
+Value = TypeVar("Value")
+
+
+class EachSensor(Shown, Mapping[Variable, Value]):
+    """The results of each sensor that was read."""
+
+    _what: ClassVar[str] = "results"
+
+    def __init__(self, found: Mapping[Variable, Value]) -> None:
+        self._found = dict(found)
+
+    def __getitem__(self, variable: Variable) -> Value:
+        if require_variable(variable) not in self._found:
+            raise EvidenceError(self._absent(variable), variable=variable)
+        return self._found[variable]
+
+    def _absent(self, variable: Variable) -> str:
+        return f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
+
+    def __contains__(self, variable: object) -> bool:
+        return variable in self._found
+
+    def __iter__(self) -> Iterator[Variable]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    @property
+    def _title(self) -> str:
+        return f"{type(self).__name__}({listed(self._found)})"

@@ -26,8 +26,7 @@ from pgm.inference.gaussian.tree import TreePlan, calibrate
 from pgm.inference.iteration import Anchor, iterate
 from pgm.inference.limits import require_runs, require_size
 from pgm.inference.loopy import run_loopy
-from pgm.inference.loopy_schedules import Loopy
-from pgm.inference.schedule import Calibration, Schedule, Smoothing
+from pgm.inference.schedule import Calibration, Loopy, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Mask, quiet
