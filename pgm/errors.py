@@ -72,7 +72,7 @@ class ArrayError(PgmError, TypeError):
 class ExecutorError(PgmError, RuntimeError):
     """An executor that takes no work, or loses what it was handed; a `RuntimeError` too.
 
-    Its attribute `runs` has those that were lost: the first of each row and the one after its last.
+    Its attribute `runs` has those that were lost: of each row the first and the one after it.
     """
 
     def __init__(self, message: str, *, runs: Sequence[tuple[int, int]] = (), **where: Any) -> None:

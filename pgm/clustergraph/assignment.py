@@ -1,4 +1,4 @@
-"""The assignment of CPDs to clusters, and the tree of clusters, where nobody gives them."""
+"""The assignment of CPDs to clusters, and the tree of clusters, where they are not given."""
 
 from __future__ import annotations
 
@@ -24,10 +24,7 @@ def holding(scopes: Sequence[Scope]) -> dict[Variable, list[int]]:
 def assign(
     families: Sequence[tuple[int, ...]], members: Sequence[tuple[int, ...]], sizes: Sequence[int]
 ) -> list[int]:
-    """The smallest cluster that holds each family, the first of equals; −1, where none does.
-
-    families, members: Variables of each family and of each cluster, by place.
-    """
+    """The smallest cluster that holds each family, the first of equals; −1, where none does."""
     holders: dict[int, set[int]] = {}
     for k, held in enumerate(members):
         for place in held:
@@ -45,15 +42,11 @@ def assign(
 def spanning_tree(scopes: Sequence[Scope]) -> dict[Edge, Scope]:
     """The sepsets of a maximum-weight spanning tree, or forest: full intersections.
 
-    The weight of an edge is the number of variables that its clusters share. A tree carries a
-    variable of k clusters on at most k − 1 edges, and on as many only if these join all k: so if
-    any spanning tree has running intersection, those of maximum weight have it, and no others.
-    Maximum cardinality search finds one, in time about linear in the clusters' sizes: a variable
-    in a thousand clusters is not one in half a million edges.
-
-    Source: Tarjan and Yannakakis (1984), Simple linear-time algorithms to test chordality of
-    graphs, test acyclicity of hypergraphs, and selectively reduce acyclic hypergraphs, section 4.
-    Jensen and Jensen (1994), Optimal junction trees.
+    An edge weighs as many variables as its clusters share. A tree carries a variable of k clusters
+    on at most k − 1 edges, and on as many only if these join all k: so if any spanning tree has
+    running intersection, those of maximum weight have it, and no others. Maximum cardinality
+    search finds one in time about linear in the clusters' sizes (Tarjan and Yannakakis, 1984,
+    section 4; Jensen and Jensen, Optimal junction trees, 1994).
     """
     holders = holding(scopes)
     members = [set(scope) for scope in scopes]

@@ -21,8 +21,7 @@ def check_families(
 ) -> None:
     """Family preservation: each CPD's family stands in exactly one cluster, which holds it.
 
-    assigned: The families assigned to each cluster.
-    families: All families of the network; those assigned without.
+    `assigned` are the families of each cluster, `families` all of the network, or those assigned.
     """
     for index, (scope, inside) in enumerate(zip(scopes, assigned, strict=True)):
         held = set(scope)
@@ -49,10 +48,7 @@ def check_families(
 def check_running_intersection(
     scopes: Sequence[Iterable[Variable]], sepsets: Mapping[Edge, Iterable[Variable]]
 ) -> None:
-    """Running intersection: for each variable, the clusters and sepsets that carry it form a tree.
-
-    sepsets: Of each pair of joined clusters.
-    """
+    """Running intersection: the clusters and sepsets that carry a variable form a tree."""
     holders: dict[Variable, set[int]] = defaultdict(set)
     for index, scope in enumerate(scopes):
         for variable in scope:

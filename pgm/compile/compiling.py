@@ -22,7 +22,6 @@ class Method(Protocol):
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
         """Compile a network."""
-        ...
 
 
 @overload

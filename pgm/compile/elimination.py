@@ -27,12 +27,7 @@ def moral(network: BayesianNetwork) -> list[set[int]]:
 
 
 class Filling:
-    """A graph under elimination that knows the fill of each of its vertices.
-
-    The fill of v is Σ w_a w_b over the pairs of v's neighbours that are not joined.
-
-    weights: w, of each vertex.
-    """
+    """A graph under elimination: the fill of v is Σ w_a w_b over unjoined pairs of neighbours."""
 
     def __init__(self, adjacent: Adjacency, weights: Sequence[int]) -> None:
         self.adjacent = [set(near) for near in adjacent]
@@ -74,10 +69,7 @@ class Filling:
         return twice // 2
 
     def eliminate(self, vertex: int) -> set[int]:
-        """Join the neighbours of a vertex to each other and remove it.
-
-        Returns: The vertices whose fill may have changed.
-        """
+        """Join a vertex's neighbours and remove it: the vertices whose fill may have changed."""
         near, weights = self.adjacent[vertex], self.weights
         touched = set(near)
         if self.fill[vertex]:
@@ -114,20 +106,16 @@ class Filling:
 def min_fill(
     adjacent: Adjacency, weights: Sequence[int], stages: Sequence[int] | None = None
 ) -> list[int]:
-    """Eliminate a vertex of least fill, the first of equals, until none is left.
-
-    stages: All vertices of a lower stage are eliminated before any of a higher.
-    """
+    """Eliminate a vertex of least fill, by stages, the first of equals, until none is left."""
     return list(fill_order(Filling(adjacent, weights), stages or [0] * len(adjacent)))
 
 
 def fill_order(
     graph: Filling, stages: Sequence[int], noise: Sequence[float] | None = None
 ) -> Iterator[int]:
-    """Vertices in the order of `min_fill`, each while its neighbours are still there.
+    """Vertices in the order of `min_fill`, each while its neighbours are there; uses up the graph.
 
-    graph: It is used up.
-    noise: A factor of each vertex, by which its fill is multiplied.
+    `noise` are factors of the vertices' fills.
     """
     factors: Sequence[float] = noise or [1] * len(graph.fill)
     queued = list(graph.fill)
@@ -152,11 +140,7 @@ def fill_order(
 
 @dataclass(frozen=True)
 class CliqueTree:
-    """The maximal cliques of a triangulated graph, joined to a tree, or several.
-
-    cliques: In the order in which their first vertex is eliminated.
-    sepsets: Of each pair of joined cliques: what they share.
-    """
+    """The maximal cliques, by their first elimination, joined by sepsets to a tree, or several."""
 
     cliques: list[set[int]]
     sepsets: dict[tuple[int, int], set[int]]

@@ -62,21 +62,7 @@ class JunctionTree(InCode):
             object.__setattr__(self, "order", listed)
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
-        """Compile a network.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        ClusterGraph
-
-        Raises
-        ------
-        GraphError
-            If the order is not of the variables of the network, each once.
-        """
+        """Compile a network."""
         adjacent = moral(network)
         tree = clique_tree(adjacent, places(self.order, network, adjacent))
         return ClusterGraph._tree(network, tree.cliques, tree.sepsets)
@@ -115,11 +101,6 @@ class JoinGraph(InCode):
     order : Order or iterable of Variable, optional
         Of elimination, as of `JunctionTree`.
 
-    Raises
-    ------
-    GraphError
-        If the size is no positive whole number, or the order is none.
-
     References
     ----------
     Dechter, Kask and Mateescu (2002), Iterative join-graph propagation. Mateescu, Kask, Gogate and
@@ -144,22 +125,7 @@ class JoinGraph(InCode):
         object.__setattr__(self, "order", JunctionTree(self.order).order)
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
-        """Compile a network.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        ClusterGraph
-
-        Raises
-        ------
-        GraphError
-            If a family alone is too large, naming the largest and its size, or the order is not of
-            the variables of the network, each once.
-        """
+        """Compile a network; a family that is too large alone is refused."""
         largest = max(network.cpds, key=lambda cpd: size(cpd.scope))
         if (least := size(largest.scope)) > self.max_size:
             unit = "table entries" if is_discrete(largest.scope) else "components"

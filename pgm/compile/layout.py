@@ -17,13 +17,10 @@ from pgm.variables import Variable
 
 
 class Place(NamedTuple):
-    """The place of a CPD in the vector of a scope.
+    """The place of a CPD in the vector of a scope, of the parents that no evidence gives.
 
-    hidden: The parents of its mean that no evidence gives.
-    parents: Where these stand.
-    child: Where its child stands; nowhere, if it is a measurement.
-    angles, before: The child's components that are angles, and where those of the step before
-        stand; empty where the child does not depend on itself.
+    `angles` are those of the child, and `before` where those of the step before stand; empty where
+    the child does not depend on itself. A measurement's `child` is empty.
     """
 
     hidden: Scope

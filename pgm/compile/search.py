@@ -33,7 +33,6 @@ def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -
     drawn. There is a try for each `ENTRIES` entries and vertex left of the cheapest order so far,
     but no more than `tries`, of large networks fewer, and none without hope.
 
-    sizes: Numbers of states.
     """
     graph = Filling(adjacent, [1] * len(sizes))
     order: list[int] = []
@@ -61,10 +60,7 @@ def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -
 
 @dataclass(frozen=True, eq=False)
 class Core:
-    """The part of a graph that is left when vertices without fill have been eliminated.
-
-    vertices: Those left; from here on each is its place among them.
-    """
+    """What is left of a graph when vertices without fill have been eliminated, by places in it."""
 
     before: list[int]
     vertices: list[int]

@@ -21,26 +21,22 @@ class Moments(Protocol):
     @property
     def components(self) -> tuple[str, ...]:
         """Their names."""
-        ...
 
     @property
     def mean(self) -> Array:
         """(..., n)."""
-        ...
 
     @property
     def std(self) -> Array:
         """(..., n)."""
-        ...
 
     @property
     def steps(self) -> Integers | None:
         """The steps that the last leading axis stands for."""
-        ...
 
 
 class Framed:
-    """A belief whose means and standard deviations make a data frame."""
+    """A belief whose moments make a data frame."""
 
     __slots__ = ()
 
@@ -51,15 +47,8 @@ class Framed:
         where runs have several axes, and the level ``step``, where there are any. Covariances are
         in `cov` alone, and `to_xarray` of a posterior.
 
-        Returns
-        -------
-        pandas.DataFrame
-            Columns ``mean_<component>``, then ``std_<component>``, in units of the components.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed (``pip install 'sepset[frames]'``).
+        Columns are ``mean_<component>``, then ``std_<component>``, in units of the components. An
+        `ImportError` says how to install pandas where it is missing.
 
         Examples
         --------
@@ -111,26 +100,13 @@ class FramedTable:
 
         A row for each of the leading axes' places and each combination of the other variables'
         states, levels of the index that are named like these. A table without variables has the
-        one column ``value``.
+        one column ``value``. An entry that is too large for a number is a `NumericalError`.
 
         Parameters
         ----------
         axes : str or sequence of str, optional
             The names of the leading axes, ``"step"`` of ``posterior[x]``, since a table does not
             know what they are of; ``axis`` or ``axis_0``, ``axis_1``, ... without.
-
-        Returns
-        -------
-        pandas.DataFrame
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed (``pip install 'sepset[frames]'``).
-        NumericalError
-            If an entry is too large for a number; `log_values` has its logarithm.
-        ModelError
-            If there are not as many names as axes.
 
         Examples
         --------

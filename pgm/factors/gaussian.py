@@ -70,7 +70,11 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
     Raises
     ------
     ModelError
-        If shapes do not fit the scope, or `cov` is not a covariance.
+        If arguments do not fit, here and in all methods: shapes, a `cov` that is no covariance, a
+        variable that is not in the scope or named twice, a run that there is not.
+    NumericalError
+        Of `log_density` and `kl`, if a covariance is singular or infinite; of `sample`, if a
+        variance is infinite, or the covariance all but singular and off by more than rounding.
 
     Examples
     --------
@@ -165,11 +169,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         not mentioned stay. ``belief[100:200]`` is of a hundred runs, or steps where there are no
         runs, ``belief[..., -1]`` of the last step.
 
-        Raises
-        ------
-        ModelError
-            If there are no such places.
-
         Examples
         --------
         >>> x = Variable("x")
@@ -191,15 +190,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
     def marginal(self, *keep: Variable) -> Gaussian:
         """The `Gaussian` over some of the variables, in the order asked for; leading axes stay.
 
-        Parameters
-        ----------
-        *keep : Variable
-
-        Raises
-        ------
-        ModelError
-            If a variable is not in the scope, or is named twice.
-
         Examples
         --------
         >>> x, y = pgm.variables("x y")
@@ -213,19 +203,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         )
 
     def run(self, *index: int) -> Gaussian:
-        """One run of several, a `Gaussian` with all its steps.
-
-        Parameters
-        ----------
-        *index : int
-            The run's places along the axes of runs, or along the first of them.
-
-        Raises
-        ------
-        ModelError
-            If an index is no whole number, there is no such run, or there are more indices than
-            axes of runs.
-        """
+        """One run of several, a `Gaussian` with all its steps, by places along axes of runs."""
         lead = self.mean.ndim - 1 - (self.steps is not None)
         if not all(map(is_whole, index)):
             raise ModelError(
@@ -259,15 +237,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         -------
         ndarray
             (*size, ..., n).
-
-        Raises
-        ------
-        ModelError
-            If `size` is no number of draws or would not fit into memory, or `rng` is neither a
-            generator nor a seed.
-        NumericalError
-            If a variance is infinite, or the covariance all but singular and off by more than
-            rounding.
         """
         shape = as_lengths(size, "of each Gaussian")
         require_memory(
@@ -286,47 +255,18 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         return normal.draw(self.mean, lower, white)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
-        """The log-density ln N(x; mean, cov); differences of angles are wrapped.
+        """The log-density at values (..., n), in nats, (...); differences of angles are wrapped.
 
-        Parameters
-        ----------
-        x : array_like
-            (..., n); leading axes broadcast with the Gaussian's.
-
-        Returns
-        -------
-        ndarray
-            (...), in nats.
-
-        Raises
-        ------
-        ModelError, NumericalError
-            If values are not finite or do not fit; if the covariance is singular or infinite.
+        Leading axes broadcast.
         """
         value = moments.log_density(self._offset(x), self.cov)
         return self._exists(value, "log-density")
 
     def kl(self, other: Gaussian) -> Array:
-        """KL(self ‖ other); differences of angles are wrapped.
+        """KL(self ‖ other) in nats, (...), for a Gaussian of mean μ' and covariance P'.
 
-        ½ (ln |P'|/|P| − n + tr(P'⁻¹P) + (μ' − μ)ᵀ P'⁻¹ (μ' − μ)).
-
-        Parameters
-        ----------
-        other : Gaussian
-            Of mean μ' and covariance P', over the same scope.
-
-        Returns
-        -------
-        ndarray
-            (...), in nats.
-
-        Raises
-        ------
-        ModelError
-            If it is no Gaussian, or the scopes differ.
-        NumericalError
-            If a covariance is singular or infinite.
+        ½ (ln |P'|/|P| − n + tr(P'⁻¹P) + (μ' − μ)ᵀ P'⁻¹ (μ' − μ)), over one scope; differences of
+        angles are wrapped.
         """
         if as_gaussian(other).scope != self.scope:
             raise ModelError(
@@ -360,15 +300,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
             Probability of the region, in (0, 1).
         components : pair of str, optional
             Which components, by name; the first two without.
-
-        Returns
-        -------
-        Ellipse
-
-        Raises
-        ------
-        ModelError
-            If the confidence is not in (0, 1), or the components are not two of the scope's.
         """
         return confidence_ellipse(self.scope, self.mean, self.cov, confidence, components)
 

@@ -23,11 +23,7 @@ MOST = 8
 def as_scope(
     scope: Variable | Iterable[Variable], what: str = "a scope", *, ordered: bool = True
 ) -> Scope:
-    """A variable or several, as a tuple.
-
-    Refuses what is no variable, repeats, two different variables of one name, and, where their
-    order says which axis is whose, several in a set.
-    """
+    """A variable or several, as a tuple, each once; in a set only where order does not matter."""
     items = as_tuple(scope)
     result: Scope = (scope,) if items is None else items
     if ordered and is_unordered(scope):
@@ -149,10 +145,7 @@ def as_value(
     missing: bool = False,
     **about: Any,
 ) -> Array:
-    """A value of a variable as an array (..., dimension); a scalar may be a Python number.
-
-    Where entries may be missing they are NaN.
-    """
+    """A value of a variable, (..., dimension), NaN where it may be missing; a scalar's a number."""
     what, about = f"{variable!r}: the {what}", {**about, "variable": variable}
     array = as_floats(value, what, labels=variable.components, missing=missing, **about)
     if array.ndim == 0 and variable.dimension == 1:

@@ -101,13 +101,7 @@ class Sample(Shown, NoArray, Immutable):
     _arrays: ClassVar[str] = "values by variable, sample[x]"
 
     def __getitem__(self, variable: Variable) -> Values:
-        """The values of a variable, of the shape said above.
-
-        Raises
-        ------
-        ModelError
-            If the sample does not have the variable.
-        """
+        """The values of a variable, of the shape said above."""
         if variable not in self.values:
             raise ModelError(
                 f"no values of {variable!r}, {unknown_name(variable, self.values, 'the sample')}",
