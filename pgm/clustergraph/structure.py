@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pgm.boundary import as_tuple, is_whole
-from pgm.clustergraph.assignment import assign, spanning_tree
 from pgm.clustergraph.checks import (
     Edge,
     as_edge,
@@ -18,7 +17,16 @@ from pgm.clustergraph.checks import (
     check_running_intersection,
     is_forest,
 )
-from pgm.clustergraph.cluster import Cluster, amount, extent, is_discrete, neighbourhoods, work
+from pgm.clustergraph.cluster import (
+    Cluster,
+    amount,
+    assign,
+    extent,
+    is_discrete,
+    neighbourhoods,
+    spanning_tree,
+    work,
+)
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed

@@ -9,8 +9,7 @@ from typing import Protocol
 
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.cluster import extent
-from pgm.compile.elimination import Adjacency, min_fill, moral
-from pgm.compile.search import cheapest
+from pgm.compile.elimination import Adjacency, cheapest, min_fill, moral
 from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed

@@ -1,6 +1,11 @@
 """Summaries of values: a few lines, as text and in HTML."""
 
-from pgm.display.brief import (
+from pgm.display.moments import axes, by_component, named_matrix, stacked, whereabouts
+from pgm.display.shown import (
+    Drawn,
+    InCode,
+    NoArray,
+    Shown,
     as_numbers,
     beside,
     brief,
@@ -9,10 +14,9 @@ from pgm.display.brief import (
     count,
     number,
     table,
+    titled,
     vector,
 )
-from pgm.display.moments import axes, by_component, named_matrix, stacked, whereabouts
-from pgm.display.shown import Drawn, InCode, NoArray, Shown, titled
 from pgm.display.summary import ENDS, LEFT_OUT, TITLE, Listing, Summary, few, places
 
 __all__ = [

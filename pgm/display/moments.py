@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.display.brief import beside, column, count, number
+from pgm.display.shown import beside, column, count, number
 from pgm.display.summary import ALL, LEFT_OUT, Listing, Place, few, places
 
 Array = npt.NDArray[np.float64]

@@ -25,7 +25,7 @@ from pgm.display import (
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.arrays import as_covariance, as_points, as_steps, as_vector
 from pgm.factors.ellipse import Ellipse, confidence_ellipse
-from pgm.factors.frames import Framed
+from pgm.factors.listing import Framed
 from pgm.factors.runs import lead_index
 from pgm.factors.scope import (
     Scope,

@@ -24,8 +24,7 @@ from pgm.factors.axes import (
     spread,
     without,
 )
-from pgm.factors.frames import FramedTable
-from pgm.factors.listing import summary, title
+from pgm.factors.listing import FramedTable, summary, title
 from pgm.factors.scope import names
 from pgm.immutable import Immutable
 from pgm.kernels import tables as kernel

@@ -5,7 +5,6 @@ from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.marginals import KeptPosterior, Marginals
 from pgm.inference.chain.posterior import ChainPosterior
-from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
@@ -19,6 +18,7 @@ from pgm.inference.lost import Lost
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
+from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cells import CellProposal
 from pgm.inference.particles.injection import Injection

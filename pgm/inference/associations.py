@@ -12,7 +12,7 @@ from pgm.cpds.unidentified import UnidentifiedCPD
 from pgm.display import Listing, Shown, Summary, number, places, whereabouts
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading, Unknown
-from pgm.evidence.unidentified import JOINT, SUM
+from pgm.evidence.values import JOINT, SUM
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable

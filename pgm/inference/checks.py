@@ -1,13 +1,19 @@
-"""Checks of the numbers that schedules take, and of linearisers."""
+"""Checks of the arguments that schedules take: numbers, linearisers, CPDs and starts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from pgm.boundary import is_number, is_whole
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, SampledCPD
-from pgm.errors import ModelError
+from pgm.errors import EvidenceError, ModelError
+from pgm.factors.scope import listed
+from pgm.kernels.arrays import Array
+from pgm.variables import Variable
 
 
 def require_count(owner: object, name: str, value: object) -> None:
@@ -67,3 +73,36 @@ def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
                 variable=cpd.child,
                 cpd=cpd,
             )
+
+
+# Means of hidden variables.
+Start = Mapping[Variable, npt.ArrayLike]
+
+
+def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
+    """Refuse a start that is no mapping, or names what is not hidden."""
+    if not isinstance(start, Mapping):
+        raise EvidenceError(f"start maps variables to means; found {type(start).__name__}")
+    for variable in start:
+        if variable not in hidden:
+            raise EvidenceError(
+                f"start has {variable!r}, which is not hidden; it takes {listed(hidden)}",
+                variable=variable,
+            )
+
+
+def over_runs(variable: Variable, means: Array, lead: tuple[int, ...], axes: int) -> Array:
+    """The means of a variable for all runs, whose axes become one: (runs, ...).
+
+    `lead` are the evidence's axes of runs; the last `axes` of the means are none of runs.
+    """
+    own, rest = means.shape[: means.ndim - axes], means.shape[means.ndim - axes :]
+    try:
+        wide = np.broadcast_to(means, (*lead, *rest))
+    except ValueError:
+        raise EvidenceError(
+            f"start for {variable!r} has the axes of runs {own}, which do not broadcast to those "
+            f"of the evidence, {lead}",
+            variable=variable,
+        ) from None
+    return wide.reshape(-1, *rest)

@@ -8,9 +8,8 @@ from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.inference.checks import require_count, require_tolerance
-from pgm.inference.damping import Damping, require_damping
-from pgm.inference.gates import Gate, as_gate
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.options import Damping, Gate, as_gate, require_damping
 
 
 @dataclass(frozen=True)

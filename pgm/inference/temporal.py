@@ -12,6 +12,7 @@ from pgm.evidence import BoundEvidence
 from pgm.inference.associations import by_density
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.checks import Start
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.run import run as run_grid
 from pgm.inference.grid.value import Grid
@@ -23,7 +24,6 @@ from pgm.inference.parts.run import Keep
 from pgm.inference.parts.run import run as run_moments
 from pgm.inference.points import PointMasses, require_no_others, require_points
 from pgm.inference.schedule import Schedule
-from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 

@@ -28,9 +28,8 @@ from pgm.learning.declared import (
     Table,
 )
 from pgm.learning.gaussian import GaussianStep
-from pgm.learning.parameters import ParameterStep
 from pgm.learning.result import Fit, FitStatus
-from pgm.learning.tables import TableStep
+from pgm.learning.steps import ParameterStep, TableStep
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable

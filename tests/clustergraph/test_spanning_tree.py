@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pgm
-from pgm.clustergraph.assignment import spanning_tree
 from pgm.clustergraph.checks import check_running_intersection, is_forest
+from pgm.clustergraph.cluster import spanning_tree
 
 VARIABLES = pgm.variables("a b c d e")
 

@@ -12,20 +12,13 @@ import numpy as np
 from pgm.cpds import RobustNoise
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
-from pgm.inference.audit import proposal
+from pgm.inference.audit.draws import Afresh, log_ratio, stretch
 from pgm.inference.family import Family
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference, nearest_branch
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, independent, inner, transpose
 
 Stack = TypeVar("Stack", Array, Mask)
-
-
-class Afresh(NamedTuple):
-    """Defensive draws that a CPD draws itself, where (runs, S) says so."""
-
-    where: Mask
-    rng: np.random.Generator
 
 
 class Drawn(NamedTuple):
@@ -122,7 +115,7 @@ class Term:
         return Drawn(
             proposed,
             self._relative(row, parents, proposed, log_density),
-            log_density + proposal.log_ratio(size, squared),
+            log_density + log_ratio(size, squared),
             lost,
         )
 
@@ -130,7 +123,7 @@ class Term:
         places = afresh.where
         white: Array = np.zeros(proposed.shape)
         white[places] = afresh.rng.standard_normal((int(places.sum()), self.family.shape[2]))
-        proposal.stretch(white, places, afresh.rng)
+        stretch(white, places, afresh.rng)
         return np.where(places[..., None], value + white @ transpose(own), proposed)
 
     def readings(

@@ -11,8 +11,7 @@ import numpy as np
 from pgm.display import Listing, Shown, Summary, number
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable
-from pgm.inference.audit.corrected import Compared
-from pgm.inference.audit.mixture import Mixture
+from pgm.inference.audit.estimates import Compared, Mixture
 from pgm.inference.chain.innovations import Innovations, autocorrelation, whitened
 from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Mask, frozen

@@ -9,12 +9,10 @@ import numpy as np
 
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
-from pgm.inference.audit.chain import ChainDraws
-from pgm.inference.audit.corrected import Compared, Sums
 from pgm.inference.audit.draws import Draws
-from pgm.inference.audit.mixture import Mixture, weigh
+from pgm.inference.audit.estimates import Compared, Mixture, Sums, weigh
+from pgm.inference.audit.joints import ChainDraws, TreeDraws
 from pgm.inference.audit.result import Audit, checks
-from pgm.inference.audit.tree import TreeDraws
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pgm.compile import DynamicGraph, SliceLayout
-from pgm.compile.layout import Place
+from pgm.compile.dynamic import Place
 from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading

@@ -19,8 +19,8 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
 from pgm.inference.chain.solvers import FilterSolver, LagSolver, SmootherSolver, Solver
+from pgm.inference.checks import Start, over_runs, require_hidden
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
-from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork

@@ -13,8 +13,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 from pgm.boundary import is_whole
 from pgm.errors import ExecutorError, ModelError, PrecisionWarning
-from pgm.inference.executors.memory import Block, Name, Room, Shape, borrow, idle_blocks, keep, seen
-from pgm.inference.executors.parcels import Parcel, loads, refuse
+from pgm.inference.executors.parcels import (
+    Block,
+    Name,
+    Parcel,
+    Room,
+    Shape,
+    borrow,
+    idle_blocks,
+    keep,
+    loads,
+    refuse,
+    seen,
+)
 from pgm.kernels.arrays import Array, vacant
 
 if TYPE_CHECKING:

@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.gaussian.layout import Layout
+from pgm.inference.gaussian.layout import Layout, Stack
 from pgm.inference.gaussian.model import Frame, Model
-from pgm.inference.gaussian.rounds import Stack
 from pgm.kernels.arrays import Array, Integers, Mask
 
 

@@ -25,9 +25,9 @@ import numpy as np
 
 from pgm.inference.family import Family
 from pgm.inference.gaussian.beliefs import Beliefs
-from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.dense import Conditional, Conditionals, Joint, Root
 from pgm.inference.gaussian.layout import Layout
+from pgm.inference.gaussian.messages import Buffer
 from pgm.inference.gaussian.model import SHARE, Frame, Model, contradiction
 from pgm.inference.gaussian.tree import TreePlan
 from pgm.kernels import decimals, differences

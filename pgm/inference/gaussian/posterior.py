@@ -13,9 +13,8 @@ from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, runs_first
-from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.careful import DenseBeliefs
-from pgm.inference.gaussian.messages import RowMessages
+from pgm.inference.gaussian.messages import Buffer, RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.tree import TreeBeliefs, TreePlan
 from pgm.inference.limits import require_runs

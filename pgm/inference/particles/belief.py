@@ -13,7 +13,7 @@ from pgm.boundary import as_generator, as_lengths
 from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.factors.frames import Framed
+from pgm.factors.listing import Framed
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.inference.components import places_of, whole_variables
