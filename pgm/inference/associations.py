@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import Listing, Shown, Summary, number, places, whereabouts
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading, Unknown

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.compile import DynamicGraph
-from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from pgm.cpds import ConditionalGaussian
+from pgm.cpds.mixture import by_run
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
@@ -23,7 +24,6 @@ from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.measured import MeasuredSensor, Shape, Sharpness
 from pgm.inference.grid.motion import Motion
 from pgm.inference.grid.sensors import DensitySensor, GridSensor, likelihood
-from pgm.inference.runs import by_run
 from pgm.kernels.arrays import Array
 from pgm.kernels.lattice import Span
 from pgm.networks import DynamicBayesianNetwork

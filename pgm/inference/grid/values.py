@@ -9,7 +9,7 @@ import numpy as np
 
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, GaussianCPD, MixtureCPD, Noise
 from pgm.cpds import values as cpd_values
-from pgm.cpds.noise import evaluate
+from pgm.cpds.conditional import evaluate
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.kernels import roots
 from pgm.kernels.angles import wrap

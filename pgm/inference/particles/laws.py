@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise
-from pgm.cpds.noise import evaluate
+from pgm.cpds.conditional import evaluate
 from pgm.cpds.values import Known
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.inference.particles.cloud import Block

@@ -10,14 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.cpds import CPD
-from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.cpds.mixture import UnidentifiedCPD, by_run
 from pgm.cpds.values import Known
 from pgm.errors import EvidenceError, LinearisationError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import distinct_labels
 from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern
 from pgm.inference.particles.mixed import law
-from pgm.inference.runs import by_run
 from pgm.kernels.arrays import Array, Mask
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable

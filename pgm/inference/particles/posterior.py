@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from pgm.compile import DynamicGraph
-from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors.scope import Scope, as_scope, listed
