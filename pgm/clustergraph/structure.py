@@ -10,19 +10,17 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pgm.boundary import as_tuple, is_whole
-from pgm.clustergraph.checks import (
-    Edge,
-    as_edge,
-    check_families,
-    check_running_intersection,
-    is_forest,
-)
 from pgm.clustergraph.cluster import (
     Cluster,
+    Edge,
     amount,
+    as_edge,
     assign,
+    check_families,
+    check_running_intersection,
     extent,
     is_discrete,
+    is_forest,
     neighbourhoods,
     spanning_tree,
     work,

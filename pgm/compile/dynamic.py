@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
-from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.cluster import Edge
 from pgm.cpds import CPD, NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import GraphError

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph import ClusterGraph
-from pgm.clustergraph.checks import Edge
-from pgm.clustergraph.cluster import amount, holding, is_discrete, size
+from pgm.clustergraph.cluster import Edge, amount, holding, is_discrete, size
 from pgm.compile.elimination import clique_tree, moral
 from pgm.compile.orders import MinFill, Order, StochasticMinFill, places
 from pgm.display import InCode

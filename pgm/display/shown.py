@@ -1,10 +1,10 @@
-"""Values in a few words, and how they show themselves."""
+"""Values in a few words, by component, and how they show themselves."""
 
 from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from importlib import import_module
 from typing import Any, ClassVar
@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from pgm.display.summary import LEFT_OUT, Listing, Summary, one_line, places
+from pgm.display.summary import ALL, LEFT_OUT, Listing, Place, Summary, few, one_line, places
 from pgm.errors import ArrayError
 
 # Significant digits of a number, and of a deviation.
@@ -23,7 +23,7 @@ SMALL, LARGE = 1e-4, 1e6
 # Decimals, beyond which a column is no longer written with as many in each row.
 DECIMALS = 7
 # The most digits that float64 has.
-ALL = 16
+MOST = 16
 
 
 def number(value: float, digits: int = DIGITS) -> str:
@@ -76,7 +76,7 @@ def count(number: int, word: str, many: str = "") -> str:
 
 def _pair(mean: float, std: float) -> tuple[str, str]:
     if not (math.isfinite(std) and std > 0.0 and math.isfinite(mean)):
-        return number(mean, ALL if std == 0.0 else DIGITS), number(std)
+        return number(mean, MOST if std == 0.0 else DIGITS), number(std)
     decimals = SURE - 1 - _power(std)
     largest = max(abs(mean), std)
     if largest < LARGE and decimals <= DECIMALS:
@@ -84,7 +84,7 @@ def _pair(mean: float, std: float) -> tuple[str, str]:
     if mean == 0.0:
         return "0", number(std, SURE)
     digits = _power(mean) + decimals
-    return f"{mean:.{min(max(digits, 0), ALL - 1)}e}", f"{std:.{SURE - 1}e}"
+    return f"{mean:.{min(max(digits, 0), MOST - 1)}e}", f"{std:.{SURE - 1}e}"
 
 
 def _fixed(value: float, decimals: int) -> str:
@@ -245,3 +245,141 @@ def picture(value: Any) -> str:
         return ""
     found: str = pictures.svg(value)
     return found
+
+
+Array = npt.NDArray[np.float64]
+# The most components beside each other, and of how many correlations are shown.
+WIDE, CORRELATED = 12, 6
+
+
+def by_component(names: Sequence[str], mean: Array, cov: Array) -> Listing:
+    """One belief: its mean and deviation, a row a component, and where few their correlations."""
+    std = deviations(cov)
+    shown = few(len(names))
+    kept = [k for k in shown if k is not None]
+    # Each component has units of its own, and so its own decimals.
+    cells = dict(
+        zip(kept, beside(mean[kept].tolist(), std[kept].tolist(), alike=False), strict=True)
+    )
+    heads, rest = ["", "mean ± deviation"], correlations(cov, std) if len(names) > 1 else None
+    if rest is not None:
+        heads += ["correlations", *[""] * (len(names) - 2)]
+    rows: list[Sequence[str] | None] = []
+    for k in shown:
+        if k is None:
+            rows.append(None)
+        elif rest is None:
+            rows.append([names[k], cells[k]])
+        else:
+            below = [_correlation(rest[k, j]) for j in range(k)]
+            rows.append([names[k], cells[k], *below, *[""] * (len(names) - 1 - k)])
+    return Listing(heads, rows)
+
+
+def stacked(
+    names: Sequence[str],
+    lead: tuple[int, ...],
+    steps: Sequence[int] | npt.NDArray[Any] | None,
+    moments: Callable[[Place], tuple[Array, Array]],
+    most: int = ALL,
+) -> Listing:
+    """Many beliefs: a row each of the first and the last, with means and deviations.
+
+    lead: The leading axes, runs and steps.
+    steps: The steps that the last of them stands for.
+    moments: The mean and covariance at a place of the leading axes; only those shown are asked for.
+    """
+    shown = places(lead, most)
+    found = {place: moments(place) for place in shown if place is not None}
+    columns = []
+    for k in range(min(len(names), WIDE)):
+        means = [mean[k] for mean, _ in found.values()]
+        spreads = [float(deviations(cov[k : k + 1, k : k + 1])[0]) for _, cov in found.values()]
+        columns.append(dict(zip(found, beside(means, spreads), strict=True)))
+    heads, where = whereabouts(lead, steps)
+    more = [f"{LEFT_OUT} {len(names)} in all"] * (len(names) > WIDE)
+    rows: list[Sequence[str] | None] = []
+    for place in shown:
+        if place is None:
+            rows.append(None)
+        else:
+            rows.append([*where(place), *(column[place] for column in columns), *[""] * len(more)])
+    return Listing([*heads, *names[:WIDE], *more], rows, names=len(heads))
+
+
+def whereabouts(
+    lead: tuple[int, ...], steps: Sequence[int] | npt.NDArray[Any] | None
+) -> tuple[list[str], Callable[[Place], list[str]]]:
+    """The heads of the columns that tell run and step, and their cells at a place."""
+    runs = len(lead) - (steps is not None)
+    heads = ["run"] * (runs > 0) + ["step"] * (steps is not None)
+
+    def cells(place: Place) -> list[str]:
+        found = [", ".join(map(str, place[:runs]))] if runs else []
+        return found if steps is None else [*found, str(int(steps[place[-1]]))]
+
+    return heads, cells
+
+
+def axes(lead: tuple[int, ...], steps: Sequence[int] | npt.NDArray[Any] | None) -> str:
+    """Leading axes in words, behind a comma: ``, runs (100,), steps 0..60``."""
+    runs = lead if steps is None else lead[:-1]
+    text = f", runs {runs}" if runs else ""
+    if steps is None:
+        return text
+    found = np.asarray(steps)
+    if not found.size or (np.diff(found) != 1).any():
+        return f"{text}, {count(found.size, 'step')}"
+    return f"{text}, steps {found[0]}..{found[-1]}"
+
+
+def deviations(cov: Array) -> Array:
+    """The roots of the variances, NaN of negative ones."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1)))
+
+
+def correlations(cov: Array, std: Array) -> Array | None:
+    """The correlations of a few components; None where they are many, or none is correlated."""
+    if len(std) > CORRELATED or not np.isfinite(cov).all() or not (std > 0.0).any():
+        return None
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = cov / np.outer(std, std)
+    apart = found[~np.eye(len(std), dtype=bool)]
+    return found if (np.abs(np.nan_to_num(apart)) >= 0.005).any() else None
+
+
+def _correlation(value: float) -> str:
+    return "" if np.isnan(value) else f"{round(value, 2) + 0.0:.2f}"
+
+
+# The most rows and columns of which all are shown.
+ROWS, COLUMNS = 7, 7
+
+
+def named_matrix(
+    rows: Sequence[str],
+    columns: Sequence[str],
+    values: npt.NDArray[Any],
+    symbol: str,
+    before: Sequence[tuple[str, npt.NDArray[Any]]] = (),
+) -> Listing:
+    """A matrix with the names of its rows and columns.
+
+    symbol: The matrix's own, at the head of its first column.
+    before: Columns of numbers beside it, with their symbols.
+    """
+    shown = few(len(rows), ROWS)
+    kept = [k for k in shown if k is not None]
+    heads, cells = [""], [[rows[k] for k in kept]]
+    for name, vector in before:
+        heads.append(name)
+        cells.append([number(value) for value in vector[kept]])
+    for k, name in enumerate(columns[:COLUMNS]):
+        heads.append(name if k else f"{symbol}: {name}")
+        cells.append(column(values[kept, k]))
+    if len(columns) > COLUMNS:
+        heads.append(LEFT_OUT)
+        cells.append([LEFT_OUT] * len(kept))
+    found = dict(zip(kept, zip(*cells, strict=True), strict=True))
+    return Listing(heads, [None if k is None else found[k] for k in shown])

@@ -13,8 +13,17 @@ import numpy.typing as npt
 from pgm.boundary import is_whole
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
-from pgm.evidence.arrays import as_steps, no_evidence_for
-from pgm.evidence.rows import Rows, complete, constant_row, due, rows_of, taken_of, unread
+from pgm.evidence.rows import (
+    Rows,
+    as_steps,
+    complete,
+    constant_row,
+    due,
+    no_evidence_for,
+    rows_of,
+    taken_of,
+    unread,
+)
 from pgm.evidence.values import Constant, Evidence, Sightings, Unknown, opened, require_whole
 from pgm.factors.runs import common_runs, flat
 from pgm.factors.scope import listed

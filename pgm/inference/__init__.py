@@ -1,6 +1,6 @@
 """Inference: schedules of messages, and what they leave."""
 
-from pgm.inference.associations import Associations
+from pgm.inference.associations import Associations, Rejections
 from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.marginals import KeptPosterior, Marginals
@@ -29,7 +29,6 @@ from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import Posterior
 from pgm.inference.query import query
-from pgm.inference.rejections import Rejections
 from pgm.inference.schedule import (
     Calibration,
     Filtering,

@@ -14,9 +14,9 @@ from pgm.inference import discrete, gaussian
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
-from pgm.inference.checks import Start, require_lineariser
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.value import Grid
+from pgm.inference.options import Start, require_lineariser
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.value import Particles
 from pgm.inference.points import PointMasses

@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.cluster import Edge
 from pgm.inference.schedule import Flooding, Loopy, Residual, Sequential
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Integers, Mask

@@ -7,9 +7,15 @@ from dataclasses import dataclass
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
-from pgm.inference.checks import require_count, require_tolerance
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
-from pgm.inference.options import Damping, Gate, as_gate, require_damping
+from pgm.inference.options import (
+    Damping,
+    Gate,
+    as_gate,
+    require_count,
+    require_damping,
+    require_tolerance,
+)
 
 
 @dataclass(frozen=True)

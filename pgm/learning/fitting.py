@@ -10,7 +10,7 @@ from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence
 from pgm.inference import Smoothing
-from pgm.inference.checks import require_lineariser
+from pgm.inference.options import require_lineariser
 from pgm.learning.declared import Learn
 from pgm.learning.model import Learner
 from pgm.learning.result import Fit

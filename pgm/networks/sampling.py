@@ -16,7 +16,7 @@ from pgm.cpds.values import Known, Values
 from pgm.display import Listing, NoArray, Shown, Summary, vector
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, bind_values, sightings
-from pgm.evidence.arrays import no_evidence_for
+from pgm.evidence.rows import no_evidence_for
 from pgm.factors.scope import listed, unknown_name
 from pgm.immutable import Immutable
 from pgm.sizes import require_memory

@@ -22,8 +22,8 @@ from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
 from pgm.inference.chain.sensor import Sensor
-from pgm.inference.checks import require_plain
 from pgm.inference.family import Family
+from pgm.inference.options import require_plain
 from pgm.kernels.arrays import (
     Array,
     Index,

@@ -11,7 +11,7 @@ import numpy as np
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD
 from pgm.cpds.mixture import chosen, log_mixed
 from pgm.errors import ModelError
-from pgm.inference.checks import require_density
+from pgm.inference.options import require_density
 from pgm.inference.particles.laws import Drawing, GaussianLaw, Law, Some, States
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable

@@ -21,10 +21,11 @@ from pgm.inference.chain.association import associated
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
-from pgm.inference.checks import Start, require_gaussian
-from pgm.inference.executors import Shape, Workers, address
 from pgm.inference.kind import Kind
+from pgm.inference.options import Start, require_gaussian
+from pgm.inference.parts.parcels import Shape, address
 from pgm.inference.parts.split import Part, joined, one_status, split, swept_once
+from pgm.inference.parts.workers import Workers
 from pgm.inference.schedule import Calibration, Filtering, Schedule
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, frozen

@@ -14,7 +14,7 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.cpds import ConditionalGaussian, NonlinearGaussianCPD
 from pgm.evidence import BoundEvidence
-from pgm.evidence.arrays import as_rows
+from pgm.evidence.rows import as_rows
 from pgm.factors.runs import flat
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.fixed_lag import Windows
@@ -23,9 +23,9 @@ from pgm.inference.chain.gate_record import GateRecord
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
-from pgm.inference.checks import Start, over_runs, require_hidden
 from pgm.inference.family import Family
 from pgm.inference.kind import FILTERED, SMOOTHED
+from pgm.inference.options import Start, over_runs, require_hidden
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, cut, frozen
 from pgm.linearisers import Lineariser

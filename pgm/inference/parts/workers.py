@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 from pgm.boundary import is_whole
 from pgm.errors import ExecutorError, ModelError, PrecisionWarning
-from pgm.inference.executors.parcels import (
+from pgm.inference.parts.parcels import (
     Block,
     Name,
     Parcel,
