@@ -28,16 +28,10 @@ class Covariance(InCode):
         Any covariance; variances of independent components; or one factor on the CPD's own, which
         may be ``pgm.noise(...)``.
     lower, upper : float
-        Bounds of the eigenvalues, of the variances, or of the factor.
-
-    Raises
-    ------
-    ModelError
-        If the kind is none of these, or 0 ≤ lower ≤ upper does not hold.
+        Bounds of the eigenvalues, of the variances, or of the factor: 0 ≤ lower ≤ upper.
 
     Examples
     --------
-    >>> import pgm
     >>> pgm.learning.Covariance("diagonal", lower=1e-6)
     Covariance(kind='diagonal', lower=1e-06, upper=inf)
     """
@@ -67,7 +61,6 @@ class Coefficients(InCode):
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x", components=("position", "velocity"))
     >>> free = pgm.learning.Coefficients({x.previous: [[False, True], [False, True]]})
     """
@@ -93,7 +86,6 @@ class Offset(InCode):
 
     Examples
     --------
-    >>> import pgm
     >>> pgm.learning.Offset([True, False])
     Offset(free=[True, False])
     """
@@ -105,24 +97,17 @@ class Offset(InCode):
 class Parameter(InCode):
     """A constant that functions of CPDs take as a parent: a scale, an offset, a lever arm.
 
-    The parent is an input of the model; it is left out of the evidence, since the value that is
-    learnt is its evidence.
+    The parent is an input of the model, left out of the evidence: its value is what is learnt.
 
     Parameters
     ----------
     start : array_like
-        (d,): the value to begin with.
+        (d,): the value to begin with, within the bounds.
     lower, upper : array_like
         (d,), or one for all: bounds.
 
-    Raises
-    ------
-    ModelError
-        If lower ≤ start ≤ upper does not hold.
-
     Examples
     --------
-    >>> import pgm
     >>> pgm.learning.Parameter(1.0, lower=0.5, upper=2.0)
     Parameter(start=1.0, lower=0.5, upper=2.0)
     """
@@ -149,14 +134,8 @@ class Table(InCode):
     prior_counts : array_like
         As the table, or one for all: what is added to expected counts, α − 1 of a Dirichlet prior.
 
-    Raises
-    ------
-    ModelError
-        If a count is negative or not finite.
-
     Examples
     --------
-    >>> import pgm
     >>> pgm.learning.Table(prior_counts=1.0)
     Table(prior_counts=1.0)
     """

@@ -39,14 +39,7 @@ ROLES = ("prior", "transition", "observation")
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A value of all that is learnt.
-
-    Attributes
-    ----------
-    model : DynamicBayesianNetwork
-    parameters : dict of Variable to ndarray
-        Of parents with a constant value.
-    """
+    """A value of all that is learnt: the model, and parents with a constant value."""
 
     model: DynamicBayesianNetwork
     parameters: dict[Variable, Array]
@@ -63,21 +56,7 @@ class Expected:
 
 
 class Learner:
-    """The parts of a model that are learnt, and the recordings.
-
-    Parameters
-    ----------
-    model : DynamicBayesianNetwork
-    recordings : sequence of Evidence
-    learn : mapping
-        As of `fit`.
-    lineariser : Lineariser
-    schedule : Smoothing
-    steps : sequence of int or None
-        T of each recording.
-    single : bool
-        Whether the result is of the one recording, rather than of a sequence.
-    """
+    """The parts of a model that are learnt, as of `fit`, and the recordings, of steps T each."""
 
     def __init__(
         self,

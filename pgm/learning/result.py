@@ -28,8 +28,7 @@ class FitStatus(Shown, Immutable):
     e_steps : int
         Smoothers that were run of each recording, at points that were refused too.
     accepted, refused : int
-        Accelerated steps that raised the log-evidence, and others, in whose place a plain one was
-        taken.
+        Accelerated steps that raised the log-evidence, and others, replaced by a plain one.
     halved : int
         How often a plain step, which did not raise the log-evidence, was halved. Exact models have
         none, but for rounding.
@@ -40,7 +39,6 @@ class FitStatus(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
     >>> from pgm.examples import walk, z
     >>> found = pgm.fit(walk, {z: [[4.0], [2.0]]}, learn={z: pgm.learning.Covariance("diagonal")})
     >>> found.status.converged
@@ -100,17 +98,15 @@ class Fit(Shown, Immutable):
         By the variables that were named: the CPD that was learnt, or the value, (d,), of a
         `Parameter`.
     evidence : Evidence, or tuple of Evidence
-        That was given, with the values of parameters put in.
+        With the values of parameters put in.
     log_evidence : ndarray
-        (iterations + 1,): of all recordings and runs together, at the start and after each
-        iteration. It never falls.
+        (iterations + 1,): of all recordings and runs together, from the start on. It never falls.
     posterior : ChainPosterior or StatePosterior, or tuple of these
         Of each recording, smoothed with the model.
     status : FitStatus
 
     Examples
     --------
-    >>> import pgm
     >>> from pgm.examples import walk, z
     >>> found = pgm.fit(walk, {z: [[4.0], [2.0]]}, learn={z: pgm.learning.Covariance("diagonal")})
     >>> found.model.observation[0].cov.round(2)

@@ -26,17 +26,7 @@ class QuasiNewton:
     and Shanno's rule, so that it would have told that move: Δθ = −(Δe + S Δg).
 
     As long as the log-evidence bends upwards along the moves, so that no curvature can be learnt,
-    steps are those of EM, stretched twice as far each time.
-
-    References
-    ----------
-    Jamshidian & Jennrich, Acceleration of the EM algorithm by using quasi-Newton methods, 1997,
-    method QN2.
-
-    Parameters
-    ----------
-    size : int
-        Number of coordinates.
+    steps are those of EM, stretched twice as far each time (Jamshidian & Jennrich, 1997).
     """
 
     def __init__(self, size: int) -> None:
@@ -88,15 +78,7 @@ _ENDLESS = 1.0
 
 
 class Search:
-    """The working place of `fit`.
-
-    Parameters
-    ----------
-    learner : Learner
-    iterations : int
-    tolerance : float
-    accelerate : bool
-    """
+    """The working place of `fit`."""
 
     def __init__(
         self, learner: Learner, iterations: int, tolerance: float, *, accelerate: bool

@@ -24,12 +24,6 @@ class TableStep:
     """The M step of one table, exact: Baum & Welch's, for any family of the slice.
 
     Zeros stay zeros. Rows of parents' states that never occur stay as they are.
-
-    Parameters
-    ----------
-    cpd : TableCPD
-        As it is at the start.
-    parts : sequence of Table
     """
 
     def __init__(self, cpd: TableCPD, parts: Sequence[Table]) -> None:
@@ -93,13 +87,8 @@ class ParameterStep:
 
     The expected log-density is, but for constants, −½ V(θ), V(θ) = Σ tr(Q⁻¹ E[r rᵀ]) of all CPDs
     that have the parent, their residuals expected at each θ. Its gradient is taken by central
-    differences, and its curvature is Gauss and Newton's, of the residuals' derivatives; a step that
-    does not lower V is halved. It is exact where residuals are linear in θ.
-
-    Parameters
-    ----------
-    variable : Variable
-    declared : Parameter
+    differences, its curvature is Gauss and Newton's; a step that does not lower V is halved. It is
+    exact where residuals are linear in θ.
     """
 
     def __init__(self, variable: Variable, declared: Parameter) -> None:

@@ -19,10 +19,8 @@ from pgm.kernels.moments import Conditional
 class Proposal:
     """Affine Gaussians, one a row: y = F x + b + L s, s ~ N(0, I), or multivariate Student t.
 
-    matrix: (rows, runs, n, m); m is 0 where nothing is given.
-    offset: (rows, runs, n).
-    lower: (rows, runs, n, n): L, with zero rows for components that are not free.
-    regular: Whether all free components vary, so that they have a density.
+    They are (rows, runs, ...); L has zero rows for components that are not free; the proposal is
+    `regular` if all others vary, so that they have a density.
     """
 
     matrix: Array
@@ -135,11 +133,9 @@ class Excursions:
     """One excursion a draw: slices k to l leave the Gaussian, those around them follow it.
 
     The first slice begins it with a probability of ½, all others alike; each of its slices is the
-    last one with a probability of ⅛. The density of a draw, of all excursions that may have led to
-    it, is summed up slice by slice, over the four stages.
-
-    slices: Of a draw, 1 or more.
-    predicted: The part of excursions that follow the model; the others have Student tails.
+    last one with a probability of ⅛. The part `predicted` of them follow the model, the others have
+    Student tails. The density of a draw, of all excursions that may have led to it, is summed up
+    slice by slice, over the four stages.
     """
 
     slices: int
@@ -174,11 +170,9 @@ class Excursions:
     def extend(
         self, index: int, so_far: Density, gaussian: Array, predicted: Array, tails: Array
     ) -> Density:
-        """The density of draws up to a slice.
+        """The density of draws up to a slice, given the log-densities of that, (runs, S).
 
-        gaussian, predicted: (runs, S): the log-density of the slice by the Gaussian, and by the
-            model.
-        tails: (runs, S): that with Student tails, less the Gaussian's.
+        By the Gaussian, by the model, and with Student tails less the Gaussian's.
         """
         begin, before = self._begin(index), so_far.shares
         scale = np.maximum(np.maximum(predicted, gaussian), gaussian + tails)
@@ -195,13 +189,10 @@ class Excursions:
 
 
 class Density(NamedTuple):
-    """The density of draws so far, (runs, S), with a logarithm of its own as its scale.
+    """The density of draws so far: shares of the stages (4, runs, S) times exp(scale), (runs, S).
 
-    A share of a stage that is too small for float64 beside another's stays so: whatever follows one
-    may follow the other.
-
-    scale: (runs, S).
-    shares: (4, runs, S): by stage, over the exponential of the scale.
+    A share that is too small for float64 beside another stays so: whatever follows one may follow
+    the other.
     """
 
     scale: Array
@@ -221,11 +212,10 @@ class Afresh(NamedTuple):
 
 
 class Draws(NamedTuple):
-    """Draws with their log-densities, (runs, S).
+    """Log-densities of draws, (runs, S), and their variables by step, (runs, S, n).
 
-    target: ln p(x, z) of the model; NaN where a function was not finite at a defensive draw.
-    gaussian, defensive: By the Gaussian answer, and by excursions from it.
-    values: (runs, S, n) each: the hidden variables, by step.
+    The target is ln p(x, z) of the model, NaN where a function was not finite at a defensive draw;
+    the others are by the Gaussian answer and by excursions from it.
     """
 
     target: Array
@@ -236,10 +226,7 @@ class Draws(NamedTuple):
 
 @dataclass(eq=False)
 class Strand:
-    """Draws in the making, slice by slice: of the Gaussian answer, or defensive ones.
-
-    relative: Whether densities are relative to those of the linearised model.
-    """
+    """Draws in the making, slice by slice, of the Gaussian answer or defensive ones."""
 
     excursions: Excursions
     shape: tuple[int, int]

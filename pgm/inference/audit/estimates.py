@@ -20,10 +20,7 @@ EQUAL = 1e-9
 
 
 def weigh(draws: Draws) -> tuple[Array, Array]:
-    """The log-weights ln p/r and the control q/r for the mixture r = (q + d)/2, (runs, S).
-
-    A draw whose target is NaN has no weight.
-    """
+    """The log-weights ln p/r, −∞ where p is NaN, and the control q/r, r = (q + d)/2, (runs, S)."""
     log_mixture = np.logaddexp(draws.gaussian, draws.defensive) - np.log(2.0)
     log_weights = np.where(np.isnan(draws.target), -np.inf, draws.target - log_mixture)
     return log_weights, np.exp(draws.gaussian - log_mixture)
@@ -38,23 +35,12 @@ class Mixture:
 
     .. math:: \hat Z = \bar y - β (\bar v - 1)
 
-    for the β that regresses y on v within the two strata. Where p is a multiple of q no variance
-    is left.
+    for the slope β of a regression of y on v within the two strata. Where p is a multiple of q no
+    variance is left. `weights` and `control` are y and v, (runs, 2S), of the Gaussian's draws
+    first; `peak` is the largest log-weight, and y, β and Ẑ are divided by its exponential. All
+    else is as of an `Audit`.
 
-    peak: The largest log-weight; y, β and Ẑ are divided by its exponential.
-    weights, control: (runs, 2S): y and v, of the Gaussian's draws first.
-    slope, evidence: β and Ẑ.
-    standard_error: Of ln Ẑ.
-    effective_draws, gaussian_sample_size: (Σ y)² / Σ y² of all draws, and (Σ w)² / Σ w² of w = p/q
-        at those of the Gaussian.
-    divergence, divergence_error: KL(q ‖ p/Z) and its standard error.
-    inclusive_divergence, inclusive_error: KL(p/Z ‖ q) and its standard error.
-    pareto_k: The shape of the tail of y at the Gaussian's draws; −∞ where all w are equal.
-    undefined: The part of defensive draws at which a function was not finite.
-    gaussian_log_weights: (runs, S): ln w.
-
-    Source: Hesterberg, Weighted average importance sampling and defensive mixture distributions,
-    1995; Owen & Zhou, Safe and effective importance sampling, 2000.
+    Sources are those of an `Audit`.
     """
 
     peak: Array
@@ -77,12 +63,7 @@ class Mixture:
     def make(
         cls, log_weights: Array, control: Array, log_ratio: Array, undefined: Array
     ) -> Mixture:
-        """Estimate.
-
-        log_weights, control, log_ratio: (runs, 2S): ln y, v and ln p/q, of the Gaussian's draws
-            first.
-        undefined: (runs,).
-        """
+        """Estimate, from ln y, v and ln p/q, (runs, 2S)."""
         samples = log_weights.shape[-1] // 2
         plain = log_ratio[:, :samples]
         peak = log_weights.max(axis=-1)
@@ -138,9 +119,9 @@ def _evidence(weights: Array, control: Array) -> tuple[Array, Array]:
 
 
 def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> tuple[Array, Array]:
-    """The mean of values, with a control variate of mean zero, and its standard error.
+    """The mean of values, v ln Z/w or (y/Z) ln w/Z, with a control variate, and its error.
 
-    The values are v ln Z/w or (y/Z) ln w/Z, and change with ln Z as the sign says.
+    The sign says how they change with ln Z.
     """
     slope = _slope(values, control)
     mean = np.maximum(values.mean(axis=-1) - slope * control.mean(axis=-1), 0.0)
@@ -189,8 +170,7 @@ def pareto_shape(log_weights: Array) -> Array:
     all weights are equal, ∞ where very few are all there is.
 
     Source: Zhang & Stephens, A new and efficient estimation method for the generalized Pareto
-    distribution, 2009; Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance sampling,
-    2024.
+    distribution, 2009; Vehtari et al., of an `Audit`.
     """
     runs, count = log_weights.shape
     if count < FEWEST:
@@ -218,16 +198,10 @@ def pareto_shape(log_weights: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Exact moments of a belief beside the Gaussian's, at its steps.
+    """Exact moments of a belief, estimated, beside the Gaussian's, (steps, runs, ...).
 
-    The bound on χ² is Laurent & Massart's (2000, lemma 1).
-
-    scope: A hidden variable, or those of a cluster together.
-    mean, cov: (steps, runs, d), (steps, runs, d, d): the exact ones, estimated.
-    divergence: (steps, runs): KL(N(mean, cov) ‖ the Gaussian); infinite where draws left no
-        covariance.
-    judged: (steps,): where the Gaussian belief that was asked for knows all measurements, as q
-        does.
+    The divergence is KL(N(mean, cov) ‖ the Gaussian), infinite where draws left no covariance;
+    `judged` (steps,) are beliefs that know all measurements, as q does.
     """
 
     scope: tuple[Variable, ...]
@@ -241,7 +215,7 @@ class Compared:
         """The largest divergence judged, less what chance may leave, (runs,).
 
         Moments of n effective draws are χ²/2n nats off, with a degree of freedom for each of them;
-        the largest of m such numbers by as much as a bound says that one in m exceeds.
+        the largest of m is bounded as by Laurent & Massart (2000, lemma 1).
         """
         size = self.mean.shape[-1]
         freedom, spread = 0.5 * size * (size + 3), log(max(int(self.judged.sum()), 1))
@@ -284,12 +258,7 @@ class Compared:
 
 @dataclass(eq=False)
 class Sums:
-    """Sums over draws of a belief's variables at its steps.
-
-    places: Where they stand in the vector of hidden variables.
-    mean, cov: (steps, runs, d), (steps, runs, d, d): the Gaussian's.
-    judged: (steps,): of the steps, which are judged; see `Compared`.
-    """
+    """Sums over draws of variables at `places` of the vector, whose Gaussian moments are given."""
 
     scope: tuple[Variable, ...]
     places: Index
@@ -306,11 +275,9 @@ class Sums:
         self._squares = np.zeros((2, *self.cov.shape))
 
     def add(self, values: list[Array], pair: Array, fading: Array) -> None:
-        """Take in draws, (runs, S, n) a step, by weight and by control; angles to the nearest turn.
+        """Take in draws, (runs, S, n) a step, weighed by y and v, (2, runs, S).
 
-        pair: (2, runs, S): y and v.
-        fading: (runs,): what weights so far are to be multiplied with, the largest being larger
-            now.
+        `fading` (runs,) is by how much the largest weight has grown; angles are wrapped.
         """
         self._offsets[0] *= fading[:, None]
         self._squares[0] *= fading[:, None, None]
@@ -323,11 +290,10 @@ class Sums:
                 self._squares[kind, row] += weighted @ off
 
     def compared(self, mixture: Mixture) -> Compared:
-        """The exact mean and covariance beside the Gaussian's.
+        """The exact moments beside the Gaussian's, which are the control, as for the evidence.
 
-        The Gaussian's own moments are the control, as its mass is for the evidence; where that
-        leaves no covariance, moments are weighted without it. Components in which the Gaussian has
-        no variance are not compared.
+        Where that leaves no covariance, moments are weighted without it. Components in which the
+        Gaussian has no variance are not compared.
         """
         lower, slope = roots.root(self.cov), mixture.slope
         total = mixture.weights.shape[-1] * mixture.evidence

@@ -30,13 +30,10 @@ Links = list[tuple[Link, Term]]
 class ChainDraws:
     """Trajectories from the smoothed Gaussian, drawn forward in time, with their log-weights.
 
-    first, later: The states at step 0; the slice of each later step given the states before it.
-    prior, transition, sensors: The CPDs in place, with their densities.
-    reference: (runs,): the log-weight that is common to all draws.
-    relative: Whether weights are relative to the densities of the linearised model, whose evidence
-        then is the reference.
-    judged: (T+1,): the steps whose beliefs in the posterior know all measurements.
-    onward: The slice of each later step given the states before it, fixed components too.
+    Proposals are of the states at step 0, `first`, and of each later slice given the states before.
+    `reference` (runs,) is common to all log-weights: the linearised model's evidence, where they
+    are `relative` to its densities. `judged` (T+1,) are the steps whose beliefs know all
+    measurements; `onward` are the conditionals of slices, with their fixed components.
     """
 
     plan: ChainPlan
@@ -65,7 +62,7 @@ class ChainDraws:
         if not exact and draws.first.regular and draws.later.regular:
             return draws
         # The draws' support is the linearised model's: weights are relative to its densities, with
-        # the means that belong to them, which step control may have held back.
+        # its own means, which step control may have held back.
         _refuse_grouped(plan)
         forward = posterior._forward
         reverse = Reverse.make(plan, forward)
@@ -133,10 +130,7 @@ class ChainDraws:
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
     def sums(self) -> list[Sums]:
-        """Empty sums: each hidden variable's, the states' together, and clusters' that are judged.
-
-        Judged are beliefs that know all measurements.
-        """
+        """Empty sums of each hidden variable, of the states, and of clusters that are judged."""
         layout, judged = self.plan.layout, self.judged
         mean, cov = self.beliefs.mean, self.beliefs.cov
         front = layout.state_size
@@ -242,13 +236,7 @@ def _refuse_grouped(plan: ChainPlan) -> None:
 
 @dataclass(frozen=True, eq=False)
 class TreeDraws:
-    """Draws from the joint Gaussian of a calibrated tree, with their log-weights.
-
-    proposal: Of all hidden components at once.
-    reference: (runs,): the log-weight that is common to all draws.
-    relative: Whether weights are relative to the densities of the linearised network.
-    mean, cov: (1, runs, n), (1, runs, n, n): the joint's moments.
-    """
+    """Draws from the joint Gaussian of a calibrated tree, all at once; see `ChainDraws`."""
 
     model: Model
     proposal: Proposal

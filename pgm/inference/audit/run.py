@@ -74,10 +74,6 @@ def audit(
     progress : bool or callable
         As for `infer`, of batches of draws.
 
-    Returns
-    -------
-    Audit
-        Log-evidence, divergence and effective sample size, (*runs), and log-weights, (*runs, S).
 
     Raises
     ------
@@ -94,10 +90,8 @@ def audit(
 
     References
     ----------
-    Hesterberg, Weighted average importance sampling and defensive mixture distributions, 1995; Owen
-    & Zhou, Safe and effective importance sampling, 2000; Owen, Monte Carlo theory, methods and
-    examples, 2013, chapter 9; Särkkä & Svensson, Bayesian
-    Filtering and Smoothing, 2nd edition, 2023, chapter 11.
+    As of `Audit`; Särkkä & Svensson, Bayesian Filtering and Smoothing, 2nd edition, 2023, chapter
+    11.
 
     Examples
     --------

@@ -105,11 +105,7 @@ class Beliefs:
         self.cov[:, self.places.covs(*at)] = cov
 
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
-        """Means (runs, ..., n) and covariances (V, ..., n, n) as the user knows them.
-
-        where, entries: (..., n) and (..., n, n): of the means and covariances.
-        places: (..., n): the components.
-        """
+        """Means (runs, ..., n) and covariances (V, ..., n, n) as the user knows them, by places."""
         scale = self.frame.scale[places]
         mean = self.frame.mean[:, places] + scale * runs_first(self.mean[:, where])
         return mean, self.cov[:, entries] * (scale[..., :, None] * scale[..., None, :])

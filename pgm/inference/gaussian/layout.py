@@ -25,10 +25,9 @@ def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
 
 
 def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
-    """The variables that inference leaves out: they lack inputs, and nothing depends on them.
+    """The variables that inference leaves out: inputs without evidence, and their CPDs' children.
 
-    Children without evidence of CPDs whose inputs have none, such as sensors not read, unless
-    something observed or kept depends on them; and these inputs.
+    These stay if something observed or kept depends on them.
     """
     inputs = set(network.inputs)
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}
@@ -47,10 +46,8 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 class Group:
     """CPDs that are copies of one, with the same parents hidden: one linearisation, many rows.
 
-    cpds: One a row.
-    child: (rows, d): where each child stands among all hidden components; (rows, 0) if observed.
-    parents: (rows, n): where the hidden parents stand.
-    clusters: (rows,): the cluster that each CPD is assigned to.
+    `child` (rows, d), empty if observed, and `parents` (rows, n) are places among all hidden
+    components; `clusters` (rows,) the clusters that the CPDs are assigned to.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -77,11 +74,9 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """A cluster graph without its observed variables, in components.
+    """A cluster graph without its observed variables and those `absent`, in components.
 
     Made once for each set of observed variables; see `ClusterGraph.derived`.
-
-    absent: What is left out; see `barren`.
     """
 
     graph: ClusterGraph
@@ -181,10 +176,7 @@ class Layout:
 
     @cached_property
     def order(self) -> list[tuple[int, int]]:
-        """All CPDs as (group, row), parents first, each only when something after it needs it.
-
-        A joint of those that are still needed then stays as small as the network allows.
-        """
+        """All CPDs as (group, row), parents first, each only when something after it needs it."""
         where = {
             cpd.child: (g, row)
             for g, group in enumerate(self.groups)
@@ -209,14 +201,10 @@ class Layout:
 class Stack:
     """Eliminations of one shape: messages that some clusters send, or the beliefs of clusters.
 
-    members: (B,): the messages, or the clusters.
-    clusters: (B,): the clusters whose factors are taken.
-    drop: How many of a cluster's columns are integrated out.
-    components: (B, n): the columns' places among all hidden components, those to be dropped first.
-    columns: (B, n): where they stand in the cluster's scope.
-    entries, rows: (B, k, n) and (B, k): which entries and right sides of the buffer the factor is
-        made of.
-    logs: (B, 1 + inputs): which log-scales add up: the cluster's, then its messages'.
+    `members` (B,) are the messages or clusters, from the factors of `clusters`, of whose columns
+    the first `drop` are integrated out. `components` (B, n) are the columns' places among all
+    hidden components, `columns` in the cluster's scope; `entries` (B, k, n), `rows` (B, k) those of
+    the factor in the buffer; `logs` (B, 1 + inputs) of log-scales, the cluster's and its messages'.
     """
 
     members: Integers

@@ -24,11 +24,9 @@ from pgm.kernels.rows import Eliminated, Rows, eliminate
 class Buffer:
     """Factors and messages as rows; see `Rounds` for where they stand.
 
-    proper: V runs with a matrix each and N = 1, or V = 1 matrix for all of N runs.
-    exact: The same for exact relations; None where there are none.
-    log_scale: (V, clusters + messages + 1, N); the last is zero.
-    coarse, largest: The largest of the factors' `coarse`, and of their entries and all
-        eliminations' `largest`.
+    V runs have a matrix each and N = 1, or V = 1 matrix is for all of N runs; log-scales are (V,
+    clusters + messages + 1, N), the last zero. `coarse` and `largest` are those of the factors and
+    of all eliminations.
     """
 
     rounds: Rounds
@@ -190,8 +188,8 @@ class RowMessages:
     def accept(self, round: RowRound, active: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active.
 
-        Runs that share matrices go on together, as long as their numbers are in range: the right
-        sides of one would no longer fit matrices that settle further for another.
+        Runs that share matrices go on together: else the right sides of one would no longer fit
+        matrices that settle further for another.
         """
         for stack, new in self._proposed:
             old = self.buffer.messages(stack.members, stack.kept)

@@ -31,9 +31,8 @@ from pgm.variables import Variable
 class GaussianPosterior(Posterior):
     """The beliefs of a Gaussian network; leading axes are runs.
 
-    ``posterior[x]`` and ``posterior.joint(x, y)`` are a `Gaussian`. Of a tree they are exact for
-    the (linearised) network; of a graph with loops the means are, where the messages have
-    converged, and variances are approximate: too small or too large.
+    Of a tree they are exact for the (linearised) network; of a graph with loops the means are,
+    where the messages have converged, and variances are approximate: too small or too large.
     """
 
     graph: ClusterGraph
@@ -194,13 +193,8 @@ class GaussianPosterior(Posterior):
         """The value ln p(evidence), (...); see `log_evidence_kind`.
 
         Exact measurements that repeat one another have no joint density; what is then given is that
-        of those that do not, in a unit that depends on the graph.
-
-        Raises
-        ------
-        NumericalError
-            If it is beyond the range of float64: measurements some 10¹⁵⁰ deviations from the
-            model's.
+        of those that do not, in a unit that depends on the graph. Beyond the range of float64, some
+        10¹⁵⁰ deviations from the model, it is a NumericalError.
         """
         value = self._done.log_evidence
         if not np.isfinite(value).all():
@@ -290,8 +284,7 @@ def _gain(
 ) -> Array:
     """The regression of a cluster's other components on those of the sepset with its parent.
 
-    `inside` is the cluster's covariance, the sepset's components first. A calibrated tree knows
-    the gain, even where the covariance is singular.
+    `inside` is the cluster's covariance, the sepset first. A calibrated tree knows the gain.
     """
     if not isinstance(beliefs, TreeBeliefs) or not shared:
         count = len(shared)

@@ -93,10 +93,7 @@ class TreePlan:
 
 @dataclass(frozen=True, eq=False)
 class TreeBeliefs(Beliefs):
-    """Moments of a tree's clusters, and how each follows from its parent's.
-
-    gains: For each stack of the plan's levels but the last, (V, B, r, s).
-    """
+    """Moments of a tree's clusters, and their gains from their parents', (V, B, r, s) by stack."""
 
     gains: list[list[Array]]
 

@@ -96,10 +96,7 @@ class Block:
 
 
 class Room:
-    """Uninitialised arrays in one shared block, which workers fill in.
-
-    Their block is kept for another call once it is `done`, and no array of it is left.
-    """
+    """Uninitialised arrays in one shared block, which workers fill in; kept once it is `done`."""
 
     def __init__(self, idle: list[Block], shapes: Sequence[Shape]) -> None:
         sizes = [lines(8 * math.prod(lead) * math.prod(own)) for lead, own in shapes]
@@ -169,10 +166,7 @@ AnyArray = npt.NDArray[Any]
 
 
 class _Place(NamedTuple):
-    """An array: the memory it is in, and how it is seen.
-
-    memory: The memory itself, contiguous; the block that has it; None for the parcel's own.
-    """
+    """An array: its memory (itself, a block, or None, the parcel's own), and how it is seen."""
 
     memory: AnyArray | Name | None
     offset: int
@@ -183,10 +177,7 @@ class _Place(NamedTuple):
 
 
 class Pickle(NamedTuple):
-    """A value as bytes, and its large arrays with their offsets in the parcel's memory.
-
-    Arrays that an earlier pickle of the parcel has brought are not among them.
-    """
+    """A value as bytes, and its large arrays, unless an earlier pickle has brought them."""
 
     data: bytes
     arrays: list[tuple[int, AnyArray]]
@@ -200,9 +191,8 @@ class Pickle(NamedTuple):
 class Parcel:
     """Pickles whose large arrays are put in one piece of memory, or stay where they are shared.
 
-    apart: Whether there is memory to put them in; they are in the pickles otherwise.
-    shared: Whether several processes see that memory: those that can be written to do not go there.
-    room: Shared memory, of whose arrays only the places travel.
+    If `apart`, there is memory to put them in; if `shared`, several processes see it, and arrays
+    that can be written to do not go there. Of arrays in `room` only the places travel.
     """
 
     def __init__(self, *, apart: bool, shared: bool = False, room: Room | None = None) -> None:

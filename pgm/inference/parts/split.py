@@ -38,11 +38,7 @@ MOST = 5000
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Some of the runs, with their own share of everything that differs between runs.
-
-    runs: Which of all runs, their axes as one.
-    graph, bound, start: As they would be if there were no other runs.
-    """
+    """Some of the runs, a slice of all, with graph, evidence and start as if there were no more."""
 
     runs: slice
     graph: DynamicGraph
@@ -161,10 +157,7 @@ def swept_once(
     status: Status,
     beliefs: Sequence[Array],
 ) -> ChainPosterior:
-    """The posterior of a filter or smoother that linearised once, of its beliefs.
-
-    Another sweep leaves the rest, once it is asked for.
-    """
+    """The posterior of a schedule that linearised once, of its beliefs; a sweep finds the rest."""
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     mean, cov, log_density, *smoothed = beliefs
     swept, kind = Filtered(plan, mean, cov, log_density), SMOOTHED if smoothed else FILTERED
@@ -237,10 +230,7 @@ def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
 
 
 def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
-    """An array with the runs as second axis, or a value made of such, from those of its parts.
-
-    What is said of parts is said of the whole if it holds of all of them.
-    """
+    """An array with the runs as second axis, or a value of such, from those of its parts."""
     if parts[0] is None:
         return None
     if kind is bool:

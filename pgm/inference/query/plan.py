@@ -22,10 +22,7 @@ from pgm.variables import Discrete, Variable
 
 @dataclass(frozen=True, eq=False)
 class Requisite:
-    """The part of a network that bears on a query.
-
-    open: Of each CPD, those of its variables whose state is not known.
-    """
+    """The part of a network that bears on a query; `open` are each CPD's variables not known."""
 
     cpds: tuple[TableCPD, ...]
     open: tuple[States, ...]
@@ -39,12 +36,9 @@ class Requisite:
         """Find the part that bears on some variables.
 
         A variable is *barren* if neither it nor any variable below it is asked for or observed:
-        its CPD sums to one. Of the others, those that are joined to what is asked by CPDs, through
-        variables whose state is not known, are not separated from it by the evidence; the CPDs of
-        the rest are a constant.
-
-        A variable that has evidence in some runs alone, or soft evidence, is not known; one of a
-        single state is, and tells nothing.
+        its CPD sums to one. Others bear on the query if CPDs join them to it through variables
+        whose state is not known; the CPDs of the rest are a constant. A variable with evidence in
+        some runs alone, or soft evidence, is not known; one of a single state is.
 
         Source: Lauritzen, Dawid, Larsen and Leimer (1990), Independence properties of directed
         Markov fields. Shachter (1998), Bayes-Ball: The rational pastime.
@@ -111,12 +105,7 @@ LARGE = 2**16
 
 @dataclass(frozen=True)
 class Step:
-    """One product of tables, and the sum over its first axes.
-
-    factors: What is multiplied, the smallest first.
-    scope: The variables of the product, by place in the order.
-    summed: How many of them, from the first, are summed out.
-    """
+    """A product of tables, smallest first, over places in the order, the first of them summed."""
 
     factors: tuple[int, ...]
     scope: tuple[int, ...]
@@ -125,14 +114,11 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class EliminationPlan:
-    """Products and sums of tables, one after the other.
+    """Products and sums of tables, one after the other, each making one table more.
 
-    The axes of all tables are in the order in which the variables are summed out, those that are
-    asked for last, so that no table is ever transposed, and sums are over the first axes.
-
-    scopes: Of the tables at the start: those of the CPDs, then those of weights, by place in the
-        order.
-    steps: Each makes one table more. The last one sums nothing out.
+    The axes of all tables are in the order in which the variables are summed out, those asked for
+    last: no table is ever transposed, and sums are over the first axes. `scopes` are those of the
+    CPDs' tables, then of weights, by place in the order.
     """
 
     requisite: Requisite
@@ -231,10 +217,7 @@ class EliminationPlan:
 
 
 def _steps(scopes: Sequence[tuple[int, ...]], sizes: Sequence[int], hidden: int) -> list[Step]:
-    """Bucket elimination: a table waits in the bucket of the first of its variables.
-
-    A bucket that holds nothing but one step's result is a further sum of that step.
-    """
+    """Bucket elimination: a table waits in the bucket of the first of its variables."""
     buckets: list[list[int]] = [[] for _ in range(hidden + 1)]
     held = list(scopes)
     for factor, scope in enumerate(held):

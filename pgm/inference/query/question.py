@@ -36,7 +36,7 @@ from pgm.variables import Discrete, Variable
 def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
     """The probabilities of what is asked, (sizes..., runs or 1); NaN where evidence is impossible.
 
-    With numbers, or where one would be lost to underflow with logarithms.
+    With logarithms, where a number would be lost to underflow.
     """
     try:
         with np.errstate(all="raise"):
@@ -195,12 +195,11 @@ def query(
     .. math:: p(\text{variables} \mid \text{evidence})
               \propto \sum_{\text{others}} \prod_{\text{CPDs}} p(\text{child} \mid \text{parents})
 
-    The answer is exact, and that of ``infer(compile(network), evidence).joint(*variables)``. It is
-    computed from what bears on the variables alone: CPDs of which nothing that is asked for or
-    observed depends are left out, and what the evidence separates from the variables. The others
-    are summed out one after the other. So a network whose junction tree is too large may still be
-    asked. One question costs less than all marginals; for many at the same evidence, `infer` once.
-    Where a CPD was rounded, so that columns do not quite sum to one, the two differ by as much.
+    The answer is exact, and that of ``infer(compile(network), evidence).joint(*variables)``, but
+    for columns that were rounded. It is computed from what bears on the variables alone: CPDs of
+    which nothing that is asked for or observed depends are left out, and what the evidence
+    separates from the variables. So a network whose junction tree is too large may still be asked.
+    One question costs less than all marginals; for many at the same evidence, `infer` once.
 
     Parameters
     ----------
