@@ -16,7 +16,7 @@ from pgm.cpds.robust import RobustNoise
 from pgm.cpds.values import Known, Values
 from pgm.display import InCode, Listing, called, named_matrix
 from pgm.errors import LinearisationError, ModelError, NumericalError
-from pgm.factors.arrays import as_covariance
+from pgm.factors.arrays import IMPROPER, as_covariance, covariance_fault, symmetrised
 from pgm.factors.arrays import diagonal as on_diagonal
 from pgm.factors.runs import flat, unflat
 from pgm.factors.scope import Scope, as_scope, components, listed
@@ -34,7 +34,6 @@ from pgm.kernels.arrays import (
     quiet,
     transpose,
 )
-from pgm.kernels.checks import IMPROPER, covariance_fault, symmetrised
 from pgm.kernels.moments import ROUNDING
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable

@@ -11,14 +11,13 @@ import numpy.typing as npt
 from pgm.boundary import as_floats
 from pgm.display import NoArray, Shown, Summary, axes, named_matrix
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import matrices
+from pgm.factors.arrays import is_symmetric, matrices, symmetrised
 from pgm.factors.canonical import CanonicalForm
 from pgm.factors.gaussian import Gaussian, as_gaussian
 from pgm.factors.scope import as_scope, dimension, names, one_name_each
 from pgm.immutable import Immutable, set_writeable
 from pgm.kernels import canonical, moments
 from pgm.kernels.arrays import Array
-from pgm.kernels.checks import is_symmetric, symmetrised
 from pgm.variables import Variable
 
 

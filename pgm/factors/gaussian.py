@@ -1,10 +1,10 @@
-"""Gaussians in moment form."""
+"""Gaussians in moment form, and their confidence ellipses."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,19 +12,24 @@ import numpy.typing as npt
 from pgm.boundary import (
     as_generator,
     as_lengths,
+    as_tuple,
+    is_number,
+    is_unordered,
     is_whole,
 )
 from pgm.display import (
+    Listing,
     NoArray,
     Shown,
     Summary,
     axes,
     by_component,
+    column,
+    places,
     stacked,
 )
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import as_covariance, as_points, as_steps, as_vector
-from pgm.factors.ellipse import Ellipse, confidence_ellipse
+from pgm.factors.arrays import IMPROPER, as_covariance, as_points, as_steps, as_vector
 from pgm.factors.listing import Framed
 from pgm.factors.runs import lead_index
 from pgm.factors.scope import (
@@ -34,6 +39,7 @@ from pgm.factors.scope import (
     components,
     dimension,
     distinct_labels,
+    labels,
     listed,
     names,
     positions,
@@ -42,9 +48,72 @@ from pgm.immutable import Immutable
 from pgm.kernels import moments, normal, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
-from pgm.kernels.checks import IMPROPER
 from pgm.sizes import require_memory
 from pgm.variables import Variable
+
+
+class Ellipse(NamedTuple):
+    """The smallest region of a confidence of a two-dimensional Gaussian.
+
+    Attributes
+    ----------
+    centre : ndarray
+        (..., 2).
+    half_axes : ndarray
+        (..., 2), the longer one first: √(χ²₂(c) λᵢ), with χ²₂(c) = −2 ln(1 − c).
+    orientation : ndarray
+        (...), of the longer axis, atan2(v₁₂, v₁₁), radians in (−π/2, π/2]: it has no direction.
+    """
+
+    centre: Array
+    half_axes: Array
+    orientation: Array
+
+    def _summary(self) -> Summary:
+        lead = self.orientation.shape
+        found = [place for place in places(lead) if place is not None]
+        parts = np.array(
+            [[*self.centre[at], *self.half_axes[at], self.orientation[at]] for at in found]
+        )
+        cells = np.array([column(part) for part in parts.T]).reshape(5, -1)
+        rows = {place: cells[:, k].tolist() for k, place in enumerate(found)}
+        heads = ["centre", "", "half-axes", "", "orientation [rad]"]
+        where = [""] if lead else []
+        listed = [
+            None if at is None else [*([str(list(at))] if lead else []), *rows[at]]
+            for at in places(lead)
+        ]
+        return Summary(
+            "Ellipse" + (f", {lead} of them" if lead else ""),
+            [Listing([*where, *heads], listed, names=len(where))],
+        )
+
+    def __repr__(self) -> str:
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+
+def confidence_ellipse(
+    scope: Scope, mean: Array, cov: Array, confidence: float, components: tuple[str, str] | None
+) -> Ellipse:
+    """The ellipse of two components of Gaussians, by name; of the first two without."""
+    known = labels(scope)
+    if not is_number(confidence) or not 0.0 < confidence < 1.0:
+        raise ModelError(f"a confidence lies between 0 and 1; {confidence!r} does not")
+    if len(known) < 2:
+        raise ModelError(f"{names(scope)} has one component; an ellipse needs two")
+    pair = known[:2] if components is None else as_tuple(components)
+    if pair is None or len(pair) != 2 or is_unordered(components):
+        raise ModelError(f"an ellipse is of two components, not of {components!r}")
+    for label in pair:
+        if known.count(label) != 1 or pair[0] == pair[1]:
+            raise ModelError(f"{names(scope)} has no single component {label!r}; it has {known}")
+    i, j = (known.index(label) for label in pair)
+    variances, orientation = moments.principal_axes(cov[..., [[i], [j]], [i, j]])
+    half_axes = np.sqrt(-2.0 * np.log1p(-confidence) * variances)
+    return Ellipse(mean[..., [i, j]], half_axes, orientation)
 
 
 class Gaussian(Framed, Shown, NoArray, Immutable):

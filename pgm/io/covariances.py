@@ -14,11 +14,11 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from pgm.factors.arrays import covariance_fault
 from pgm.io import sources
 from pgm.io.sources import Origin, Source
 from pgm.io.words import number
 from pgm.kernels.arrays import Array
-from pgm.kernels.checks import covariance_fault
 
 JOINED = "*"
 

@@ -10,7 +10,7 @@ from pgm.cpds import ConditionalGaussian, Noise
 from pgm.display import called, number
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array, symmetric
-from pgm.learning.declared import Covariance
+from pgm.learning.values import Covariance
 
 # Smaller parts of the largest variance are none of a singular covariance.
 _NONE = 1e-14

@@ -11,10 +11,9 @@ from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence
 from pgm.inference import Smoothing
 from pgm.inference.options import require_lineariser
-from pgm.learning.declared import Learn
 from pgm.learning.model import Learner
-from pgm.learning.result import Fit
 from pgm.learning.search import Search
+from pgm.learning.values import Fit, Learn
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.progress import Progress, reporting

@@ -18,18 +18,19 @@ from pgm.inference.chain.families import family_beliefs
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.markov.counts import expected_counts
 from pgm.kernels.arrays import Array
-from pgm.learning.declared import (
+from pgm.learning.gaussian import GaussianStep
+from pgm.learning.steps import ParameterStep, TableStep
+from pgm.learning.values import (
     PARTS,
     Coefficients,
     Covariance,
+    Fit,
+    FitStatus,
     Learn,
     Offset,
     Parameter,
     Table,
 )
-from pgm.learning.gaussian import GaussianStep
-from pgm.learning.result import Fit, FitStatus
-from pgm.learning.steps import ParameterStep, TableStep
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable

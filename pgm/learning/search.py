@@ -7,7 +7,7 @@ import numpy as np
 from pgm.errors import PgmError
 from pgm.kernels.arrays import Array
 from pgm.learning.model import Expected, Learner, Point
-from pgm.learning.result import Fit, FitStatus
+from pgm.learning.values import Fit, FitStatus
 from pgm.progress import counted
 
 # The least cosine between a move and the change of the gradient that tells a curvature.

@@ -13,8 +13,8 @@ from pgm.errors import ModelError
 from pgm.factors.scope import as_value
 from pgm.inference.chain.families import FamilyBelief
 from pgm.kernels.arrays import Array
-from pgm.learning.declared import Parameter, Table
 from pgm.learning.residuals import Known, residuals
+from pgm.learning.values import Parameter, Table
 from pgm.variables import Variable
 
 _TINY = 1e-300

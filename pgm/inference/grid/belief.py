@@ -15,9 +15,8 @@ from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.listing import Framed
-from pgm.factors.scope import Scope
+from pgm.factors.scope import Scope, places_of, whole_variables
 from pgm.immutable import Immutable
-from pgm.inference.components import places_of, whole_variables
 from pgm.inference.grid.lattice import Axis
 from pgm.inference.summaries import moments_of
 from pgm.kernels.angles import wrap
