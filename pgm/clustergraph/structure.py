@@ -60,10 +60,7 @@ class ClusterGraph(Drawn, Immutable):
     ------
     GraphError
         If a family is in no cluster (family preservation), or a variable's clusters and the
-        sepsets that carry it form no tree (running intersection), naming variable and clusters;
-        if a cluster is empty, a variable is not the network's, or an edge joins no two clusters.
-    ModelError
-        If a cluster or sepset holds what is no variable, or one twice.
+        sepsets that carry it form no tree (running intersection), naming variable and clusters.
 
     Examples
     --------
@@ -224,9 +221,9 @@ class ClusterGraph(Drawn, Immutable):
     def cost(self) -> int:
         """About what a pass of messages takes, over all clusters, if nothing is observed.
 
-        Entries of tables, if discrete; else the cubes of the components, which is what
-        eliminating from a Gaussian takes. Compare it where one network is compiled by several
-        methods or elimination orders: they differ by powers of ten.
+        Entries of tables, or the cubes of the components, as eliminating from a Gaussian takes.
+        Compare it where a network is compiled by several methods or elimination orders: they differ
+        by powers of ten.
         """
         return sum(work(cluster.scope) * count for cluster, count in self._alike)
 

@@ -139,9 +139,8 @@ class DynamicGraph(ClusterGraph, ABC):
     """A tree of clusters of a dynamic network, whose clusters 0..T hold its CPDs.
 
     Cluster 0 holds the states at step 0, the prior and the families of the sensors; cluster t
-    holds the states of steps t−1 and t and the other variables of the CPDs at t. What else there
-    is, and what is joined, is for the kinds of graphs to say. Clusters and sepsets are views,
-    made on request from one template.
+    holds the states of steps t−1 and t and the other variables of the CPDs at t. Clusters and
+    sepsets are views, made on request from one template.
     """
 
     model: DynamicBayesianNetwork
@@ -272,10 +271,7 @@ class _Sepsets(InCode, Mapping[Edge, Scope]):
 
 
 class SliceGraph(DynamicGraph):
-    """The chain of clusters 0..T of a dynamic network; see `DynamicGraph`.
-
-    The sepset between t and t+1 is all states at t.
-    """
+    """The chain of clusters 0..T of a dynamic network, with all states at t between t and t+1."""
 
     def within(self, steps: int) -> range:
         """The clusters 0..steps."""
