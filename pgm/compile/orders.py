@@ -66,6 +66,7 @@ class WeightedMinFill(Rule):
 
     Examples
     --------
+    >>> from pgm.examples import chain
     >>> tree = pgm.JunctionTree(order=pgm.WeightedMinFill())
     >>> pgm.compile(chain, method=tree).cost
     396

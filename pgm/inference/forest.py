@@ -16,7 +16,7 @@ from pgm.kernels.arrays import Integers
 class Forest:
     """The trees of a cluster graph, each hung at its centre, so that few rounds reach all.
 
-    `parent` (clusters,) is −1 at a root; `levels` are the clusters at each depth, the roots first.
+    `parent` is −1 at a root; `levels` are the clusters at each depth, the roots first.
     """
 
     parent: Integers

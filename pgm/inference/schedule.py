@@ -133,7 +133,6 @@ class Smoothing(Calibration):
         As of `Filtering`; of all CPDs. The gate is decided in the first forward pass and kept, so
         that all iterations are of the same measurements; with a start, as everything is linearised
         there.
-        If one of them is no such number.
 
     References
     ----------
