@@ -13,10 +13,9 @@ from pgm.boundary import as_generator, as_lengths
 from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.factors.frames import Framed
-from pgm.factors.scope import listed
+from pgm.factors.listing import Framed
+from pgm.factors.scope import listed, places_of, whole_variables
 from pgm.immutable import Immutable
-from pgm.inference.components import places_of, whole_variables
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.model import Part
 from pgm.inference.summaries import moments_of, spread

@@ -13,8 +13,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 from pgm.boundary import is_whole
 from pgm.errors import ExecutorError, ModelError, PrecisionWarning
-from pgm.inference.executors.memory import Block, Name, Room, Shape, borrow, idle_blocks, keep, seen
-from pgm.inference.executors.parcels import Parcel, loads, refuse
+from pgm.inference.parts.parcels import (
+    Block,
+    Name,
+    Parcel,
+    Room,
+    Shape,
+    borrow,
+    idle_blocks,
+    keep,
+    loads,
+    refuse,
+    seen,
+)
 from pgm.kernels.arrays import Array, vacant
 
 if TYPE_CHECKING:
@@ -32,10 +43,7 @@ Job = TypeVar("Job")
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A job on its way.
-
-    future: Of a `Done`, or of the pickle of one and the bytes of its large arrays.
-    """
+    """A job on its way: its future is of a `Done`, or of its pickle and its large arrays' bytes."""
 
     runs: slice
     future: Future[Any]
@@ -58,11 +66,7 @@ class Task:
 
 
 class Workers:
-    """The workers of an executor, or the caller alone.
-
-    count: How many parts they can do at a time; a guess, where the executor does not say.
-    shares: Whether they can write into a `room`.
-    """
+    """The workers of an executor, `count` of them, or the caller alone; some share a `room`."""
 
     def __init__(self, executor: Any) -> None:
         from concurrent.futures import Executor, ThreadPoolExecutor  # here, since few need them
@@ -98,8 +102,7 @@ class Workers:
     ) -> Iterator[Done]:
         """The results of jobs, in their order; without an executor errors are raised at once.
 
-        work: A function of a module.
-        named: Parts of the jobs, one of which is named if it cannot be pickled.
+        `work` is a function of a module; of what is `named` one is named if it cannot be pickled.
         """
         if self._executor is None:
             yield from (Done(work(job)) for job in jobs)
@@ -185,10 +188,7 @@ class RemoteTraceback(Exception):
 
 
 class Done(NamedTuple):
-    """The answer of a worker.
-
-    warned: The warnings there: message, category, file, line.
-    """
+    """The answer of a worker, with the warnings there: message, category, file, line."""
 
     value: Any
     error: Exception | None = None
@@ -215,12 +215,7 @@ def here(work: Callable[[Any], Any], job: Any) -> Done:
 
 
 def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
-    """Work done in another process.
-
-    own, answer: The memory of its large arrays, and that for those of the result.
-
-    Returns: The pickle of a `Done`. The bytes of its large arrays.
-    """
+    """Work done in another process: a `Done`, pickled, and the bytes of its large arrays."""
     try:
         work, job = loads(data, None if own is None else seen(own))
     except Exception as error:

@@ -1,4 +1,4 @@
-"""The M step of a parameter of functions: Gauss-Newton steps on the expected log-density."""
+"""The M steps of tables, and of parameters of functions."""
 
 from __future__ import annotations
 
@@ -8,13 +8,72 @@ from typing import Any
 import numpy as np
 
 from pgm.boundary import as_floats
+from pgm.cpds import TableCPD
 from pgm.errors import ModelError
 from pgm.factors.scope import as_value
 from pgm.inference.chain.families import FamilyBelief
 from pgm.kernels.arrays import Array
-from pgm.learning.declared import Parameter
 from pgm.learning.residuals import Known, residuals
+from pgm.learning.values import Parameter, Table
 from pgm.variables import Variable
+
+_TINY = 1e-300
+
+
+class TableStep:
+    """The M step of one table, exact: Baum & Welch's, for any family of the slice.
+
+    Zeros stay zeros. Rows of parents' states that never occur stay as they are.
+    """
+
+    def __init__(self, cpd: TableCPD, parts: Sequence[Table]) -> None:
+        if cpd.function is not None or cpd._maps:
+            raise ModelError(
+                f"{cpd!r}: its table is structured, or a function of inputs; one that is an array "
+                "can be learnt",
+                cpd=cpd,
+            )
+        counts = as_floats(parts[0].prior_counts, f"{cpd!r}: prior_counts", cpd=cpd)
+        if counts.shape not in ((), cpd.table.shape):
+            raise ModelError(
+                f"{cpd!r}: prior_counts has shape {counts.shape}; () or {cpd.table.shape} was due",
+                cpd=cpd,
+            )
+        self.start, self.free = cpd, cpd.table > 0.0
+        self.prior = np.where(self.free, counts, 0.0)
+
+    def log_prior(self, cpd: TableCPD) -> float:
+        """The logarithm of the Dirichlet prior, but for a constant."""
+        logs = np.log(np.maximum(cpd.table, _TINY))
+        return float(np.sum(self.prior * np.where(self.free, logs, 0.0)))
+
+    def maximised(self, cpd: TableCPD, counts: Array) -> TableCPD:
+        """The table of expected counts, (parents..., child)."""
+        counts = np.where(self.free, counts + self.prior, 0.0)
+        total = counts.sum(axis=-1, keepdims=True)
+        table = np.where(total > 0.0, counts / np.where(total > 0.0, total, 1.0), cpd.table)
+        return TableCPD(cpd.child, cpd.given, table=table)
+
+    def vector(self, cpd: TableCPD) -> Array:
+        """The coordinates of a table: roots of what is not zero at the start."""
+        return np.sqrt(cpd.table)[self.free]
+
+    def gradient(self, cpd: TableCPD, counts: Array) -> Array:
+        """The derivatives of the expected log-density by the roots s, of p = s² / Σ s²."""
+        counts = np.where(self.free, counts + self.prior, 0.0)
+        roots = np.sqrt(cpd.table)
+        told = counts / np.where(roots > 0.0, roots, 1.0)
+        found: Array = 2.0 * (told - roots * counts.sum(axis=-1, keepdims=True))
+        return found[self.free]
+
+    def at(self, vector: Array) -> TableCPD:
+        """The table of some coordinates."""
+        weights = np.zeros(self.free.shape)
+        weights[self.free] = vector**2
+        total = weights.sum(axis=-1, keepdims=True)
+        table = np.where(total > 0.0, weights / np.where(total > 0.0, total, 1.0), self.start.table)
+        return TableCPD(self.start.child, self.start.given, table=table)
+
 
 _HALVINGS = 20
 _ROUNDS = 5
@@ -28,13 +87,8 @@ class ParameterStep:
 
     The expected log-density is, but for constants, −½ V(θ), V(θ) = Σ tr(Q⁻¹ E[r rᵀ]) of all CPDs
     that have the parent, their residuals expected at each θ. Its gradient is taken by central
-    differences, and its curvature is Gauss and Newton's, of the residuals' derivatives; a step that
-    does not lower V is halved. It is exact where residuals are linear in θ.
-
-    Parameters
-    ----------
-    variable : Variable
-    declared : Parameter
+    differences, its curvature is Gauss and Newton's; a step that does not lower V is halved. It is
+    exact where residuals are linear in θ.
     """
 
     def __init__(self, variable: Variable, declared: Parameter) -> None:

@@ -1,4 +1,4 @@
-"""Draws of whole trajectories of a chain of slices."""
+"""Draws of all variables, with their weights: trajectories of a chain, networks without time."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.errors import NumericalError
+from pgm.errors import GraphError, NumericalError
 from pgm.factors.scope import positions
-from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.density import Term, has_exact
-from pgm.inference.audit.draws import PREDICTED, Draws, Excursions, Strand
-from pgm.inference.audit.proposal import Proposal
+from pgm.inference.audit.draws import PREDICTED, Draws, Excursions, Proposal, Strand
+from pgm.inference.audit.estimates import Sums
 from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.kind import SMOOTHED
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
@@ -29,13 +30,10 @@ Links = list[tuple[Link, Term]]
 class ChainDraws:
     """Trajectories from the smoothed Gaussian, drawn forward in time, with their log-weights.
 
-    first, later: The states at step 0; the slice of each later step given the states before it.
-    prior, transition, sensors: The CPDs in place, with their densities.
-    reference: (runs,): the log-weight that is common to all draws.
-    relative: Whether weights are relative to the densities of the linearised model, whose evidence
-        then is the reference.
-    judged: (T+1,): the steps whose beliefs in the posterior know all measurements.
-    onward: The slice of each later step given the states before it, fixed components too.
+    Proposals are of the states at step 0, `first`, and of each later slice given the states before.
+    `reference` (runs,) is common to all log-weights: the linearised model's evidence, where they
+    are `relative` to its densities. `judged` (T+1,) are the steps whose beliefs know all
+    measurements; `onward` are the conditionals of slices, with their fixed components.
     """
 
     plan: ChainPlan
@@ -64,7 +62,7 @@ class ChainDraws:
         if not exact and draws.first.regular and draws.later.regular:
             return draws
         # The draws' support is the linearised model's: weights are relative to its densities, with
-        # the means that belong to them, which step control may have held back.
+        # its own means, which step control may have held back.
         _refuse_grouped(plan)
         forward = posterior._forward
         reverse = Reverse.make(plan, forward)
@@ -132,10 +130,7 @@ class ChainDraws:
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
     def sums(self) -> list[Sums]:
-        """Empty sums: each hidden variable's, the states' together, and clusters' that are judged.
-
-        Judged are beliefs that know all measurements.
-        """
+        """Empty sums of each hidden variable, of the states, and of clusters that are judged."""
         layout, judged = self.plan.layout, self.judged
         mean, cov = self.beliefs.mean, self.beliefs.cov
         front = layout.state_size
@@ -237,3 +232,105 @@ def _refuse_grouped(plan: ChainPlan) -> None:
                 variable=sensor.variable,
                 cpd=sensor.family.cpd,
             )
+
+
+@dataclass(frozen=True, eq=False)
+class TreeDraws:
+    """Draws from the joint Gaussian of a calibrated tree, all at once; see `ChainDraws`."""
+
+    model: Model
+    proposal: Proposal
+    terms: list[Term]
+    reference: Array
+    relative: bool
+    mean: Array
+    cov: Array
+
+    @classmethod
+    def make(cls, posterior: GaussianPosterior) -> TreeDraws:
+        """Prepare to draw from the joint of a posterior."""
+        if posterior.log_evidence_kind == "bethe":
+            raise GraphError(
+                f"{posterior._title}: an audit draws from the joint of all variables, which only a "
+                "calibrated tree has; infer on pgm.compile(network)"
+            )
+        model = posterior._model
+        every = zip(model.layout.groups, model.families, strict=True)
+        exact = has_exact(family for group, family in every if group.observed)
+        draws = cls._make(posterior, relative=False)
+        if exact or not draws.proposal.regular:
+            return cls._make(posterior, relative=True)
+        return draws
+
+    @classmethod
+    def _make(cls, posterior: GaussianPosterior, *, relative: bool) -> TreeDraws:
+        model = posterior._model
+        layout, runs = model.layout, model.runs
+        mean, cov = np.zeros((runs, 0)), np.zeros((runs, 0, 0))
+        if layout.size:
+            joint = posterior.joint(*layout.hidden)
+            mean, cov = joint.mean.reshape(runs, -1), joint.cov.reshape(runs, *joint.cov.shape[-2:])
+        terms = [
+            Term.make(family, relative=relative, taken=taken)
+            for family, taken in zip(model.families, model.taken, strict=True)
+        ]
+        free = np.zeros((1, *mean.shape), dtype=bool)
+        for group, term in zip(layout.groups, terms, strict=True):
+            mask = term.free()
+            for row, child in enumerate(() if group.observed else group.child):
+                free[0][:, child] = mask[row if mask.shape[0] > 1 else 0]
+        proposal = Proposal.make(
+            Conditional(np.zeros((1, *mean.shape, 0)), mean[None], cov[None]), free
+        )
+        known = posterior.log_evidence.reshape(runs) if relative else np.zeros(runs)
+        return cls(model, proposal, terms, known, relative, mean[None], cov[None])
+
+    @property
+    def width(self) -> int:
+        """See `Drawing`."""
+        return 3 * self.model.layout.size
+
+    @property
+    def length(self) -> int:
+        """See `Drawing`."""
+        return self.model.layout.size
+
+    def sums(self) -> list[Sums]:
+        """See `Drawing`."""
+        layout, every = self.model.layout, np.ones(1, dtype=bool)
+        alone = [(variable,) for variable in layout.hidden]
+        sums = []
+        for scope in dict.fromkeys([*alone, *filter(None, layout.scopes)]):
+            places = layout.components(scope)
+            cov = block(self.cov, places, places)
+            sums.append(Sums(scope, places, 0, self.mean[..., places], cov, every, timed=False))
+        return sums
+
+    def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
+        """So many draws a run: defensive ones follow the prior, or have Student tails."""
+        model = self.model
+        total = np.repeat(self.reference[:, None], count, axis=1)
+        excursions = Excursions(1, 0.0 if self.relative else PREDICTED)
+        strand = Strand(excursions, total.shape, rng, defensive, self.relative)
+        nothing = np.zeros((*total.shape, 0))
+        values, afresh = strand.propose(self.proposal, 0, nothing)
+        predicted = np.zeros(total.shape)
+        for g, row in model.layout.order:
+            group, term = model.layout.groups[g], self.terms[g]
+            parents = values[..., group.parents[row]]
+            if group.observed:
+                given, moved = model.readings[g], model.moved[g]
+                assert given is not None
+                assert moved is not None
+                rows = slice(row, row + 1)
+                total += term.readings(
+                    rows, parents[None], given[rows], moved[rows], strict=not defensive
+                )
+            else:
+                child = group.child[row]
+                drawn = term.child(row, parents, values[..., child], afresh)
+                values[..., child] = drawn.values
+                predicted += drawn.log_tails
+                total += np.where(drawn.lost, np.nan, drawn.log_density)
+        strand.weigh(self.proposal, 0, nothing, values, predicted)
+        return strand.drawn(total, [values])
