@@ -112,8 +112,8 @@ def test_a_made_up_drive_survives_its_file(simulated, tmp_path):
         lines.append(" ".join([head, *map(repr, ranges), *["0"] * 15]))
     edges = simulated.edges
     upper = edges.information[:, *np.triu_indices(3)]
-    for i, j, motion, each in zip(edges.first, edges.second, edges.motions, upper, strict=True):
-        lines.append(" ".join(map(str, ("EDGE_SE2", i, j, *motion.tolist(), *each.tolist()))))
+    for i, j, told, each in zip(edges.first, edges.second, edges.motions, upper, strict=True):
+        lines.append(" ".join(map(str, ("EDGE_SE2", i, j, *told.tolist(), *each.tolist()))))
     path = tmp_path / "made_up.g2o"
     path.write_text("\n".join(lines))
     found = log.load(path)
