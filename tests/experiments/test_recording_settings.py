@@ -1,6 +1,9 @@
 """Recordings of every reader, with settings of the user's own: small files, written here."""
 
 import json
+import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,14 +86,14 @@ def table(folder, columns="", more=""):
     return file
 
 
-def results(out, name, data, file=None, **more):
+def results(out, data, file=None, **more):
     recordings.run(data=data, settings=file, out=out, linearisers="Taylor", **more)
     return json.loads((out / "summary.json").read_text())
 
 
 def test_dead_reckoning_of_one_trajectory_against_another(tmp_path):
     file = trajectories(tmp_path)
-    found = results(tmp_path / "out", "odometry", "tum", file)["results"]["odometry"]
+    found = results(tmp_path / "out", "tum", file)["results"]["odometry"]
     assert list(found) == ["dead reckoning"]
     # By hand: odometry put on the truth's first pose.
     odometry = driven()[4:]
@@ -115,7 +118,7 @@ def test_a_trajectory_is_odometry_and_another_a_sensor(tmp_path):
 
 def test_a_table_with_beacons(tmp_path):
     more = "[methods]\nrobust = {StudentT = 4}\ngate = 0.99\nlag = 5\niterations = 3\n"
-    found = results(tmp_path / "out", "my_log", "csv", table(tmp_path, more=more))
+    found = results(tmp_path / "out", "csv", table(tmp_path, more=more))
     assert found["settings"]["reader"] == "csv"
     errors = found["results"]["my_log"]
     assert len(errors) == 8
@@ -142,21 +145,11 @@ def test_a_bag_with_fixes_and_a_laser(tmp_path, capsys):
         'path = "drive"\n[start]\nmean = [0, 0, 0]\n[reader]\ntopics = ["/odom", "/gps", "/scan"]'
         "\n[sensors.fixes]\nreads = 'position'\nstd = [0.5, 0.5]\nmount = [0.1, 0, 0]\n" + NOISE
     )
-    found = results(tmp_path / "out", "drive", "bag", file)
+    found = results(tmp_path / "out", "bag", file)
     assert found["results"]["drive"]["filter"]["Taylor"]["log_evidence"] > -40.0
     told = capsys.readouterr().out
     assert "Scans are not taken: /scan" in told
     assert "the recording's variances they are [1.0, 2.0]" in told
-
-
-def test_a_pose_graph(tmp_path):
-    file = tmp_path / "square.g2o"
-    file.write_text(written())
-    found = results(tmp_path / "out", "square", "pose_graph", path=file)["results"]["square"]
-    ends = [found["solved"][start]["Taylor"] for start in found["solved"]]
-    assert ends[0]["error"] == pytest.approx(ends[1]["error"])
-    assert ends[0]["error"] < 0.2 * min(found["before"].values())
-    assert all(each["converged"] for each in ends)
 
 
 @pytest.mark.parametrize("reader", sorted(set(READERS) - {"bag", "csv", "tum"}))
@@ -167,6 +160,45 @@ def test_readers_of_known_recordings_take_settings(tmp_path, reader):
     told = described(file, reader)
     with pytest.raises(pgm.PgmError):
         drives.read(told.setting, told.path)
+
+
+def examples():
+    """Settings on the guide's page, by reader."""
+    page = (Path(__file__).parents[2] / "docs" / "guide" / "recordings.md").read_text()
+    readers = ("csv", "bag", "tum", "plaza", "pose_graph")
+    return dict(zip(readers, re.findall(r"```toml\n(.*?)```", page, re.S), strict=True))
+
+
+@pytest.mark.parametrize("reader", sorted(set(examples()) - {"pose_graph"}))
+def test_the_guides_settings_are_taken(tmp_path, reader):
+    file = tmp_path / "own.toml"
+    file.write_text(examples()[reader])
+    for name in ("log.csv", "drive.bag", "odometry.txt", "groundtruth.txt", "slam.txt"):
+        (tmp_path / name).write_text("")
+    shutil.copy(Path(__file__).parents[2] / "docs" / "log.csv", tmp_path)
+    (tmp_path / "Plaza1_.mat").write_text("")
+    told = described(file, reader)
+    assert told.setting.sensors
+    if reader == "csv":
+        drive = drives.laid("log", told.setting, drives.read(told.setting, told.path))
+        last = pgm.smooth(drive.network(), drive.evidence)[pose].mean[-1]
+        assert np.linalg.norm(last[:2] - [-1.03, 7.61]) < 0.1  # as the page has it
+
+
+def test_a_pose_graph_with_the_guides_settings(tmp_path):
+    (tmp_path / "killian-small.toro").write_text(written())
+    file = tmp_path / "own.toml"
+    file.write_text(examples()["pose_graph"])
+    found = results(tmp_path / "out", "pose_graph", file)["results"]["killian-small"]
+    ends = [found["solved"][start]["Taylor"] for start in found["solved"]]
+    assert ends[0]["error"] == pytest.approx(ends[1]["error"])
+    assert ends[0]["error"] < 0.2 * min(found["before"].values())
+    assert all(each["converged"] for each in ends)
+    file.write_text(file.read_text() + "gate = 0.9\n")
+    with pytest.raises(
+        pgm.errors.FileError, match=r"methods.gate is unknown; known are iterations"
+    ):
+        results(tmp_path / "out", "pose_graph", file)
 
 
 WRONG = {
