@@ -114,10 +114,6 @@ class Grid(InCode, Immutable):
         times : int
             2 halves the width of all cells.
 
-        Returns
-        -------
-        Grid
-
         Raises
         ------
         ModelError

@@ -146,8 +146,9 @@ class OnlineBelief(Shown, NoArray, Immutable):
 
     def judged(self, gated: tuple[Decided, ...], watch: Watch | None) -> OnlineBelief:
         """The same belief, with what gates decided at its last update, and whether it is lost."""
-        self.__dict__.update(_gated=gated, watch=watch)  # which nobody else has seen yet
-        return self
+        found = object.__new__(type(self))  # as `copy`, in a fifth of the time
+        found.__dict__.update(self.__dict__, _gated=gated, watch=watch)
+        return found
 
     @property
     def rejected(self) -> Mapping[Variable, Rejections]:

@@ -151,10 +151,6 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
         *components : str
             By name, in the order wanted.
 
-        Returns
-        -------
-        ParticleBelief
-
         Raises
         ------
         ModelError
@@ -250,10 +246,6 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
         ----------
         index : int, slice or tuple of them
             As of an array of the shape of the leading axes.
-
-        Returns
-        -------
-        ParticleBelief
 
         Raises
         ------

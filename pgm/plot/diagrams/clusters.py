@@ -102,10 +102,6 @@ def cluster_graph(
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's, as large as it needs, without.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     GraphError
