@@ -243,11 +243,16 @@ class UnidentifiedCPD(CPD):
         found = np.logaddexp.reduce(terms, axis=0) if self.summed else terms.max(axis=0)
         return np.where(np.isnan(child).all(axis=-1), 0.0, found)
 
-        """The probability of each candidate, a spurious and a new sighting, (k + 2, ...)."""
+    def responsibilities(self, child: Values, known: Known) -> Array:
+        """The probability of each candidate, a spurious and a new sighting, (k + 2, ...).
+
+        NaN where the sighting is impossible.
+        """
         terms = self.terms(child, known)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.exp(terms - log_sum(terms, 0)))
 
+    def terms(self, child: Values, known: Known) -> Array:
         """The logarithms of the density's terms, (k + 2, ...), −∞ beyond the gate."""
         lead = np.broadcast_shapes(child.shape[:-1], known.lead)
         found = np.empty((len(self.candidates) + 2, *lead))

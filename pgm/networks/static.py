@@ -208,6 +208,7 @@ class BayesianNetwork(Drawn, Immutable):
         ...     pgm.GaussianCPD(b, 0.0, 1.0),
         ...     pgm.LinearGaussianCPD(c, given={a: 1.0, b: 1.0}, cov=0.1),
         ... ])
+        >>> net.d_separated(a, b), net.d_separated(a, b, given=c)
         (True, False)
         """
         members = {"a": a, "b": b, "given": given}
