@@ -21,13 +21,13 @@ from pgm.factors.arrays import diagonal as on_diagonal
 from pgm.factors.runs import flat, unflat
 from pgm.factors.scope import Scope, as_scope, components, listed
 from pgm.kernels import normal, roots
-from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
     Integers,
     Mask,
     deviation,
+    difference,
     frozen,
     independent,
     inner,

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
-from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.options import (
     Damping,
     Gate,
@@ -16,6 +15,7 @@ from pgm.inference.options import (
     require_damping,
     require_tolerance,
 )
+from pgm.inference.status import FILTERED, SMOOTHED, Kind
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,16 @@ import numpy as np
 
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.immutable import set_writeable
-from pgm.kernels import differences
-from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Index, Integers, Mask, components_first, components_last
+from pgm.kernels import slopes
+from pgm.kernels.arrays import (
+    Array,
+    Index,
+    Integers,
+    Mask,
+    components_first,
+    components_last,
+    difference,
+)
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
@@ -305,7 +312,7 @@ class BoundFunction(NamedTuple):
         template = self.template
         if template.numerical:
             spread = np.zeros_like(x) if std is None else std
-            numerical = differences.jacobian(self.__call__, x, spread, self.angles)
+            numerical = slopes.jacobian(self.__call__, x, spread, self.angles)
             if len(template.numerical) == template.size:
                 return numerical
         parts = []

@@ -15,7 +15,6 @@ from pgm.inference.chain.weights import Weights
 from pgm.inference.family import Family
 from pgm.inference.rows import At
 from pgm.kernels import along_runs, roots
-from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Index,
@@ -27,6 +26,7 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     independent,
+    nearest_branch,
 )
 from pgm.linearisers import BoundFunction
 from pgm.variables import Variable
