@@ -155,11 +155,11 @@ class Program:
 
     @cached_property
     def _batch(self) -> Callable[..., None]:
-        return _made(self.batch_source, "batch", BATCH)
+        return made(self.batch_source, "batch", BATCH)
 
     @cached_property
     def _scalar(self) -> Callable[..., tuple[float, ...]]:
-        return _made(self.scalar_source, "scalar", PYTHON)
+        return made(self.scalar_source, "scalar", PYTHON)
 
     def batch(self, arguments: Sequence[Array], shape: tuple[int, ...]) -> tuple[Array, Array]:
         """The value (d, *shape) and the derivative (d, n, *shape) at arguments (*shape, width)."""
@@ -187,7 +187,7 @@ def _literal(value: float | bool) -> str:
     return repr(value) if value not in (np.inf, -np.inf) else ("inf" if value > 0 else "-inf")
 
 
-def _made(source: str, name: str, names: dict[str, Any]) -> Callable[..., Any]:
+def made(source: str, name: str, names: dict[str, Any]) -> Callable[..., Any]:
     found: dict[str, Any] = {**names, "nan": np.nan, "inf": np.inf}
     exec(compile(source, f"<traced {name}>", "exec"), found)
     made: Callable[..., Any] = found[name]
