@@ -19,6 +19,7 @@ from pgm.factors.scope import Scope, components, listed
 from pgm.kernels.arrays import Array
 from pgm.linearisers import FunctionTemplate, Lineariser
 from pgm.linearisers.calls import Call
+from pgm.tracing import Tracer
 from pgm.variables import Variable
 
 
@@ -70,6 +71,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
     jacobian: Mapping[Variable, Callable[..., Any]]
     lineariser: Lineariser | None
     grouped: bool
+    _tracer: Tracer
 
     def __init__(
         self,
@@ -116,6 +118,10 @@ class NonlinearGaussianCPD(ConditionalGaussian):
             jacobian=MappingProxyType(derivatives),
             lineariser=lineariser,
             grouped=grouped,
+            # Copies at steps have it, too.
+            _tracer=Tracer(
+                function, [parent.dimension for parent in self.given], self.child.angle_mask
+            ),
         )
 
     def _parts(self) -> list[str | Listing]:
@@ -144,6 +150,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
             function=self.function,
             jacobians=tuple(self.jacobian.get(parent) for parent in self.given),
             variances=self._variances,
+            tracer=self._tracer,
         )
 
     @cached_property

@@ -31,11 +31,10 @@ def compiled(program: Program) -> Any:
     ImportError
         Where Numba is not installed.
     """
-    from numba import cfunc, types
+    from numba import cfunc
 
     names = {name: getattr(np, name) for name in SCALAR}
     names |= {name: getattr(math, name) for name in _OF_MATH}
-    pointer = types.CPointer(types.float64)
-    signature = types.void(pointer, pointer, pointer, pointer)
+    signature = f"void({', '.join(['CPointer(float64)'] * 4)})"
     function = made(program.pointer_source, "pointer", names)
     return cfunc(signature, error_model="numpy")(function)

@@ -111,7 +111,7 @@ class _Rules:
 
     def _sinc_slope(self, a: int, sinc: int) -> int:
         """The derivative of sin a / a: its series below 1/4, where the quotient cancels."""
-        g, add, c = self.graph, self.graph.add, self.graph.constant
+        add, c = self.graph.add, self.graph.constant
         square, series = add("multiply", a, a), c(1.0)
         for divisor in (88.0, 54.0, 28.0, 10.0):
             part = add("divide", square, c(divisor))

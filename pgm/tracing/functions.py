@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
-from pgm.tracing.traced import Traced, bare, elementwise, wrapped
+from pgm.tracing.traced import OWN, Traced, bare, elementwise, wrapped
+
+
+def traced(elements: Iterable[Any]) -> Traced:
+    """A read-only vector of traced numbers."""
+    each = list(elements)
+    found = np.empty(len(each), dtype=object)
+    found[:] = each
+    found.flags.writeable = False
+    return found.view(Traced)
 
 
 def _where(condition: Any, *values: Any) -> Any:
@@ -29,7 +38,7 @@ def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> 
     x = wrapped(bare(x))
     if ord not in (None, 2) or isinstance(axis, tuple) or (axis is None and x.ndim != 1 and ord):
         raise x._refuse("np.linalg.norm of that kind is not traced")
-    return np.sqrt(np.add.reduce(x * x, axis=axis, keepdims=keepdims))
+    return np.sqrt((x * x).sum(axis=axis, keepdims=keepdims))
 
 
 def _select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
@@ -47,14 +56,16 @@ def _minimum_of(a: Any, axis: Any = None, out: Any = None, **options: Any) -> An
     return np.minimum.reduce(a, axis=axis, **options)
 
 
-def _nan_to_num(x: Any, copy: bool = True, nan: float = 0.0, posinf: Any = None, neginf: Any = None) -> Any:
+def _nan_to_num(
+    x: Any, copy: bool = True, nan: float = 0.0, posinf: Any = None, neginf: Any = None
+) -> Any:
     big = np.finfo(float).max
     found = elementwise("where", np.isnan(x), nan, x)
     found = elementwise("where", np.equal(x, np.inf), big if posinf is None else posinf, found)
     return elementwise("where", np.equal(x, -np.inf), -big if neginf is None else neginf, found)
 
 
-OWN: dict[Any, Callable[..., Any]] = {
+OWN |= {
     np.where: _where,
     np.zeros_like: _filled(0.0),
     np.ones_like: _filled(1.0),

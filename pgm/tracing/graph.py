@@ -23,7 +23,13 @@ class Graph:
         self.operations: list[Operation] = []
         self._places: dict[Any, int] = {}
 
-    def constant(self, value: float | bool) -> int:
+    def copy(self) -> Graph:
+        """A graph to which more can be added."""
+        found = Graph()
+        found.operations, found._places = self.operations.copy(), self._places.copy()
+        return found
+
+    def constant(self, value: float | bool | np.bool_) -> int:
         """The number of a constant."""
         if isinstance(value, bool | np.bool_):
             return self._placed(("constant", bool(value)), ("truth", bool(value)))

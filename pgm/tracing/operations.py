@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-INFIX = {
+_INFIX = {
     "add": "{0} + {1}",
     "subtract": "{0} - {1}",
     "multiply": "{0} * {1}",
@@ -17,7 +17,7 @@ INFIX = {
     "floor_divide": "{0} // {1}",
     "negative": "-{0}",
 }
-COMPARISONS = {
+_COMPARISONS = {
     "less": "{0} < {1}",
     "less_equal": "{0} <= {1}",
     "greater": "{0} > {1}",
@@ -25,7 +25,7 @@ COMPARISONS = {
     "equal": "{0} == {1}",
     "not_equal": "{0} != {1}",
 }
-LOGICAL = {
+_LOGICAL = {
     "logical_and": "{0} and {1}",
     "logical_or": "{0} or {1}",
     "logical_not": "not {0}",
@@ -38,12 +38,10 @@ _WRITTEN = {
     "maximum": "{0} if {0} > {1} or {0} != {0} else {1}",
     "where": "{1} if {0} else {2}",
 }
-_IN_MATH = {
-    **{name: name for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
-    **{name: name for name in ("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "sqrt")},
-    **{f"arc{name}": f"a{name}" for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "tan2")},
-    **{"cbrt": "cbrt", "hypot": "hypot", "power": "pow", "fmod": "fmod", "copysign": "copysign"},
-}
+_WAVES = ("sin", "cos", "tan", "sinh", "cosh", "tanh")
+_LOGS = ("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "sqrt", "cbrt")
+_IN_MATH = {name: name for name in (*_WAVES, *_LOGS, "hypot", "fmod", "copysign")}
+_IN_MATH |= {f"arc{name}": f"a{name}" for name in (*_WAVES, "tan2")} | {"power": "pow"}
 _ROUNDING = {
     "floor": lambda a: float(math.floor(a)),
     "ceil": lambda a: float(math.ceil(a)),
@@ -51,18 +49,15 @@ _ROUNDING = {
     "rint": lambda a: float(round(a)),
 }
 _TWO = {"arctan2", "hypot", "power", "fmod", "copysign"}
-CALLED = {
+_CALLED = {
     name: name + ("({0}, {1})" if name in _TWO else "({0})") for name in (*_IN_MATH, *_ROUNDING)
 }
 
-BOOLEAN = {*COMPARISONS, *LOGICAL}
+BOOLEAN = {*_COMPARISONS, *_LOGICAL}
 # Of Python and Numba alike; those with a name are called by it.
 SCALAR = {
-    **CALLED,
-    **{
-        name: f"({text})"
-        for name, text in (INFIX | COMPARISONS | LOGICAL | _WRITTEN).items()
-    },
+    **_CALLED,
+    **{name: f"({text})" for name, text in (_INFIX | _COMPARISONS | _LOGICAL | _WRITTEN).items()},
 }
 # Python's own functions raise where NumPy's return infinities and NaNs.
 PYTHON: dict[str, Callable[..., Any]] = {

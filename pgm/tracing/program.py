@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from pgm.kernels.arrays import Array
 from pgm.tracing.derivatives import reachable
 from pgm.tracing.graph import Graph
 from pgm.tracing.operations import BATCH, PYTHON, SCALAR
+
+# An argument, and a component of it.
+Column = tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +38,7 @@ class Program:
 
     graph: Graph
     widths: tuple[int, ...]
-    columns: tuple[tuple[int, int], ...]
+    columns: tuple[Column, ...]
     value: tuple[int, ...]
     slope: tuple[int | None, ...]
 
@@ -46,12 +50,12 @@ class Program:
         self.__dict__.update(state)
 
     @property
-    def hidden(self) -> dict[tuple[int, int], int]:
+    def hidden(self) -> dict[Column, int]:
         """The place of each hidden component among the stacked ones."""
         return {column: k for k, column in enumerate(self.columns)}
 
     @property
-    def observed(self) -> list[tuple[int, int]]:
+    def observed(self) -> list[Column]:
         """The components of observed arguments, in the order in which they are stacked."""
         taken = set(self.columns)
         every = [(a, i) for a, width in enumerate(self.widths) for i in range(width)]
@@ -89,9 +93,7 @@ class Program:
     @property
     def scalar_source(self) -> str:
         """Code of a function of all components, in the order of the arguments, to a flat tuple."""
-        inputs = {
-            (a, i): f"a{a}_{i}" for a, width in enumerate(self.widths) for i in range(width)
-        }
+        inputs = {(a, i): f"a{a}_{i}" for a, width in enumerate(self.widths) for i in range(width)}
         cells = [(k, None) for k in (*self.value, *self.slope)]
         return self._printed(f"def scalar({', '.join(inputs.values())}):", inputs, cells)
 
@@ -112,15 +114,15 @@ class Program:
     def _printed(
         self,
         head: str,
-        inputs: dict[tuple[int, int], str],
-        cells: list[tuple[int | None, str | None]],
+        inputs: dict[Column, str],
+        cells: Sequence[tuple[int | None, str | None]],
         *,
         batch: bool = False,
     ) -> str:
         names: dict[int | None, str] = {None: "0.0"}
         lines, results = [head], []
         # The first cell of each operation, which a ufunc writes to by itself.
-        first = {k: cell for k, cell in reversed(cells)} if batch else {}
+        first = dict(reversed(cells)) if batch else {}
         taken = set()
         for number in reachable(self.graph, self._outputs):
             name, *operands = self.graph.operations[number]
@@ -138,7 +140,7 @@ class Program:
                 text = SCALAR[name].format(*known)
                 if batch:
                     if number in first and name != "where":
-                        known.append(first[number])
+                        known.append(f"out={first[number]}")
                         taken.add(first[number])
                     text = f"{name}({', '.join(known)})"
             lines.append(f"t{number} = {text}")
@@ -170,15 +172,17 @@ class Program:
             self._batch(*arguments, value, slope)
         return value, slope
 
-    def single(self, arguments: Sequence[Array]) -> tuple[Array, Array]:
-        """The value (d,) and the derivative (d, n) at arguments (width,)."""
+    def single(self, arguments: Sequence[Array]) -> tuple[Array, Array, bool]:
+        """The value (d,), the derivative (d, n), and whether they are finite, at (width,) each."""
+        height = len(self.value)
         try:
             found = self._scalar(*[c for argument in arguments for c in argument.tolist()])
+            finite = isfinite(sum(found))
         except (ArithmeticError, ValueError):  # where NumPy has infinities and NaNs
-            return self.batch(arguments, ())
-        height = len(self.value)
-        every = np.array(found, dtype=float)
-        return every[:height], every[height:].reshape(height, -1)
+            value, slope = self.batch(arguments, ())
+            return value, slope, bool(np.isfinite(value).all() and np.isfinite(slope).all())
+        every = np.array(found)
+        return every[:height], every[height:].reshape(height, -1), finite
 
 
 def _literal(value: float | bool) -> str:
@@ -188,6 +192,7 @@ def _literal(value: float | bool) -> str:
 
 
 def made(source: str, name: str, names: dict[str, Any]) -> Callable[..., Any]:
+    """The function that a printer wrote."""
     found: dict[str, Any] = {**names, "nan": np.nan, "inf": np.inf}
     exec(compile(source, f"<traced {name}>", "exec"), found)
     made: Callable[..., Any] = found[name]

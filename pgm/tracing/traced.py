@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 
 from pgm.tracing.graph import Graph
-from pgm.tracing.operations import BOOLEAN
+from pgm.tracing.operations import SCALAR
 
+# NumPy's functions that are done here in another way than NumPy's (`functions.py`).
+OWN: dict[Any, Callable[..., Any]] = {}
 # Kinds of stand-ins: small and positive, large and negative, not finite.
 KINDS = 3
 
@@ -60,7 +62,7 @@ class Recorder(Graph):
             if found is not None:
                 return found
         if isinstance(value, bool | np.bool_ | int | float | np.integer | np.floating):
-            return self.constant(value)
+            return self.constant(value if isinstance(value, bool | np.bool_) else float(value))
         if value is None:
             raise self.refuse("it returns cells of an array that were never written")
         raise self.refuse(f"it computes with {type(value).__name__}, which is no real number")
@@ -140,19 +142,18 @@ def _operator(name: str, *, swapped: bool = False) -> Callable[..., Any]:
     return apply
 
 
-_OPERATORS = {
-    **{"add": "add", "sub": "subtract", "mul": "multiply", "truediv": "divide", "pow": "power"},
-    **{"mod": "remainder", "floordiv": "floor_divide"},
-    **{"and": "logical_and", "or": "logical_or", "xor": "logical_xor"},
-}
-for _name, _own in _OPERATORS.items():
+def _pairs(text: str) -> Iterator[list[str]]:
+    return (pair.split("=") for pair in text.split())
+
+
+_BINARY = "add=add sub=subtract mul=multiply truediv=divide pow=power mod=remainder "
+_BINARY += "floordiv=floor_divide and=logical_and or=logical_or xor=logical_xor"
+_OTHERS = "lt=less le=less_equal gt=greater ge=greater_equal eq=equal ne=not_equal "
+_OTHERS += "neg=negative pos=positive abs=absolute invert=invert floor=floor ceil=ceil trunc=trunc"
+for _name, _own in _pairs(_BINARY):
     setattr(Node, f"__{_name}__", _operator(_own))
     setattr(Node, f"__r{_name}__", _operator(_own, swapped=True))
-for _name, _own in {
-    **{"lt": "less", "le": "less_equal", "gt": "greater", "ge": "greater_equal"},
-    **{"eq": "equal", "ne": "not_equal", "neg": "negative", "pos": "positive"},
-    **{"abs": "absolute", "invert": "invert", "floor": "floor", "ceil": "ceil", "trunc": "trunc"},
-}.items():
+for _name, _own in _pairs(_OTHERS):
     setattr(Node, f"__{_name}__", _operator(_own))
 Node.__hash__ = object.__hash__  # type: ignore[method-assign]
 
@@ -168,8 +169,6 @@ class Traced(np.ndarray[Any, Any]):
         self, func: Callable[..., Any], types: Any, args: Any, kwargs: Any
     ) -> Any:
         """Apply a function that NumPy makes of others, or one of our own in its place."""
-        from pgm.tracing.functions import OWN
-
         own = OWN.get(func)
         if own is not None:
             return own(*args, **kwargs)
@@ -190,7 +189,7 @@ class Traced(np.ndarray[Any, Any]):
     def __bool__(self) -> bool:
         return bool(self.item())
 
-    def astype(self, dtype: Any, *_: Any, **__: Any) -> Any:  # type: ignore[override]
+    def astype(self, dtype: Any, *_: Any, **__: Any) -> Any:
         """A copy; traced numbers are floats."""
         if np.dtype(dtype) not in (np.dtype(float), np.dtype(object)):
             raise self._refuse(f"it makes {np.dtype(dtype).name} of values")
@@ -218,7 +217,7 @@ def bare(value: Any) -> Any:
     if found.dtype == object and any(isinstance(each, np.ndarray) for each in found.flat):
         # NumPy keeps arrays without axes as elements of a list's.
         alone = np.empty(found.shape, dtype=object)
-        alone.flat = [e.item() if isinstance(e, np.ndarray) else e for e in found.flat]
+        alone.ravel()[:] = [e.item() if isinstance(e, np.ndarray) else e for e in found.flat]
         return alone
     return found
 
@@ -266,19 +265,18 @@ def _except(g: Recorder, name: str, a: int, b: int) -> int:
     return g.add("where", g.add("not_equal", b, b), a, g.add(name, a, b))
 
 
-_ALIASES = {
-    **{"radians": "deg2rad", "degrees": "rad2deg", "float_power": "power"},
-    **{"bitwise_and": "logical_and", "bitwise_or": "logical_or"},
-    **{"bitwise_xor": "logical_xor", "invert": "logical_not"},
-}
+_ALIASES = dict(
+    _pairs(
+        "radians=deg2rad degrees=rad2deg float_power=power bitwise_and=logical_and "
+        "bitwise_or=logical_or bitwise_xor=logical_xor invert=logical_not"
+    )
+)
 _TRUTHS = {"logical_and", "logical_or", "logical_not", "logical_xor"}
 _MADE_OF_TRUTHS = {"add": "logical_or", "multiply": "logical_and"}
 
 
 def _recorded(g: Recorder, name: str, operands: list[int]) -> int:
     """Record one of NumPy's functions, of numbers of operations."""
-    from pgm.tracing.operations import SCALAR
-
     name = _ALIASES.get(name, name)
     truths = [g.is_boolean(k) for k in operands]
     if name in _TRUTHS:
@@ -337,7 +335,9 @@ def elementwise(name: str, *operands: Any) -> Any:
 
 def _applied(ufunc: np.ufunc, method: str, inputs: Any, options: dict[str, Any]) -> Any:
     arrays = [bare(value) for value in inputs]
-    g = next((e.graph for a in arrays if a.dtype == object for e in a.flat if isinstance(e, Node)), None)
+    g = next(
+        (e.graph for a in arrays if a.dtype == object for e in a.flat if isinstance(e, Node)), None
+    )
     if g is not None and np.geterr() != g.errors and {"raise", "call"} & {*np.geterr().values()}:
         raise g.refuse("it makes NumPy raise errors")
     arrays = [_known(g, a) for a in arrays]
@@ -355,8 +355,10 @@ def _applied(ufunc: np.ufunc, method: str, inputs: Any, options: dict[str, Any])
                 arrays[0] = bare(elementwise("multiply", arrays[0], 1.0))
             elif where is not True:
                 options["where"] = where
-        result = handler(*arrays, **options) if method == "__call__" else (
-            getattr(handler, method)(*arrays, **options)
+        result = (
+            handler(*arrays, **options)
+            if method == "__call__"
+            else (getattr(handler, method)(*arrays, **options))
         )
     result = bare(result)
     if out is None:
@@ -381,6 +383,3 @@ def traced_elements(g: Recorder, array: Any) -> Any:
     """An array of objects: each element a traced number."""
     numbered = np.frompyfunc(lambda value: Node(g, g.number(value)), 1, 1)
     return bare(numbered(bare(array).astype(object)))
-
-
-__all__ = ["BOOLEAN", "KINDS", "Node", "Recorder", "Traced", "Untraceable", "bare", "elementwise"]
