@@ -19,6 +19,7 @@ from pgm.clustergraph.checks import (
     is_forest,
 )
 from pgm.clustergraph.cluster import Cluster, amount, extent, is_discrete, neighbourhoods, work
+from pgm.cpds.derivatives import check_jacobians
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed
@@ -299,18 +300,28 @@ class ClusterGraph(Drawn, Immutable):
         """The families of all CPDs of the network, each of which needs a cluster."""
         return (cpd.scope for cpd in self.network.cpds)
 
-    def check(self) -> None:
+    def check(self, *, jacobians: bool = False) -> None:
         """Prove family preservation and running intersection.
+
+        Parameters
+        ----------
+        jacobians : bool
+            Whether to compare given Jacobians, too, with the derivatives of their functions'
+            traces (differences, where there is none), at the prior's mean and at drawn points.
 
         Raises
         ------
         GraphError
             Naming the variable and the clusters concerned.
+        ModelError
+            Naming the CPD and the entry of its Jacobian that is wrong.
         """
         clusters = list(self.clusters)
         scopes = [cluster.scope for cluster in clusters]
         check_families(scopes, [cluster.families for cluster in clusters], self.families())
         check_running_intersection(scopes, self.sepsets)
+        if jacobians:
+            check_jacobians(self.network.cpds)
 
     def to_networkx(self) -> nx.Graph:
         """The structure as a graph.

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds.conditional import ConditionalGaussian
+from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.noise import Noise
 from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, called, number
@@ -123,6 +124,38 @@ class NonlinearGaussianCPD(ConditionalGaussian):
                 function, [parent.dimension for parent in self.given], self.child.angle_mask
             ),
         )
+
+    @property
+    def derivatives(self) -> Derivatives:
+        """How the derivative by each parent is found: given, traced or numerical, and why."""
+        return Derivatives(self)
+
+    def source(self) -> str:
+        """The code that NumPy computes the traced function and its derivative with.
+
+        Its arguments are arrays (..., dimension); a value (d, ...) and the derivative by all
+        parents, (d, n, ...), are written to.
+
+        Raises
+        ------
+        ModelError
+            If the function has no trace.
+
+        Examples
+        --------
+        >>> from pgm.examples import square
+        >>> print(square.cpds[1].source())
+        def batch(a0, value, slope):
+            t0 = a0[..., 0]
+            t2 = multiply(t0, t0, out=value[0, ...])
+            t4 = add(t0, t0, out=slope[0, 0, ...])
+        """
+        if not self._tracer.confirm([np.zeros(parent.dimension) for parent in self.given]):
+            raise ModelError(
+                f"{self!r}: its function has no trace: {self._tracer.reason}", cpd=self
+            )
+        assert self._tracer.trace is not None
+        return self._tracer.trace.program(self._template(self.given).columns).batch_source
 
     def _parts(self) -> list[str | Listing]:
         by = f", Jacobians by ({listed(self.jacobian)})" if self.jacobian else ""

@@ -134,9 +134,7 @@ class Rows:
             return At(None, np.tile(matrix, (count, 1)), offset, noise, 0, count)
         arguments = [None if place is None else inputs[place] for place in self.order]
         group = None if count == 1 else count
-        function = BoundFunction(
-            self.template, arguments, 0, step, group, self.grouped, self._live
-        )
+        function = BoundFunction(self.template, arguments, 0, step, group, self.grouped, self._live)
         return At(function, None, None, noise, 0, count)
 
     def _wide(self, inputs: Sequence[Array], count: int) -> dict[Variable, Array]:

@@ -155,7 +155,7 @@ class Tracer:
         if self.reason is not None:
             return False
         self.compared = set()
-        points = _drawn(centres)
+        points = around(centres)
         if self.trace is not None and self._equal(self.trace, points):
             return True
         found = trace(self.function, self.widths, (self.angles.size,))
@@ -181,9 +181,11 @@ class Tracer:
             return bool((error <= _EQUAL * scale)[known].all())
 
 
-def _drawn(centres: Sequence[Array]) -> list[Array]:
+def around(centres: Sequence[Array], least: float = 0.0) -> list[Array]:
+    """Points (2, 3, width) about centres (width,), one of them there, or nearly."""
     rng = np.random.default_rng(5)
+    spread = np.maximum(_SPREAD, least)[..., None]
     return [
-        centre + _SPREAD[..., None] * (1.0 + np.abs(centre)) * rng.normal(size=(2, 3, centre.size))
+        centre + spread * (1.0 + np.abs(centre)) * rng.normal(size=(2, 3, centre.size))
         for centre in centres
     ]
