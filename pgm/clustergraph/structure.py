@@ -19,7 +19,7 @@ from pgm.clustergraph.checks import (
     is_forest,
 )
 from pgm.clustergraph.cluster import Cluster, amount, extent, is_discrete, neighbourhoods, work
-from pgm.cpds.derivatives import check_jacobians
+from pgm.cpds.jacobians import check_jacobians
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed

@@ -151,7 +151,7 @@ class Program:
                 lines.append(f"{cell} = {names[k]}")
         if results:
             lines.append(f"return ({', '.join(results)},)")
-        return "\n    ".join(lines) + "\n"
+        return "\n    ".join(lines)
 
     # Functions
 
