@@ -9,6 +9,7 @@ from typing import Any
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.compile.layout import SliceLayout
+from pgm.compile.machine import Compiled
 from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope
@@ -28,8 +29,10 @@ class DynamicGraph(ClusterGraph, ABC):
     steps: int
     layout: SliceLayout
 
-    def __init__(self, model: DynamicBayesianNetwork, steps: int) -> None:
-        self._set(model=model, steps=steps, layout=SliceLayout(model))
+    def __init__(
+        self, model: DynamicBayesianNetwork, steps: int, compiled: Compiled | None = None
+    ) -> None:
+        self._set(model=model, steps=steps, layout=SliceLayout(model, compiled))
 
     # A graph of slices is no graph of a network without time, whatever else it has in common.
     @property

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgm.compile.machine import Compiled
 from pgm.cpds import CPD, NonlinearGaussianCPD
 from pgm.factors.scope import Scope, dimension, positions
 from pgm.kernels.arrays import Index, Integers
@@ -44,6 +45,12 @@ class SliceLayout:
     """
 
     model: DynamicBayesianNetwork
+    compiled: Compiled | None = None
+
+    @cached_property
+    def functions(self) -> dict[FunctionTemplate, Any]:
+        """The functions that have been compiled, or why not."""
+        return {}
 
     @cached_property
     def slice(self) -> Scope:
