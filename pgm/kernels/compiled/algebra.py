@@ -10,7 +10,9 @@ from typing import Any
 
 from numba import njit
 
-compiled: Any = njit(error_model="numpy", nogil=True)
+compiled: Any = njit(
+    error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
+)
 
 
 @compiled

@@ -70,7 +70,7 @@ NEARLY_SINGULAR, _NEGLIGIBLE, _EVERY, _MILD = 1e-6, 1e-15, 8, 1e-3
 DONE, LEFT = 0, 1
 
 
-def room(width, front, height, points):
+def room(width: int, front: int, height: int, points: int) -> int:
     """How many floats of memory a sweep works in; its components and points are the largest."""
     size = max(width + front, height)
     return 16 * size * size + 16 * size + points * (size + 2 * height) + points * points

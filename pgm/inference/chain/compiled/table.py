@@ -18,9 +18,6 @@ from pgm.linearisers import Cubature, GaussHermite, Taylor, Unscented
 from pgm.linearisers.points import Points
 from pgm.linearisers.regression import FEW, StatisticalRegression
 
-if TYPE_CHECKING:
-    pass
-
 Integers64 = npt.NDArray[np.int64]
 # The rules whose points are the same at all steps.
 _RULES = Unscented, Cubature, GaussHermite
