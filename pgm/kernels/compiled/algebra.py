@@ -1,18 +1,28 @@
-"""Small matrices as rows of floats, one after another, in machine code.
+"""Small matrices in machine code.
 
-A product goes along the rows of its right factor, which a processor does several columns at a time.
+A matrix of m columns has rows of `padded(m)` floats, zeros at their ends: a processor takes a row
+by fours, so that sums go along rows, of which there are few.
 """
 
 from __future__ import annotations
 
-from math import sqrt
+from math import log, sqrt
 from typing import Any
 
 from numba import njit
 
+from pgm.kernels.compiled.memory import past
+
+# They are called by each other alone, and hold no object of Python's.
 compiled: Any = njit(
     error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
 )
+
+
+@compiled
+def padded(columns):
+    """The floats of a row."""
+    return (columns + 3) & ~3
 
 
 @compiled
@@ -23,102 +33,167 @@ def copy(source, target, count):
 
 
 @compiled
-def times(f, x, out, height, width):
-    """F x."""
-    for i in range(height):
-        total = 0.0
-        for k in range(width):
-            total += f[i * width + k] * x[k]
-        out[i] = total
+def clear(target, count):
+    """Zeros."""
+    for i in range(count):
+        target[i] = 0.0
 
 
 @compiled
-def product(a, b, out, height, inner, width):
-    """A B."""
-    for i in range(height):
-        for j in range(width):
-            total = 0.0
+def add(sign, a, down, across, b, out, rows, inner, wide):
+    """Add ± A B to rows of so many floats; entries of A lie `down` and `across` from each other."""
+    for i in range(rows):
+        for j in range(0, wide, 4):
+            here = i * wide + j
+            s0, s1, s2, s3 = out[here], out[here + 1], out[here + 2], out[here + 3]
             for k in range(inner):
-                total += a[i * inner + k] * b[k * width + j]
-            out[i * width + j] = total
+                part, there = sign * a[i * down + k * across], k * wide + j
+                s0 += part * b[there]
+                s1 += part * b[there + 1]
+                s2 += part * b[there + 2]
+                s3 += part * b[there + 3]
+            out[here], out[here + 1], out[here + 2], out[here + 3] = s0, s1, s2, s3
 
 
 @compiled
-def add_symmetric(a, b, out, size, inner):
-    """Add A Bᵀ, which is symmetric, to a symmetric matrix."""
-    for i in range(size):
-        for j in range(i + 1):
-            total = out[i * size + j]
-            for k in range(inner):
-                total += a[i * inner + k] * b[j * inner + k]
-            out[i * size + j] = total
-            out[j * size + i] = total
+def product(a, down, across, b, out, rows, inner, wide):
+    """A B, as `add` adds it."""
+    clear(out, rows * wide)
+    add(1.0, a, down, across, b, out, rows, inner, wide)
 
 
 @compiled
-def root(s, lower, size, least):
-    """The lower triangular L of S = L Lᵀ; whether each pivot is above this part of its entry."""
+def transpose(a, out, rows, columns):
+    """Aᵀ."""
+    wide, tall = padded(columns), padded(rows)
+    clear(out, columns * tall)
+    for i in range(rows):
+        for j in range(columns):
+            out[j * tall + i] = a[i * wide + j]
+
+
+@compiled
+def mirror(a, size):
+    """Copy what is below the diagonal above it."""
+    wide = padded(size)
+    for i in range(1, size):
+        for j in range(i):
+            a[j * wide + i] = a[i * wide + j]
+
+
+@compiled
+def root(s, upper, inverse, size, least):
+    """The Lᵀ of S = L Lᵀ, and one over its diagonal; |S|, or zero if a pivot is too small.
+
+    Too small is not above the part `least` of its diagonal entry.
+    """
+    wide, det = padded(size), 1.0
     for i in range(size):
-        for j in range(i + 1):
-            rest = s[i * size + j]
+        for j in range(i):
+            rest = s[i * wide + j]
             for k in range(j):
-                rest -= lower[i * size + k] * lower[j * size + k]
-            if j < i:
-                lower[i * size + j] = rest / lower[j * size + j]
-            elif not rest > least * s[i * size + i]:
-                return False
-            else:
-                lower[i * size + i] = sqrt(rest)
-    return True
-
-
-@compiled
-def whiten(lower, b, size, width):
-    """Put L⁻¹ B into B, (size, width)."""
-    for i in range(size):
+                rest -= upper[k * wide + i] * upper[k * wide + j]
+            upper[j * wide + i] = rest * inverse[j]
+            upper[i * wide + j] = 0.0
+        rest = s[i * wide + i]
         for k in range(i):
-            part = lower[i * size + k]
-            for j in range(width):
-                b[i * width + j] -= part * b[k * width + j]
-        pivot = 1.0 / lower[i * size + i]
-        for j in range(width):
-            b[i * width + j] *= pivot
+            rest -= upper[k * wide + i] * upper[k * wide + i]
+        if not rest > least * s[i * wide + i]:
+            return 0.0
+        pivot = sqrt(rest)
+        upper[i * wide + i], inverse[i] = pivot, 1.0 / pivot
+        det *= rest
+    for i in range(size):
+        for j in range(size, wide):
+            upper[i * wide + j] = 0.0
+    return det
 
 
 @compiled
-def unwhiten(lower, b, size, width):
-    """Put L⁻ᵀ B into B, (size, width)."""
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            part = lower[k * size + i]
-            for j in range(width):
-                b[i * width + j] -= part * b[k * width + j]
-        pivot = 1.0 / lower[i * size + i]
-        for j in range(width):
-            b[i * width + j] *= pivot
+def log_det(det, inverse, size):
+    """The logarithm of a determinant, which may be too large or too small a number."""
+    if 1e-280 < det < 1e280:
+        return log(det)
+    total = 0.0
+    for i in range(size):
+        total -= 2.0 * log(inverse[i])
+    return total
 
 
 @compiled
-def least_open(s, lower, size):
+def whiten(upper, inverse, b, size, wide):
+    """Put L⁻¹ B into B, of rows of so many floats."""
+    tall = padded(size)
+    for j in range(0, wide, 4):
+        for i in range(size):
+            here = i * wide + j
+            s0, s1, s2, s3 = b[here], b[here + 1], b[here + 2], b[here + 3]
+            for k in range(i):
+                part, there = upper[k * tall + i], k * wide + j
+                s0 -= part * b[there]
+                s1 -= part * b[there + 1]
+                s2 -= part * b[there + 2]
+                s3 -= part * b[there + 3]
+            by = inverse[i]
+            b[here], b[here + 1], b[here + 2], b[here + 3] = s0 * by, s1 * by, s2 * by, s3 * by
+
+
+@compiled
+def unwhiten(upper, inverse, b, size, wide):
+    """Put L⁻ᵀ B into B, of rows of so many floats."""
+    tall = padded(size)
+    for j in range(0, wide, 4):
+        for i in range(size - 1, -1, -1):
+            here = i * wide + j
+            s0, s1, s2, s3 = b[here], b[here + 1], b[here + 2], b[here + 3]
+            for k in range(i + 1, size):
+                part, there = upper[i * tall + k], k * wide + j
+                s0 -= part * b[there]
+                s1 -= part * b[there + 1]
+                s2 -= part * b[there + 2]
+                s3 -= part * b[there + 3]
+            by = inverse[i]
+            b[here], b[here + 1], b[here + 2], b[here + 3] = s0 * by, s1 * by, s2 * by, s3 * by
+
+
+@compiled
+def squares(cov, gain, matrix, noise, size, height, out, work):
+    """The covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ, given Gᵀ, (height, size)."""
+    wide, tall = padded(size), padded(height)
+    keep, half = work, past(work, size * wide)
+    clear(keep, size * wide)
+    for i in range(size):
+        keep[i * wide + i] = 1.0
+    add(-1.0, gain, 1, wide, matrix, keep, size, height, wide)
+    product(noise, tall, 1, gain, half, height, height, wide)
+    product(gain, 1, wide, half, out, size, height, wide)
+    product(keep, wide, 1, cov, half, size, size, wide)
+    turned = past(half, size * wide)
+    transpose(keep, turned, size, size)
+    add(1.0, half, wide, 1, turned, out, size, size, wide)
+    mirror(out, size)
+
+
+@compiled
+def least_open(s, work, size):
     """The smallest share of a variance that the components before it leave open.
 
-    One of zero does not count; a negative share is rounding, or worse.
+    One of zero does not count; a share below zero is rounding, or worse.
     """
-    least = 1.0
+    least, wide = 1.0, padded(size)
     for i in range(size):
-        entry = s[i * size + i]
+        rest = s[i * wide + i]
+        entry = rest
         for j in range(i):
-            rest = s[i * size + j]
+            part = s[i * wide + j]
             for k in range(j):
-                rest -= lower[i * size + k] * lower[k * size + j]
-            lower[j * size + i] = rest  # of L D, above the diagonal
-            lower[i * size + j] = rest / lower[j * size + j]
-        rest = entry
-        for k in range(i):
-            rest -= lower[i * size + k] * lower[k * size + i]
+                part -= work[i * wide + k] * work[k * wide + j]
+            work[j * wide + i] = part  # of L D, above the diagonal
+            work[i * wide + j] = part / work[j * wide + j]
+            rest -= part * work[i * wide + j]
         if entry == 0.0:
             rest = 1.0
         elif not rest / abs(entry) > least:
             least = rest / abs(entry)
-        lower[i * size + i] = rest
+        work[i * wide + i] = rest
     return least

@@ -6,20 +6,25 @@ of CPDs, and its arrays, by step where those of a CPD are by row.
 
 from __future__ import annotations
 
-from math import isfinite, log, sqrt
+from math import isfinite, sqrt
 from typing import Any
 
 from numba import njit
 
 from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.compiled.algebra import (
-    add_symmetric,
+    add,
+    clear,
     compiled,
     copy,
     least_open,
+    log_det,
+    mirror,
+    padded,
     product,
     root,
-    times,
+    squares,
+    transpose,
     unwhiten,
     whiten,
 )
@@ -35,6 +40,7 @@ from pgm.kernels.compiled.factors import (
     OFFSET,
     PARENTS,
     READINGS,
+    SHARP,
     SIZE,
     STEPS,
     WHOLE,
@@ -63,7 +69,7 @@ from pgm.kernels.compiled.memory import numbers, past, places
 (CONTROL_GAIN, CONTROL_SHIFT, CONTROL_REST) = range(72, 84, 4)
 FIELDS = 84
 # Runs whose arrays lie next to each other are swept together, so that memory is read in rows.
-_TOGETHER = 64
+TOGETHER = 64
 # As of `gaussian`, `moments` and `forward`.
 NEARLY_SINGULAR, _NEGLIGIBLE, _EVERY, _MILD = 1e-6, 1e-15, 8, 1e-3
 # How a run ended: done, or to be done by the general kernels.
@@ -72,41 +78,41 @@ DONE, LEFT = 0, 1
 
 def room(width: int, front: int, height: int, points: int) -> int:
     """How many floats of memory a sweep works in; its components and points are the largest."""
-    size = max(width + front, height)
-    return 16 * size * size + 16 * size + points * (size + 2 * height) + points * points
+    size = max(width + front, height) + 3
+    return (16 + TOGETHER) * size * (size + 1) + points * (3 * size + points)
 
 
 @compiled
-def _step(fields, step, run, work):
-    """Predict a step of a run and take in its measurements; whether that went without a doubt."""
+def _step(fields, step, run, known, work):
+    """Predict a step of a run and take in its measurements; whether that went without a doubt.
+
+    The belief is that of the step before, and then of this one.
+    """
     size = fields[WIDTH]
-    mean, cov = work, past(work, size)
-    known, spread = past(cov, size * size), past(cov, size * size + size)
-    rest = past(spread, size * size)
+    wide = padded(size)
+    spread = past(known, wide)
+    mean, cov = work, past(work, wide)
+    rest = past(cov, size * wide)
     if not step:
-        load(fields, BEGIN_MEAN, 0, run, mean, size)
-        load(fields, BEGIN_COV, 0, run, cov, size * size)
-    else:
-        load(fields, MEAN, step - 1, run, known, size)
-        load(fields, COV, step - 1, run, spread, size * size)
-        if fields[SINGLE]:
-            ok = _moved(fields, step - 1, run, known, spread, mean, cov, rest)
-        else:
-            ok = _joined(fields, step - 1, run, known, spread, mean, cov, rest)
-        if not ok:
+        load(fields, BEGIN_MEAN, 0, run, mean, 1, size)
+        load(fields, BEGIN_COV, 0, run, cov, size, size)
+    elif fields[SINGLE]:
+        if not _moved(fields, step - 1, run, known, spread, mean, cov, rest):
             return False
-    save(fields, PREDICTED_MEAN, step, run, mean, size)
-    save(fields, PREDICTED_COV, step, run, cov, size * size)
+    elif not _joined(fields, step - 1, run, known, spread, mean, cov, rest):
+        return False
+    save(fields, PREDICTED_MEAN, step, run, mean, 1, size)
+    save(fields, PREDICTED_COV, step, run, cov, size, size)
     ok, density = _taken(fields, step, run, mean, cov, known, spread, rest)
     total = density
     for i in range(size):
-        total += known[i] + spread[i * size + i]
+        total += known[i] + spread[i * wide + i]
     if not (ok and isfinite(total)):
         return False
-    save(fields, MEAN, step, run, known, size)
-    save(fields, COV, step, run, spread, size * size)
+    save(fields, MEAN, step, run, known, 1, size)
+    save(fields, COV, step, run, spread, size, size)
     rest[0] = density
-    save(fields, DENSITY, step, run, rest, 1)
+    save(fields, DENSITY, step, run, rest, 1, 1)
     if fields[CLOSEST]:
         closest = past(numbers(fields[CLOSEST]), run)
         _look(closest, cov, spread, size, step, fields[LAST], rest)
@@ -116,15 +122,14 @@ def _step(fields, step, run, work):
 @compiled
 def _look(closest, before, after, size, step, last, work):
     """Look how much of variances is left open; see `Watch`."""
-    least = 1.0
+    least, wide = 1.0, padded(size)
     for i in range(size):
-        was, left = before[i * size + i], after[i * size + i]
-        if left != 0.0 and was > 0.0:
+        was, left = before[i * wide + i], after[i * wide + i]
+        if left < _MILD * was and left != 0.0 and was > 0.0:
             least = min(least, left / was)
-    sharp = least < _MILD
-    if sharp:
+    if least < 1.0:
         least = min(least, least_open(before, work, size))
-    if sharp or step == last or step % _EVERY == 0:
+    if least < 1.0 or step == last or step % _EVERY == 0:
         least = min(least, least_open(after, work, size))
     closest[0] = min(closest[0], least)
 
@@ -134,8 +139,8 @@ def _moved(fields, row, run, before, spread, mean, cov, work):
     """The slice, where one CPD makes all of it of all of the slice before."""
     cpd = places(fields[LINKS])
     size = cpd[SIZE]
-    matrix, noise = work, past(work, size * size)
-    rest = past(noise, size * size)
+    square = size * padded(size)
+    matrix, noise, rest = work, past(work, square), past(work, 2 * square)
     error = linearise(cpd, row, run, before, spread, matrix, mean, noise, rest)
     if error < 0 or not predict(cpd, spread, matrix, noise, cov, rest):
         return False
@@ -150,60 +155,63 @@ def _keep(cpd, row, run, x, value, matrix, noise, error, work):
     if cpd[KIND] == AFFINE or not cpd[MATRIX]:
         return
     size, height = cpd[SIZE], cpd[HEIGHT]
-    save(cpd, MATRIX, row, run, matrix, height * size)
-    times(matrix, x, work, height, size)
+    wide = padded(size)
+    save(cpd, MATRIX, row, run, matrix, height, size)
     for i in range(height):
-        work[i] = value[i] - work[i]
-    save(cpd, OFFSET, row, run, work, height)
+        total = 0.0
+        for k in range(size):
+            total += matrix[i * wide + k] * x[k]
+        work[i] = value[i] - total
+    save(cpd, OFFSET, row, run, work, 1, height)
     if error:
-        save(cpd, KEPT_NOISE, row, run, noise, height * height)
+        save(cpd, KEPT_NOISE, row, run, noise, height, height)
 
 
 @compiled
 def _joined(fields, row, run, known, spread, mean, cov, work):
     """The slice, a CPD after another, in the joint of the states before and itself."""
-    front, width = fields[FRONT], fields[WIDTH]
-    size = front + width
-    states = places(fields[STATES])
-    pair, joint = work, past(work, size)
-    x, block = past(joint, size * size), past(joint, size * size + size)
-    matrix = past(block, size * size)
-    noise, value = past(matrix, size * size), past(matrix, 2 * size * size)
-    own = past(value, size)
-    rest = past(own, size * size)
-    for i in range(size * size):
-        joint[i] = 0.0
+    front, width, states = fields[FRONT], fields[WIDTH], places(fields[STATES])
+    size, own_wide = front + width, padded(width)
+    wide = padded(size)
+    square = size * wide
+    pair, joint = work, past(work, wide)
+    x, block = past(joint, square), past(joint, square + wide)
+    matrix, noise = past(block, square), past(block, 2 * square)
+    own, value = past(noise, square), past(noise, 2 * square)
+    rest = past(value, wide)
+    clear(joint, square)
     for i in range(front):
         pair[i] = known[states[i]]
         for j in range(front):
-            joint[i * size + j] = spread[states[i] * width + states[j]]
+            joint[i * wide + j] = spread[states[i] * own_wide + states[j]]
     for link in range(fields[LINK_COUNT]):
         cpd = past(places(fields[LINKS]), link * COLUMNS)
         count, height, child, parents = cpd[SIZE], cpd[HEIGHT], cpd[CHILD], places(cpd[PARENTS])
-        gather(cpd, pair, joint, size, x, block)
+        thick, tall = padded(count), padded(height)
+        gather(parents, count, pair, joint, wide, x, block)
         error = linearise(cpd, row, run, x, block, matrix, value, noise, rest)
         if error < 0 or not predict(cpd, block, matrix, noise, own, rest):
             return False
+        clear(rest, height * wide)
+        for k in range(count):
+            moved = past(joint, parents[k] * wide)
+            add(1.0, past(matrix, k), thick, 1, moved, rest, height, 1, wide)
         for i in range(height):
             for j in range(size):
-                total = 0.0
-                for k in range(count):
-                    total += matrix[i * count + k] * joint[parents[k] * size + j]
-                rest[i * size + j] = total
-        for i in range(height):
-            for j in range(size):
-                joint[(child + i) * size + j] = rest[i * size + j]
-                joint[j * size + child + i] = rest[i * size + j]
+                joint[(child + i) * wide + j] = rest[i * wide + j]
+                joint[j * wide + child + i] = rest[i * wide + j]
         for i in range(height):
             for j in range(height):
-                joint[(child + i) * size + child + j] = own[i * height + j]
+                joint[(child + i) * wide + child + j] = own[i * tall + j]
         to_chart(cpd, row, run, pair, x, value, rest)
         _keep(cpd, row, run, x, value, matrix, noise, error, rest)
         copy(value, past(pair, child), height)
     for i in range(width):
         mean[i] = pair[front + i]
         for j in range(width):
-            cov[i * width + j] = joint[(front + i) * size + front + j]
+            cov[i * own_wide + j] = joint[(front + i) * wide + front + j]
+        for j in range(width, own_wide):
+            cov[i * own_wide + j] = 0.0
     return True
 
 
@@ -211,23 +219,27 @@ def _joined(fields, row, run, known, spread, mean, cov, work):
 def _taken(fields, step, run, mean, cov, known, spread, work):
     """The belief given the measurements of a step; whether all was regular, and their density."""
     size, iterations = fields[WIDTH], fields[ITERATIONS]
-    if iterations < 2 or not _are_curved(fields, step):
-        return _once(fields, step, run, mean, cov, mean, cov, known, spread, work)
-    point, about = work, past(work, size)
-    rest = past(about, size * size)
-    copy(mean, point, size)
-    copy(cov, about, size * size)
+    wide = padded(size)
+    point, about, rest = mean, cov, work
+    if iterations > 1:
+        if _are_curved(fields, step):
+            point, about = work, past(work, wide)
+            rest = past(about, size * wide)
+            copy(mean, point, size)
+            copy(cov, about, size * wide)
+        else:
+            iterations = 1
     settings = numbers(fields[SETTINGS])
     record = past(numbers(fields[RESIDUALS]), run * (iterations + 1))
     density, residual, made = 0.0, 0.0, 0
-    for iteration in range(iterations):
+    for iteration in range(max(iterations, 1)):
         ok, density = _once(fields, step, run, mean, cov, point, about, known, spread, rest)
-        if not ok:
+        if not ok or iterations < 2:
             return ok, density
         if iteration:
             residual, made = 0.0, iteration
             for i in range(size):
-                unit = sqrt(max(spread[i * size + i], 0.0))
+                unit = sqrt(max(spread[i * wide + i], 0.0))
                 unit = unit if unit > 0.0 else max(abs(known[i]), 1.0)
                 residual = max(residual, abs(known[i] - point[i]) / unit)
             record[iteration - 1] = max(record[iteration - 1], residual)
@@ -235,7 +247,7 @@ def _taken(fields, step, run, mean, cov, known, spread, work):
                 break
         for i in range(size):
             point[i] = settings[1] * point[i] + (1.0 - settings[1]) * known[i]
-        for i in range(size * size):
+        for i in range(size * wide):
             about[i] = settings[1] * about[i] + (1.0 - settings[1]) * spread[i]
     for later in range(made, iterations - 1):
         record[later] = max(record[later], residual)
@@ -260,8 +272,9 @@ def _are_curved(fields, step):
 def _once(fields, step, run, mean, cov, point, about, known, spread, work):
     """Take the measurements of a step, linearised at a point, into N(mean, cov)."""
     size, density = fields[WIDTH], 0.0
-    copy(mean, known, size)
-    copy(cov, spread, size * size)
+    wide = padded(size)
+    copy(mean, known, wide)
+    copy(cov, spread, size * wide)
     for k in range(fields[SENSOR_COUNT]):
         cpd = past(places(fields[SENSORS]), k * COLUMNS)
         bounds = places(cpd[STEPS])
@@ -276,185 +289,168 @@ def _once(fields, step, run, mean, cov, point, about, known, spread, work):
 @compiled
 def _read(cpd, row, run, size, point, about, known, spread, work):
     """Take in a measurement, linearised at a point; its missing components are NaN."""
-    count, height, parents = cpd[SIZE], cpd[HEIGHT], places(cpd[PARENTS])
-    matrix, noise = work, past(work, height * size)
-    value, reading = past(noise, height * height), past(noise, height * height + height)
-    x = past(reading, height)
-    block = past(x, size)
-    rest = past(block, size * size)
-    if cpd[WHOLE]:  # all of the slice, in its order
-        error = linearise(cpd, row, run, point, about, matrix, value, noise, rest)
-        _keep(cpd, row, run, point, value, matrix, noise, error, rest)
-    else:
-        gather(cpd, point, about, size, x, block)
-        error = linearise(cpd, row, run, x, block, matrix, value, noise, rest)
-        _keep(cpd, row, run, x, value, matrix, noise, error, rest)
+    count, height, wide = cpd[SIZE], cpd[HEIGHT], padded(size)
+    thick, tall = padded(count), padded(height)
+    matrix, noise = work, past(work, height * wide)
+    value, reading = past(noise, height * tall), past(noise, (height + 1) * tall)
+    rest = past(reading, tall)
+    x, block, parents = point, about, places(cpd[PARENTS])
+    if not cpd[WHOLE]:
+        x, block = rest, past(rest, thick)
+        rest = past(block, count * thick)
+        gather(parents, count, point, about, wide, x, block)
+    error = linearise(cpd, row, run, x, block, matrix, value, noise, rest)
     if error < 0:
         return False, 0.0
-    load(cpd, READINGS, row, run, reading, height)
+    _keep(cpd, row, run, x, value, matrix, noise, error, rest)
+    load(cpd, READINGS, row, run, reading, 1, height)
     nearest(cpd, value, reading)
-    save(cpd, MOVED, row, run, reading, height)
+    save(cpd, MOVED, row, run, reading, 1, height)
     if not cpd[WHOLE]:
-        copy(matrix, rest, height * count)
-        for i in range(height * size):
-            matrix[i] = 0.0
+        copy(matrix, rest, height * thick)
+        clear(matrix, height * wide)
         for i in range(height):
             for j in range(count):
-                matrix[i * size + parents[j]] = rest[i * count + j]
+                matrix[i * wide + parents[j]] = rest[i * thick + j]
     seen = 0
     for i in range(height):
         if reading[i] != reading[i]:
             continue
         residual = reading[i] - value[i]
         for j in range(size):
-            residual -= matrix[i * size + j] * (known[j] - point[j])
-            matrix[seen * size + j] = matrix[i * size + j]
-        # Rows and columns before these have been moved already.
-        for j in range(height):
-            noise[seen * height + j] = noise[i * height + j]
-        for j in range(height):
-            noise[j * height + seen] = noise[j * height + i]
+            residual -= matrix[i * wide + j] * (known[j] - point[j])
         value[seen] = residual
+        if seen < i:  # rows and columns before these have been moved already
+            for j in range(size):
+                matrix[seen * wide + j] = matrix[i * wide + j]
+            for j in range(height):
+                noise[seen * tall + j] = noise[i * tall + j]
+            for j in range(height):
+                noise[j * tall + seen] = noise[j * tall + i]
         seen += 1
     if not seen:
         return True, 0.0
-    for i in range(seen):
-        for j in range(seen):
-            noise[i * seen + j] = noise[i * height + j]
-    return _update(known, spread, matrix, value, noise, size, seen, rest)
+    sharp = numbers(cpd[SHARP])[0]
+    if seen < height:
+        sharp, less = 0.0, padded(seen)
+        for i in range(seen):
+            for j in range(seen):
+                noise[i * less + j] = noise[i * tall + j]
+            for j in range(seen, less):
+                noise[i * less + j] = 0.0
+    return _update(known, spread, matrix, value, noise, size, seen, sharp, rest)
 
 
 @compiled
-def _update(mean, cov, matrix, residual, noise, size, height, work):
-    """Condition N(mean, cov) on z = H x + n, of residual z − H mean, as `gaussian.update_one`."""
-    gain, predictive = work, past(work, height * size)
-    lower, white = past(predictive, height * height), past(predictive, 2 * height * height)
-    keep = past(white, height)
-    spread, half = past(keep, size * size), past(keep, 2 * size * size)
-    product(matrix, cov, gain, height, size, size)
-    copy(noise, predictive, height * height)
-    add_symmetric(gain, matrix, predictive, height, size)
-    if not root(predictive, lower, height, NEARLY_SINGULAR):
-        return False, 0.0
-    copy(residual, white, height)
-    whiten(lower, white, height, 1)
-    density, volume = -0.5 * height * LOG_2PI, 0.0
+def _update(mean, cov, matrix, residual, noise, size, height, sharp, work):
+    """Condition N(mean, cov) on z = H x + n, of residual z − H mean.
+
+    Where |S| is below `sharp` no direction shrinks so much that P − W Wᵀ would lose digits, and
+    elsewhere the covariance is a sum of squares.
+    """
+    wide, tall = padded(size), padded(height)
+    predictive, upper = work, past(work, height * tall)
+    inverse, white = past(upper, height * tall), past(upper, (height + 1) * tall)
+    gain = past(white, tall)
+    product(matrix, wide, 1, cov, gain, height, size, wide)
     for i in range(height):
-        density -= 0.5 * white[i] * white[i]
-        volume += log(lower[i * height + i])
-    whiten(lower, gain, height, size)
-    unwhiten(lower, gain, height, size)  # Gᵀ
-    for i in range(size):
-        for k in range(height):
-            mean[i] += gain[k * size + i] * residual[k]
-    _squares(cov, gain, matrix, noise, size, height, keep, half, spread)
-    copy(spread, cov, size * size)
-    return True, density - volume
-
-
-@compiled
-def _squares(cov, gain, matrix, noise, size, height, keep, half, out):
-    """The covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ, given Gᵀ (height, size)."""
-    for i in range(size):
-        for j in range(size):
-            total = 1.0 if i == j else 0.0
-            for k in range(height):
-                total -= gain[k * size + i] * matrix[k * size + j]
-            keep[i * size + j] = total
-    product(noise, gain, half, height, height, size)
-    for i in range(size):
         for j in range(i + 1):
-            total = 0.0
-            for k in range(height):
-                total += gain[k * size + i] * half[k * size + j]
-            out[i * size + j] = total
-    product(keep, cov, half, size, size, size)
-    add_symmetric(half, keep, out, size, size)
+            total = noise[i * tall + j]
+            for k in range(size):
+                total += gain[i * wide + k] * matrix[j * wide + k]
+            predictive[i * tall + j] = total
+    det = root(predictive, upper, inverse, height, NEARLY_SINGULAR)
+    if det == 0.0:
+        return False, 0.0
+    density = height * LOG_2PI + log_det(det, inverse, height)
+    for i in range(height):
+        total = residual[i]
+        for k in range(i):
+            total -= upper[k * tall + i] * white[k]
+        white[i] = total * inverse[i]
+        density += white[i] * white[i]
+    whiten(upper, inverse, gain, height, wide)
+    add(1.0, white, 1, 1, gain, mean, 1, height, wide)
+    if det < sharp:
+        add(-1.0, gain, 1, wide, gain, cov, size, height, wide)
+    else:
+        unwhiten(upper, inverse, gain, height, wide)
+        spread = past(gain, height * wide)
+        squares(cov, gain, matrix, noise, size, height, spread, past(spread, size * wide))
+        copy(spread, cov, size * wide)
+    return True, -0.5 * density
 
 
 @compiled
-def _back(fields, step, run, work):
-    """Reverse the transition from a step, and send the belief after it through."""
-    width, front, smooths = fields[WIDTH], fields[FRONT], fields[LATER_MEAN]
-    mean, cov = work, past(work, width)
-    rest = past(cov, width * width)
+def _back(fields, step, run, later, work):
+    """Reverse the transition from a step, and send the belief of the step after it through."""
+    width, front = fields[WIDTH], fields[FRONT]
+    wide, thin = padded(width), padded(front)
+    spread = past(later, wide)
     if step == fields[LAST]:
-        load(fields, MEAN, step, run, mean, width)
-        load(fields, COV, step, run, cov, width * width)
-        save(fields, LATER_MEAN, step, run, mean, width)
-        save(fields, LATER_COV, step, run, cov, width * width)
-        return True
-    gain, shift = rest, past(rest, front * width)
-    left = past(shift, front)
-    rest = past(left, front * front)
-    if not _reverse(fields, step, run, gain, shift, left, rest):
-        return False
-    save(fields, GAIN, step, run, gain, front * width)
-    save(fields, SHIFT, step, run, shift, front)
-    save(fields, REST, step, run, left, front * front)
-    if not smooths:
-        return True
-    load(fields, LATER_MEAN, step + 1, run, mean, width)
-    load(fields, LATER_COV, step + 1, run, cov, width * width)
-    _push(gain, shift, left, mean, cov, front, width, rest)
-    if fields[CONTROL_GAIN]:
-        load(fields, CONTROL_GAIN, step, run, gain, width * front)
-        load(fields, CONTROL_SHIFT, step, run, shift, width)
-        left = past(shift, width)
-        rest = past(left, width * width)
-        load(fields, CONTROL_REST, step, run, left, width * width)
-        _push(gain, shift, left, mean, cov, width, front, rest)
-    save(fields, LATER_MEAN, step, run, mean, width)
-    save(fields, LATER_COV, step, run, cov, width * width)
+        load(fields, MEAN, step, run, later, 1, width)
+        load(fields, COV, step, run, spread, width, width)
+    else:
+        gain, shift = work, past(work, width * thin)
+        left = past(shift, wide)
+        rest = past(left, width * wide)
+        if not _reverse(fields, step, run, gain, shift, left, rest):
+            return False
+        transpose(gain, rest, width, front)
+        save(fields, GAIN, step, run, rest, front, width)
+        save(fields, SHIFT, step, run, shift, 1, front)
+        save(fields, REST, step, run, left, front, front)
+        if not fields[LATER_MEAN]:
+            return True
+        _push(gain, shift, left, later, spread, front, width, rest)
+        if fields[CONTROL_GAIN]:
+            load(fields, CONTROL_GAIN, step, run, rest, width, front)
+            transpose(rest, gain, width, front)
+            load(fields, CONTROL_SHIFT, step, run, shift, 1, width)
+            load(fields, CONTROL_REST, step, run, left, width, width)
+            _push(gain, shift, left, later, spread, width, front, rest)
+    save(fields, LATER_MEAN, step, run, later, 1, width)
+    save(fields, LATER_COV, step, run, spread, width, width)
     return True
 
 
 @compiled
 def _reverse(fields, step, run, gain, shift, left, work):
-    """Bayes' rule for the transition from a step, as `moments.reverse`."""
+    """Bayes' rule for the transition from a step, as `moments.reverse`; the gain is Gᵀ."""
     width, front, states = fields[WIDTH], fields[FRONT], places(fields[STATES])
-    mean, cov = work, past(work, width)
-    matrix, noise = past(cov, width * width), past(cov, width * (width + front))
-    after, later = past(noise, width * width), past(noise, width * width + width)
-    lower = past(later, width * width)
-    back, keep = past(lower, width * width), past(lower, width * (width + front))
-    half = past(keep, front * front)
-    load(fields, MEAN, step, run, after, width)
-    load(fields, COV, step, run, later, width * width)
-    for i in range(front):
-        mean[i] = after[states[i]]
-        for j in range(front):
-            cov[i * front + j] = later[states[i] * width + states[j]]
-    load(fields, STEP_MATRIX, step, run, matrix, width * front)
-    load(fields, STEP_NOISE, step, run, noise, width * width)
-    load(fields, PREDICTED_MEAN, step + 1, run, after, width)
-    load(fields, PREDICTED_COV, step + 1, run, later, width * width)
-    if not root(later, lower, width, _NEGLIGIBLE):
+    wide, thin = padded(width), padded(front)
+    mean, cov, matrix = work, past(work, thin), past(work, thin + front * thin)
+    noise, after = past(matrix, width * thin), past(matrix, width * (thin + wide))
+    later, upper = past(after, wide), past(after, wide + width * wide)
+    inverse, rest = past(upper, width * wide), past(upper, (width + 1) * wide)
+    load(fields, MEAN, step, run, after, 1, width)
+    load(fields, COV, step, run, later, width, width)
+    gather(states, front, after, later, wide, mean, cov)
+    load(fields, STEP_MATRIX, step, run, matrix, width, front)
+    load(fields, STEP_NOISE, step, run, noise, width, width)
+    load(fields, PREDICTED_MEAN, step + 1, run, after, 1, width)
+    load(fields, PREDICTED_COV, step + 1, run, later, width, width)
+    if root(later, upper, inverse, width, _NEGLIGIBLE) == 0.0:
         return False
-    product(matrix, cov, back, width, front, front)
-    whiten(lower, back, width, front)
-    unwhiten(lower, back, width, front)  # Gᵀ
-    for i in range(front):
-        total = mean[i]
-        for k in range(width):
-            gain[i * width + k] = back[k * front + i]
-            total -= back[k * front + i] * after[k]
-        shift[i] = total
-    _squares(cov, back, matrix, noise, front, width, keep, half, left)
+    product(matrix, thin, 1, cov, gain, width, front, thin)
+    whiten(upper, inverse, gain, width, thin)
+    unwhiten(upper, inverse, gain, width, thin)
+    copy(mean, shift, thin)
+    add(-1.0, after, 1, 1, gain, shift, 1, width, thin)
+    squares(cov, gain, matrix, noise, front, width, left, rest)
     return isfinite(shift[0])
 
 
 @compiled
-def _push(matrix, offset, noise, mean, cov, height, size, work):
-    """Moments of F x + b + n in the place of those of x."""
-    moved, half = work, past(work, height)
-    times(matrix, mean, moved, height, size)
-    for i in range(height):
-        moved[i] += offset[i]
-    product(matrix, cov, half, height, size, size)
-    add_symmetric(half, matrix, noise, height, size)
-    copy(moved, mean, height)
-    copy(noise, cov, height * height)
+def _push(gain, offset, noise, mean, cov, height, size, work):
+    """Moments of F x + b + n in the place of those of x, given Fᵀ (size, height)."""
+    wide, tall = padded(size), padded(height)
+    add(1.0, mean, 1, 1, gain, offset, 1, size, tall)
+    product(gain, 1, tall, cov, work, height, size, wide)
+    add(1.0, work, wide, 1, gain, noise, height, size, tall)
+    mirror(noise, height)
+    copy(offset, mean, tall)
+    copy(noise, cov, height * tall)
 
 
 _kept: Any = njit("void(int64,int64,int64,int64)", error_model="numpy", nogil=True, cache=True)
@@ -463,24 +459,28 @@ _kept: Any = njit("void(int64,int64,int64,int64)", error_model="numpy", nogil=Tr
 @_kept
 def forward(chain, first, last, memory):
     """Sweep some runs of the chain at an address forward; `memory` is the address of `room`."""
-    fields, work = places(chain), numbers(memory)
-    status = places(fields[STATUS])
-    for begin in range(first, last, _TOGETHER):
-        end = min(begin + _TOGETHER, last)
+    fields, beliefs = places(chain), numbers(memory)
+    status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * padded(fields[WIDTH])
+    work = past(beliefs, TOGETHER * apart)
+    for begin in range(first, last, TOGETHER):
+        end = min(begin + TOGETHER, last)
         for step in range(fields[LAST] + 1):
             for run in range(begin, end):
-                if status[run] == DONE and not _step(fields, step, run, work):
+                belief = past(beliefs, (run - begin) * apart)
+                if status[run] == DONE and not _step(fields, step, run, belief, work):
                     status[run] = LEFT
 
 
 @_kept
 def backward(chain, first, last, memory):
     """Reverse the transitions of some runs, and send the last belief back, if it has a place."""
-    fields, work = places(chain), numbers(memory)
-    status = places(fields[STATUS])
-    for begin in range(first, last, _TOGETHER):
-        end = min(begin + _TOGETHER, last)
+    fields, beliefs = places(chain), numbers(memory)
+    status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * padded(fields[WIDTH])
+    work = past(beliefs, TOGETHER * apart)
+    for begin in range(first, last, TOGETHER):
+        end = min(begin + TOGETHER, last)
         for step in range(fields[LAST], -1, -1):
             for run in range(begin, end):
-                if status[run] == DONE and not _back(fields, step, run, work):
+                belief = past(beliefs, (run - begin) * apart)
+                if status[run] == DONE and not _back(fields, step, run, belief, work):
                     status[run] = LEFT

@@ -13,6 +13,7 @@ from pgm.inference.chain.compiled.functions import Functions, compiled
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
+from pgm.kernels import along_runs
 from pgm.kernels.arrays import Array, Index
 from pgm.linearisers import Cubature, GaussHermite, Taylor, Unscented
 from pgm.linearisers.points import Points
@@ -117,6 +118,10 @@ def sensor_row(
     if sensor.taken is not None:
         values = np.where(sensor.taken, values, np.nan)
     table[f.READINGS : f.READINGS + 4] = rows.told(values, 1)
+    noise, sharp = family.own_noise, np.zeros(1)
+    if noise.shape[:2] == (1, 1):
+        sharp = along_runs.sharpness(noise[0].transpose(1, 2, 0))
+    table[f.SHARP] = rows.at(sharp)
 
 
 def _family(
