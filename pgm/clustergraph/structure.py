@@ -1,28 +1,40 @@
-"""Cluster graphs as structure: what a schedule sends messages on."""
+"""Cluster graphs as structure, which schedules send messages on; trees of clusters, rooted."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, repeat
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from pgm.boundary import as_tuple, is_whole
-from pgm.clustergraph.assignment import assign, spanning_tree
-from pgm.clustergraph.checks import (
+from pgm.clustergraph.cluster import (
+    Cluster,
     Edge,
+    amount,
     as_edge,
+    assign,
     check_families,
     check_running_intersection,
+    extent,
+    is_discrete,
     is_forest,
+    neighbourhoods,
+    spanning_tree,
+    work,
 )
-from pgm.clustergraph.cluster import Cluster, amount, extent, is_discrete, neighbourhoods, work
+from pgm.cpds.jacobians import check_jacobians
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed
 from pgm.immutable import Immutable
+from pgm.kernels.arrays import Integers
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
@@ -54,10 +66,7 @@ class ClusterGraph(Drawn, Immutable):
     ------
     GraphError
         If a family is in no cluster (family preservation), or a variable's clusters and the
-        sepsets that carry it form no tree (running intersection), naming variable and clusters;
-        if a cluster is empty, a variable is not the network's, or an edge joins no two clusters.
-    ModelError
-        If a cluster or sepset holds what is no variable, or one twice.
+        sepsets that carry it form no tree (running intersection), naming variable and clusters.
 
     Examples
     --------
@@ -127,11 +136,7 @@ class ClusterGraph(Drawn, Immutable):
     def _tree(
         cls, network: BayesianNetwork, members: Iterable[set[int]], joined: Mapping[Edge, set[int]]
     ) -> ClusterGraph:
-        """A graph without loops that has running intersection by its making: it is not checked.
-
-        members: The variables of each cluster, by place.
-        joined: Sepsets.
-        """
+        """A graph of places that has running intersection by its making: it is not checked."""
         graph = cls.__new__(cls)
         graph._assign(network, [tuple(sorted(held)) for held in members])
         sepsets = {edge: tuple(sorted(shared)) for edge, shared in joined.items()}
@@ -192,22 +197,7 @@ class ClusterGraph(Drawn, Immutable):
         return tuple(tuple(sorted(found)) for found in lists)
 
     def neighbours(self, cluster: int | Cluster) -> tuple[int, ...]:
-        """The clusters joined to one.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        tuple of int
-            Their indices, in order.
-
-        Raises
-        ------
-        GraphError
-            If the graph has no such cluster.
-        """
+        """The indices of the clusters joined to one, in order."""
         return self._neighbours[self.index(cluster)]
 
     @cached_property
@@ -237,29 +227,14 @@ class ClusterGraph(Drawn, Immutable):
     def cost(self) -> int:
         """About what a pass of messages takes, over all clusters, if nothing is observed.
 
-        Entries of tables, if discrete; else the cubes of the components, which is what
-        eliminating from a Gaussian takes. Compare it where one network is compiled by several
-        methods or elimination orders: they differ by powers of ten.
+        Entries of tables, or the cubes of the components, as eliminating from a Gaussian takes.
+        Compare it where a network is compiled by several methods or elimination orders: they differ
+        by powers of ten.
         """
         return sum(work(cluster.scope) * count for cluster, count in self._alike)
 
     def index(self, cluster: int | Cluster) -> int:
-        """The index of a cluster.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-            Its index or the cluster itself.
-
-        Returns
-        -------
-        int
-
-        Raises
-        ------
-        GraphError
-            If there is none of the index, or the cluster is another graph's.
-        """
+        """The index of a cluster, given by it or as it; another graph's is refused."""
         found = cluster.index if isinstance(cluster, Cluster) else cluster
         if not is_whole(found) or not 0 <= found < self._count:
             raise GraphError(
@@ -274,18 +249,7 @@ class ClusterGraph(Drawn, Immutable):
         return int(found)
 
     def cluster(self, cluster: int | Cluster) -> Cluster:
-        """One of the clusters: its variables, CPDs and their families.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-            Its index, from 0 to ``len(graph) - 1``, or the cluster itself.
-
-        Raises
-        ------
-        GraphError
-            If the graph has no such cluster, naming the ones there are.
-        """
+        """One of the clusters, by its index, 0 to ``len(graph) - 1``, or the cluster itself."""
         return self._view(self.index(cluster))
 
     def _view(self, index: int) -> Cluster:
@@ -299,27 +263,22 @@ class ClusterGraph(Drawn, Immutable):
         """The families of all CPDs of the network, each of which needs a cluster."""
         return (cpd.scope for cpd in self.network.cpds)
 
-    def check(self) -> None:
-        """Prove family preservation and running intersection.
+    def check(self, *, jacobians: bool = False) -> None:
+        """Prove family preservation and running intersection, or raise a `GraphError`.
 
-        Raises
-        ------
-        GraphError
-            Naming the variable and the clusters concerned.
+        It names the variable and the clusters concerned. With `jacobians`, given Jacobians are
+        compared, too, with the derivatives of their functions' traces (differences, where there is
+        none), at the prior's mean and at drawn points: a `ModelError` names the wrong entry.
         """
         clusters = list(self.clusters)
         scopes = [cluster.scope for cluster in clusters]
         check_families(scopes, [cluster.families for cluster in clusters], self.families())
         check_running_intersection(scopes, self.sepsets)
+        if jacobians:
+            check_jacobians(self.network.cpds)
 
     def to_networkx(self) -> nx.Graph:
-        """The structure as a graph.
-
-        Returns
-        -------
-        networkx.Graph
-            Nodes are indices with the attribute ``cluster``; edges have ``sepset``.
-        """
+        """The structure as a graph: nodes are indices with ``cluster``; edges have ``sepset``."""
         import networkx as nx  # here, since it is slow to import
 
         graph = nx.Graph()
@@ -328,20 +287,9 @@ class ClusterGraph(Drawn, Immutable):
         return graph
 
     def derived(self, make: Callable[..., T], *key: Any) -> T:
-        """The result of a function of this graph and a key, made once.
+        """The result of ``make(graph, *key)``, made once; the latest are kept.
 
-        The place of plans that the layers above compile from the structure; the latest are kept.
-
-        Parameters
-        ----------
-        make : callable
-            ``make(graph, *key)``.
-        *key : hashable
-
-        Returns
-        -------
-        object
-            The result of that call.
+        The place of plans that the layers above compile from the structure.
         """
         plans = self._derived
         found: T = plans.pop((make, key)) if (make, key) in plans else make(self, *key)
@@ -378,3 +326,70 @@ class ClusterGraph(Drawn, Immutable):
 
     def _summary(self) -> Summary:
         return Summary(self._title, [neighbourhoods(self)])
+
+
+@dataclass(frozen=True, eq=False)
+class Forest:
+    """The trees of a cluster graph, each hung at its centre, so that few rounds reach all.
+
+    `parent` is −1 at a root; `levels` are the clusters at each depth, the roots first.
+    """
+
+    parent: Integers
+    depth: Integers
+    levels: list[Integers]
+
+    @classmethod
+    def of(cls, graph: ClusterGraph) -> Forest:
+        """Root the trees of a graph without loops."""
+        neighbours = [graph.neighbours(k) for k in range(len(graph))]
+        parent = np.full(len(graph), -1, dtype=np.intp)
+        depth = np.full(len(graph), -1, dtype=np.intp)
+        for first in range(len(graph)):
+            if depth[first] < 0:
+                root = _centre(neighbours, first)
+                depth[root] = 0
+                for source, target in _edges(neighbours, root):
+                    parent[target], depth[target] = source, depth[source] + 1
+        order = np.argsort(depth, kind="stable")
+        bounds = np.cumsum(np.bincount(depth))
+        return cls(parent, depth, np.split(order, bounds[:-1]))
+
+    @cached_property
+    def children(self) -> list[list[int]]:
+        """The clusters that hang on each."""
+        found: list[list[int]] = [[] for _ in self.parent]
+        for k, parent in enumerate(self.parent.tolist()):
+            if parent >= 0:
+                found[parent].append(k)
+        return found
+
+    @cached_property
+    def roots(self) -> Integers:
+        """The root of each cluster's tree, (clusters,)."""
+        found = np.arange(self.parent.size)
+        for level in self.levels[1:]:
+            found[level] = found[self.parent[level]]
+        return found
+
+
+def _edges(neighbours: list[tuple[int, ...]], root: int) -> list[tuple[int, int]]:
+    found, queue = [], deque([(root, -1)])
+    while queue:
+        at, before = queue.popleft()
+        for other in neighbours[at]:
+            if other != before:
+                found.append((at, other))
+                queue.append((other, at))
+    return found
+
+
+def _centre(neighbours: list[tuple[int, ...]], first: int) -> int:
+    """The middle of a longest path, which joins the two clusters farthest from one another."""
+    edges = _edges(neighbours, first)
+    end = edges[-1][1] if edges else first
+    before = {target: source for source, target in _edges(neighbours, end)}
+    path = [next(reversed(before), end)]
+    while path[-1] != end:
+        path.append(before[path[-1]])
+    return path[len(path) // 2]

@@ -1,35 +1,163 @@
-"""Cluster graphs of dynamic networks: compiled once as a template, whatever the number of steps."""
+"""Cluster graphs of dynamic networks, and the vectors of their slices."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
-from pgm.clustergraph.checks import Edge
-from pgm.compile.layout import SliceLayout
+from pgm.clustergraph.cluster import Edge
+from pgm.compile.machine import Compiled
+from pgm.cpds import CPD, NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope
+from pgm.factors.scope import Scope, dimension, positions
+from pgm.kernels.arrays import Index, Integers
+from pgm.linearisers import FunctionTemplate
 from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
+
+
+class Place(NamedTuple):
+    """The place of a CPD in the vector of a scope, of the parents that no evidence gives.
+
+    `angles` are those of the child, and `before` where those of the step before stand; empty where
+    the child does not depend on itself. A measurement's `child` is empty.
+    """
+
+    hidden: Scope
+    parents: Index
+    child: slice
+    angles: Integers
+    before: Integers
+    template: FunctionTemplate | None
+
+
+@dataclass(frozen=True, eq=False)
+class SliceLayout:
+    """The vectors of a dynamic network's slice.
+
+    A *slice* stacks the hidden variables of one step, states and controls, parents before
+    children. A *pair* stacks the states of the step before, then the slice: the hidden scope of
+    a cluster.
+    """
+
+    model: DynamicBayesianNetwork
+    compiled: Compiled | None = None
+
+    @cached_property
+    def functions(self) -> dict[FunctionTemplate, Any]:
+        """The functions that have been compiled, or why not."""
+        return {}
+
+    @cached_property
+    def slice(self) -> Scope:
+        """The hidden variables of a step, in the order of the slice vector."""
+        return tuple(cpd.child for cpd in self.model.transition)
+
+    @cached_property
+    def states(self) -> Scope:
+        """The states, in the order of the slice vector."""
+        return self.model.states
+
+    @cached_property
+    def pair(self) -> Scope:
+        """The states of the step before, then the slice."""
+        return (*(state.previous for state in self.states), *self.slice)
+
+    @cached_property
+    def places(self) -> dict[Variable, Index]:
+        """The place of each hidden variable in the slice vector."""
+        return {variable: positions(self.slice, [variable]) for variable in self.slice}
+
+    @cached_property
+    def state_size(self) -> int:
+        """Components of the states."""
+        return dimension(self.states)
+
+    @cached_property
+    def slice_size(self) -> int:
+        """Components of the slice."""
+        return dimension(self.slice)
+
+    @cached_property
+    def state_places(self) -> Index:
+        """The places of the states in the slice vector: all of it, where there are no controls."""
+        return positions(self.slice, self.states)
+
+    @cached_property
+    def control_places(self) -> Integers:
+        """The places of the controls in the slice vector."""
+        everywhere = np.arange(self.slice_size)
+        return np.setdiff1d(everywhere, everywhere[self.state_places])
+
+    @cached_property
+    def single(self) -> bool:
+        """Whether one CPD makes the whole slice of the whole slice before."""
+        return len(self.slice) == 1 and self.hidden(self.model.transition[0]) == self.pair[:1]
+
+    @cached_property
+    def probed(self) -> set[CPD]:
+        """The CPDs whose functions have been called on trial."""
+        return set()
+
+    @cached_property
+    def _places(self) -> dict[CPD, Place]:
+        return {}
+
+    def place(self, cpd: CPD, scope: Scope) -> Place:
+        """The place of a CPD in the vector of the scope that it belongs to, found once."""
+        found = self._places.get(cpd)
+        if found is None:
+            found = self._places[cpd] = self._find(cpd, scope)
+        return found
+
+    def _find(self, cpd: CPD, scope: Scope) -> Place:
+        hidden = self.hidden(cpd)
+        child, angles = slice(0, 0), np.flatnonzero(cpd.child.angle_mask)
+        if cpd.child in scope:
+            place = positions(scope, [cpd.child])
+            assert isinstance(place, slice)
+            child = place
+        before = angles[:0]
+        if cpd.child.previous in hidden:
+            before = np.arange(dimension(scope))[positions(scope, [cpd.child.previous])][angles]
+        return Place(
+            hidden,
+            positions(scope, hidden),
+            child,
+            angles[: before.size],
+            before,
+            cpd._template(hidden) if isinstance(cpd, NonlinearGaussianCPD) else None,
+        )
+
+    def hidden(self, cpd: CPD) -> Scope:
+        """The parents of a CPD's mean that no evidence gives, in the order of its function."""
+        slice_ = set(self.slice)
+        return tuple(parent for parent in cpd.given if parent.template in slice_)
 
 
 class DynamicGraph(ClusterGraph, ABC):
     """A tree of clusters of a dynamic network, whose clusters 0..T hold its CPDs.
 
     Cluster 0 holds the states at step 0, the prior and the families of the sensors; cluster t
-    holds the states of steps t−1 and t and the other variables of the CPDs at t. What else there
-    is, and what is joined, is for the kinds of graphs to say. Clusters and sepsets are views,
-    made on request from one template.
+    holds the states of steps t−1 and t and the other variables of the CPDs at t. Clusters and
+    sepsets are views, made on request from one template.
     """
 
     model: DynamicBayesianNetwork
     steps: int
     layout: SliceLayout
 
-    def __init__(self, model: DynamicBayesianNetwork, steps: int) -> None:
-        self._set(model=model, steps=steps, layout=SliceLayout(model))
+    def __init__(
+        self, model: DynamicBayesianNetwork, steps: int, compiled: Compiled | None = None
+    ) -> None:
+        self._set(model=model, steps=steps, layout=SliceLayout(model, compiled))
 
     # A graph of slices is no graph of a network without time, whatever else it has in common.
     @property
@@ -152,10 +280,7 @@ class _Sepsets(InCode, Mapping[Edge, Scope]):
 
 
 class SliceGraph(DynamicGraph):
-    """The chain of clusters 0..T of a dynamic network; see `DynamicGraph`.
-
-    The sepset between t and t+1 is all states at t.
-    """
+    """The chain of clusters 0..T of a dynamic network, with all states at t between t and t+1."""
 
     def within(self, steps: int) -> range:
         """The clusters 0..steps."""

@@ -9,8 +9,7 @@ from typing import Protocol
 
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.cluster import extent
-from pgm.compile.elimination import Adjacency, min_fill, moral
-from pgm.compile.search import cheapest
+from pgm.compile.elimination import Adjacency, cheapest, min_fill, moral
 from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed
@@ -23,24 +22,13 @@ class Order(Protocol):
 
     def __call__(self, network: BayesianNetwork) -> Sequence[Variable]:
         """All variables of a network, each once."""
-        ...
 
 
 class Rule(InCode, ABC):
     """An order that is found in the moral graph."""
 
     def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        tuple of Variable
-            Each once, the first to be eliminated first.
-        """
+        """The variables of a network in this order."""
         found = self._places(network, moral(network))
         return tuple(network.variables[k] for k in found)
 
@@ -76,10 +64,6 @@ class WeightedMinFill(Rule):
     An edge weighs the product of its two variables' numbers of states, or of components if they
     are continuous. Better than `MinFill` where these differ much.
 
-    References
-    ----------
-    Koller and Friedman (2009), Probabilistic Graphical Models, section 9.4.3.
-
     Examples
     --------
     >>> from pgm.examples import chain
@@ -109,11 +93,6 @@ class StochasticMinFill(Rule):
         At the most; of networks of more than 160 variables in proportion fewer.
     seed : int
         Of what is drawn.
-
-    Raises
-    ------
-    GraphError
-        If either is no whole number, or negative.
 
     References
     ----------
@@ -158,11 +137,6 @@ class NestedDissection(Rule):
     ----------
     small : int
         Parts of at most this many variables are not divided.
-
-    Raises
-    ------
-    GraphError
-        If `small` is no positive number.
 
     References
     ----------
@@ -233,10 +207,7 @@ def dissect(adjacent: Adjacency, small: int) -> list[int]:
     Vertices of one stage are those of a part that is not divided further, or of one separator;
     two such sets of one stage are not joined, and stay so.
 
-    small: Parts of at most this many vertices are not divided.
-
-    Source: George and Liu (1981), Computer Solution of Large Sparse Positive Definite Systems,
-    section 8.1.
+    Parts of at most `small` vertices are not divided.
     """
     stages = [0] * len(adjacent)
     parts = [(set(range(len(adjacent))), 0)]

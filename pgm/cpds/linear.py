@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats
-from pgm.cpds.conditional import ConditionalGaussian
-from pgm.cpds.noise import Noise
+from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, by_component, named_matrix, stacked, vector
 from pgm.errors import ModelError
@@ -79,11 +78,6 @@ class GaussianCPD(AffineCPD):
         infinite and its mean has no meaning; the log-evidence is the limit of ln p + ½ ln κ, a
         variance κ of each flat component that is determined growing without bound.
 
-    Raises
-    ------
-    ModelError
-        If shapes do not fit, an entry is NaN or infinite, or `cov` is not a covariance.
-
     Examples
     --------
     >>> x = Variable("x", components=("east", "north"))
@@ -143,11 +137,6 @@ class LinearGaussianCPD(AffineCPD):
         ``LinearGaussianCPD(m, given={m.previous: 1.0}, cov=0)``.
     noise : RobustNoise, optional
         As of `NonlinearGaussianCPD`.
-
-    Raises
-    ------
-    ModelError
-        If shapes do not fit, an entry is not finite, or `cov` is not a covariance.
 
     Examples
     --------

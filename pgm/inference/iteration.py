@@ -7,7 +7,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 
-from pgm.inference.damping import LevenbergMarquardt
+from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Filtering, Smoothing
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Index, Mask, block
@@ -22,8 +22,7 @@ _HEAVIEST = 1e12
 class Point(NamedTuple):
     """A point of linearisation: mean (steps, runs, n) and cov (steps, runs, n, n).
 
-    `joint` (steps − 1, runs, m, m) are the covariances of pairs, where a CPD needs more than those
-    of the states before.
+    `joint` (steps − 1, runs, m, m) are covariances of pairs, where a CPD needs more than states.
     """
 
     mean: Array
@@ -95,12 +94,10 @@ class Solution(Protocol):
     @property
     def means(self) -> Array:
         """Its means, (steps, runs, n)."""
-        ...
 
     @property
     def point(self) -> Any:
         """Its moments: a `Point`, or, of steps that are not controlled, all with means and std."""
-        ...
 
 
 S = TypeVar("S", bound=Solution)
@@ -112,15 +109,12 @@ class Problem(Protocol[Found]):
 
     def linearise(self, at: Any, active: Mask) -> None:
         """Linearise at the point of a solution, for the runs that are active."""
-        ...
 
     def solve(self, anchor: Anchor | None = None) -> Found:
         """The solution of the model as it is linearised."""
-        ...
 
     def settled(self) -> Mask | bool:
         """Whether a model that changes from iteration to iteration is the one asked for."""
-        ...
 
 
 class Controlled(Problem[Found], Protocol[Found]):
@@ -128,22 +122,17 @@ class Controlled(Problem[Found], Protocol[Found]):
 
     def cost(self, at: Point) -> Array:
         """The cost of means with the covariances given, the noise as linearised, (runs,)."""
-        ...
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means projected onto exact linear CPDs, off whose solutions no cost is finite.
-
-        Distances may be measured in the deviations of what was found.
-        """
-        ...
+        """Means projected onto exact linear CPDs, off whose solutions no cost is finite."""
 
 
 @dataclass(frozen=True, eq=False)
 class Iterated(Generic[S]):
     """The result of an iteration, of the last linearisation.
 
-    `mean` (steps, runs, n) is the solution's, or that which the step control kept; `residuals`
-    (runs,) of each relinearisation tell how far the solution is from where it was linearised.
+    The means are the solution's, or those that the step control kept; residuals (runs,) of each
+    relinearisation tell how far the solution is from where it was linearised.
     """
 
     solution: S
@@ -159,10 +148,9 @@ def iterate(
     converged: Mask,
     first: Point | None = None,
 ) -> Iterated[S]:
-    """Relinearise from the first solution on, at most so often as the schedule says.
+    """Relinearise from the first solution on, made at `first` if at one point, as scheduled.
 
-    `problem` is as it was linearised for `solution`, at `first` if at one point; runs that have
-    `converged` stay.
+    Runs that have `converged` stay.
     """
     control = _Control(problem, schedule.damping, converged.size)
     residuals: list[Array] = []

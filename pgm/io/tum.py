@@ -18,6 +18,7 @@ from pgm.boundary import as_tuple, is_unordered
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.factors import Gaussian
+from pgm.factors.arrays import covariance_fault
 from pgm.factors.scope import listed
 from pgm.io import sources
 from pgm.io.poses import Poses
@@ -27,7 +28,6 @@ from pgm.io.words import Line, number
 from pgm.io.words import lines as text_lines
 from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array
-from pgm.kernels.checks import covariance_fault
 
 JOINED = "*"
 

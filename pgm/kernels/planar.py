@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.kernels.angles import TURN, wrap
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import TURN, Array, Integers, wrap
 
 
 def mounted(poses: Array, mount: Array) -> Array:
@@ -92,6 +91,17 @@ def between(poses: Array) -> Array:
     """The motions (n − 1, 3) from each pose (n, 3) to the next, turning by half a turn at most."""
     away = np.diff(poses, axis=0)
     return np.column_stack([turned(away[:, :2], -poses[:-1, 2]), wrap(away[:, 2])])
+
+
+def inverse(motions: Array) -> tuple[Array, Array]:
+    """The motions (n, 3) back, and their derivatives by those there, (n, 3, 3)."""
+    ahead, left = turned(-motions[:, :2], -motions[:, 2]).T
+    slope = np.zeros((len(motions), 3, 3))
+    slope[:, 0, 0] = slope[:, 1, 1] = -np.cos(motions[:, 2])
+    slope[:, 1, 0] = np.sin(motions[:, 2])
+    slope[:, 0, 1] = -slope[:, 1, 0]
+    slope[:, 0, 2], slope[:, 1, 2], slope[:, 2, 2] = left, -ahead, -1.0
+    return np.column_stack([ahead, left, -motions[:, 2]]), slope
 
 
 def _sinc(angle: Array) -> Array:

@@ -37,8 +37,9 @@ class BayesianNetwork(Drawn, Immutable):
     Parameters
     ----------
     cpds : iterable of CPD
-        In any order. A continuous parent that is no CPD's child is an input: it must have
-        evidence.
+        In any order, one a child, without cycles. A continuous parent that is no CPD's child is an
+        input: it must have evidence. Discrete ones, and those of the step before (``x.previous``),
+        are refused.
 
     Attributes
     ----------
@@ -51,17 +52,10 @@ class BayesianNetwork(Drawn, Immutable):
     discrete : bool
         Whether the variables are discrete.
 
-    Raises
-    ------
-    ModelError
-        If a child has two CPDs, two variables share a name, the CPDs form a cycle, discrete and
-        continuous variables are mixed, a discrete parent has no CPD, or a parent is of the step
-        before (``x.previous``), which only a dynamic network has.
-
     Examples
     --------
-    >>> from pgm import GaussianCPD, LinearGaussianCPD, variables
-    >>> a, b = variables("a b")
+    >>> from pgm import GaussianCPD, LinearGaussianCPD
+    >>> a, b = pgm.variables("a b")
     >>> BayesianNetwork([GaussianCPD(a, 0.0, 1.0), LinearGaussianCPD(b, given={a: 2.0}, cov=0.5)])
     BayesianNetwork(p(a)  p(b | a))
     """
@@ -125,21 +119,7 @@ class BayesianNetwork(Drawn, Immutable):
         return checks.runs(self.cpds)
 
     def cpd(self, variable: Variable) -> CPD:
-        """The CPD of a variable.
-
-        Parameters
-        ----------
-        variable : Variable
-
-        Returns
-        -------
-        CPD
-
-        Raises
-        ------
-        ModelError
-            If the network does not have the variable, or it is an input.
-        """
+        """The CPD of a variable that is no input."""
         if not isinstance(variable, Variable) or variable not in self._by_child:
             if variable in self.inputs:
                 why = "since it is an input, which no CPD explains"
@@ -149,22 +129,7 @@ class BayesianNetwork(Drawn, Immutable):
         return self._by_child[variable]
 
     def replace(self, *cpds: CPD) -> BayesianNetwork:
-        """A variant with other CPDs of some variables.
-
-        Parameters
-        ----------
-        *cpds : CPD
-            Each in place of the one of its child.
-
-        Returns
-        -------
-        BayesianNetwork
-
-        Raises
-        ------
-        ModelError
-            If a child has no CPD that could be replaced, or the variant is no network.
-        """
+        """A variant with other CPDs, each in place of the one of its child."""
         new = checks.as_cpds(cpds, "replace")
         checks.one_cpd_each(new)
         for cpd in new:
@@ -197,14 +162,6 @@ class BayesianNetwork(Drawn, Immutable):
             Of each variable with a CPD: (*n, d) values, or (*n,) indices of states of a discrete
             one; both can be given as evidence.
 
-        Raises
-        ------
-        ModelError
-            If `n` is no number of draws, does not broadcast with the model's runs or would not fit
-            into memory, or `rng` is neither a generator nor a seed.
-        EvidenceError
-            If the inputs are not those of the network.
-
         Examples
         --------
         >>> from pgm.examples import coin, side
@@ -218,11 +175,8 @@ class BayesianNetwork(Drawn, Immutable):
     def to_networkx(self) -> nx.DiGraph:
         """The network as a graph, for pictures and questions of structure.
 
-        Returns
-        -------
-        networkx.DiGraph
-            Nodes are variables with the attribute ``kind`` (variable or input); edges go from
-            parents to children.
+        Nodes are variables with the attribute ``kind`` (variable or input); edges go from parents
+        to children.
         """
         import networkx as nx  # here, since it is slow to import
 
@@ -244,32 +198,15 @@ class BayesianNetwork(Drawn, Immutable):
         (``→ g →``, ``← g →``) or a collision (``→ c ←``) without a given variable at or below it.
         Inputs are variables like others here: they belong into `given` where they have evidence.
 
-        Parameters
-        ----------
-        a, b, given : Variable or iterable of Variable
-            Disjoint sets.
-
-        Returns
-        -------
-        bool
-
-        Raises
-        ------
-        ModelError
-            If the sets overlap, or the network does not have a variable.
-
-        References
-        ----------
-        Koller and Friedman (2009), section 3.3.
+        Sets must be disjoint (Koller and Friedman, 2009, section 3.3).
 
         Examples
         --------
-        >>> from pgm import GaussianCPD, LinearGaussianCPD, variables
-        >>> a, b, c = variables("a b c")
-        >>> net = BayesianNetwork([
-        ...     GaussianCPD(a, 0.0, 1.0),
-        ...     GaussianCPD(b, 0.0, 1.0),
-        ...     LinearGaussianCPD(c, given={a: 1.0, b: 1.0}, cov=0.1),
+        >>> a, b, c = pgm.variables("a b c")
+        >>> net = pgm.BayesianNetwork([
+        ...     pgm.GaussianCPD(a, 0.0, 1.0),
+        ...     pgm.GaussianCPD(b, 0.0, 1.0),
+        ...     pgm.LinearGaussianCPD(c, given={a: 1.0, b: 1.0}, cov=0.1),
         ... ])
         >>> net.d_separated(a, b), net.d_separated(a, b, given=c)
         (True, False)

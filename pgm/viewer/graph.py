@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
-from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.cluster import Edge
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian, Table

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import BoundEvidence, Reading
-from pgm.evidence.unidentified import JOINT, SUM
+from pgm.evidence.values import JOINT, SUM
 from pgm.inference.associations import Associations, collected
 from pgm.inference.chain import certificate, joint_compatibility
 from pgm.inference.chain.gate import Asked
@@ -29,7 +29,7 @@ from pgm.inference.chain.vector import vector
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels import normal, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
-from pgm.kernels.semirings import log_sum
+from pgm.kernels.tables import log_sum
 from pgm.linearisers import Lineariser
 from pgm.progress import counted
 from pgm.variables import Variable

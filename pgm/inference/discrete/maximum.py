@@ -24,16 +24,16 @@ from pgm.inference.discrete.evidence import Distinct, some_runs, tree_pieces
 from pgm.inference.discrete.place import steps
 from pgm.inference.discrete.tree_passes import collect, enter, require_possible
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
-from pgm.inference.executors import Workers
 from pgm.inference.limits import Room, require_runs
 from pgm.inference.markov.chain import require_chain
 from pgm.inference.markov.marginals import most_probable_path
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.run import require_beliefs
+from pgm.inference.parts.workers import Workers
 from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.kernels.semirings import MAX_PRODUCT
+from pgm.kernels.tables import MAX_PRODUCT
 from pgm.progress import Progress, counted, reporting
 from pgm.variables import Discrete, Variable
 

@@ -14,14 +14,12 @@ from pgm.boundary import as_generator, as_lengths, is_whole
 from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.factors.frames import Framed
-from pgm.factors.scope import Scope
+from pgm.factors.listing import Framed
+from pgm.factors.scope import Scope, places_of, whole_variables
 from pgm.immutable import Immutable
-from pgm.inference.components import places_of, whole_variables
 from pgm.inference.grid.lattice import Axis
 from pgm.inference.summaries import moments_of
-from pgm.kernels.angles import wrap
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, wrap
 from pgm.variables import Variable
 
 

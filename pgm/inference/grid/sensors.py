@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.cpds import CPD, ConditionalGaussian
-from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.errors import EvidenceError
 from pgm.inference.grid.dependence import MEASURED, Reduced, blocks, centres, within
 from pgm.inference.grid.lattice import Window
@@ -41,8 +41,7 @@ from pgm.inference.grid.values import (
     root_of,
     settled,
 )
-from pgm.kernels.angles import wrap
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, wrap
 
 # Exponents below this are none: products of such numbers would be slow, denormal ones.
 _LEAST = -600.0

@@ -11,14 +11,12 @@ import numpy.typing as npt
 
 from pgm.display import Summary, axes
 from pgm.errors import ModelError
-from pgm.factors.scope import listed
-from pgm.inference.components import places_of
+from pgm.factors.scope import listed, places_of
 from pgm.inference.grid.belief import PointMasses, closed
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.model import Part
 from pgm.inference.summaries import moments_of, spread
-from pgm.kernels.angles import TURN, wrap
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import TURN, Array, Integers, wrap
 
 
 class ParticleBelief(PointMasses):

@@ -10,15 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD
-from pgm.cpds.mixture import chosen, log_mixed
-from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.cpds.mixture import UnidentifiedCPD, by_run, chosen, log_mixed
 from pgm.cpds.values import Known
 from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import distinct_labels
-from pgm.inference.checks import require_density
+from pgm.inference.options import require_density
 from pgm.inference.particles.laws import Drawing, GaussianLaw, Law, Some, States, by_pattern
-from pgm.inference.runs import by_run
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable

@@ -1,8 +1,8 @@
 r"""Proposals: particles drawn where the measurements of their step are, guided or over cells.
 
-For guided ones the noise of the transition is white noise w under its root, x_t = f(x_{t−1}) + L w, CPD by CPD. A
-lineariser makes of each particle a chain of one step, begun at the particle, whose Gaussian belief
-given the measurements is one of w,
+For guided ones the noise of the transition is white noise w under its root, x_t = f(x_{t−1}) + L w,
+CPD by CPD. A lineariser makes of each particle a chain of one step, begun at the particle, whose
+Gaussian belief given the measurements is one of w,
 
 .. math:: q(w) = N(w;\, A^{-1}(μ^+ - μ^-),\, A^{-1} P^+ A^{-T}), \qquad P^- = A A^T,
 
@@ -31,16 +31,15 @@ from pgm.immutable import Immutable
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
-from pgm.inference.checks import require_gaussian, require_plain
+from pgm.inference.options import require_gaussian, require_plain
 from pgm.inference.particles.cloud import BLOCK
 from pgm.inference.particles.laws import Drawing, Some, States
 from pgm.inference.particles.model import ParticleModel, Sensor
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
-from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array, quiet
+from pgm.kernels.arrays import TURN, Array, quiet
 from pgm.kernels.resampling import indices, systematic
-from pgm.kernels.semirings import log_sum
+from pgm.kernels.tables import log_sum
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable

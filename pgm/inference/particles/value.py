@@ -8,7 +8,7 @@ from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
-from pgm.inference.checks import require_lineariser
+from pgm.inference.options import require_lineariser
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
 from pgm.inference.particles.proposals import CellProposal
 from pgm.kernels.arrays import Array

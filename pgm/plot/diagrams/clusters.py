@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Rectangle
 
 from pgm.clustergraph import Cluster, ClusterGraph
-from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.cluster import Edge
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
