@@ -52,17 +52,12 @@ class CellGrid(Immutable):
     origin: Array
 
     def at(self, points: npt.ArrayLike) -> Cells:
-        """The cells that points lie in.
+        """The cells that points lie in, (...).
 
         Parameters
         ----------
         points : array_like
             (..., 2): x and y [m].
-
-        Returns
-        -------
-        Cells
-            Rows, columns, and whether the map has them, (...).
 
         Raises
         ------
@@ -76,17 +71,7 @@ class CellGrid(Immutable):
         return Cells(rows, columns, inside)
 
     def centres(self, rows: npt.ArrayLike, columns: npt.ArrayLike) -> Array:
-        """The centres of cells [m], (..., 2).
-
-        Parameters
-        ----------
-        rows, columns : array_like
-            (...).
-
-        Returns
-        -------
-        ndarray
-            (..., 2).
+        """The centres [m], (..., 2), of cells by their rows and columns, (...).
 
         Raises
         ------

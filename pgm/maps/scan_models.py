@@ -262,15 +262,12 @@ class BeamModel(ScanCPD):
     def expected(self, poses: npt.ArrayLike) -> Array:
         """The ranges that the map lets expect of the beams in use, (..., beams) [m].
 
+        They are `most` where there is no obstacle up to there.
+
         Parameters
         ----------
         poses : array_like
             (..., 3), of the sensor: x, y [m], heading [rad].
-
-        Returns
-        -------
-        ndarray
-            (..., beams); `most` where there is no obstacle up to there.
 
         Raises
         ------
