@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,7 +17,7 @@ from pgm.inference.associations import by_density
 from pgm.inference.grid.belief import GridBelief, scope_axes
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.run import require_room
-from pgm.inference.grid.slices import GridModel, GridSlices, Tested
+from pgm.inference.grid.slices import GridModel, GridSlices, Tested, Worst
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.online import step_evidence
@@ -257,10 +257,7 @@ class OnlineGrid(InCode, Immutable):
         values = np.array([belief for _, belief, _ in found], dtype=self.belief.dtype)
         log_density = np.array([density for *_, density in found]).reshape(lead)
         outside = np.array([s.outside.get(step, 0.0) for s, *_ in found]).reshape(*lead, 1)
-        sharpest = max((s.sharpest for s, *_ in found), key=lambda each: each.cells)
-        narrowest = min((s.narrowest for s, *_ in found), key=lambda each: each.cells)
-        cut = max((s.cut for s, *_ in found), key=lambda each: each.share)
-        uneven = max((s.uneven for s, *_ in found), key=lambda each: each.share)
+        worst = reduce(Worst.of, (s.worst for s, *_ in found))
         added = {
             axis.label: np.array([s.added[k] * axis.width**2 for s, *_ in found]).reshape(lead)
             for k, axis in enumerate(lattice.axes)
@@ -275,11 +272,8 @@ class OnlineGrid(InCode, Immutable):
             past = before.status.outside_by_step
             past = np.broadcast_to(past, (*lead, past.shape[-1]))
             outside = past.copy() if kind == FILTERED else np.concatenate([past, outside], axis=-1)
-            sharpest = max(sharpest, before.status.sharpest, key=lambda each: each.cells)
-            narrowest = min(narrowest, before.status.narrowest, key=lambda each: each.cells)
-            cut = max(cut, before.status.cut, key=lambda each: each.share)
-            uneven = max(uneven, before.status.uneven, key=lambda each: each.share)
-        status = GridStatus(outside, added, sharpest, narrowest, cut, sorted(split), uneven=uneven)
+            worst = worst.of(before.status._worst)
+        status = GridStatus(outside, added, worst, sorted(split))
         status.warn(None if before is None else before.status)
         values = values.reshape(*lead, *lattice.shape)
         log_density = np.asarray(log_density)

@@ -9,11 +9,9 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
-from pgm.inference.grid.densities import EVEN
 from pgm.inference.grid.lattice import Lattice, resolve
-from pgm.inference.grid.measured import Sharpness
 from pgm.inference.grid.posterior import GridPosterior
-from pgm.inference.grid.slices import Cut, GridModel, GridSlices, Narrowness
+from pgm.inference.grid.slices import GridModel, GridSlices, Worst
 from pgm.inference.grid.status import GridStatus, Refinement
 from pgm.inference.grid.value import Grid
 from pgm.inference.markov.chain import StateChain, kind_of, require_chain
@@ -92,9 +90,8 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
     filtered = np.zeros(shape, dtype=grid.dtype)
     smoothed = np.zeros(shape, dtype=grid.dtype) if smoothing else None
     log_evidence, outside = np.zeros(bound.runs), np.zeros((bound.runs, bound.steps + 1))
-    added, sharpest = np.zeros((bound.runs, len(lattice.axes))), Sharpness(0.0, None, 0)
-    narrowest, cut, split = Narrowness(np.inf, "", 0), Cut(0.0, 0), frozenset[int]()
-    uneven = EVEN
+    added = np.zeros((bound.runs, len(lattice.axes)))
+    worst, split = Worst(), frozenset[int]()
     for k in counted(range(bound.runs), "runs"):
         slices = GridSlices(model, k, grid.dtype if smoothing else None)
         chain = _Kept(slices, filtered[k]).run()
@@ -108,11 +105,8 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         log_evidence[k] = float(chain.log_density.sum())
         outside[k] = [slices.outside[step] for step in range(bound.steps + 1)]
         added[k] = slices.added
-        sharpest = max(sharpest, slices.sharpest, key=lambda each: each.cells)
-        narrowest = min(narrowest, slices.narrowest, key=lambda each: each.cells)
+        worst = worst.of(slices.worst)
         split |= slices.split
-        cut = max(cut, slices.cut, key=lambda each: each.share)
-        uneven = max(uneven, slices.uneven, key=lambda each: each.share)
     lead = bound.lead
     status = GridStatus(
         outside.reshape(*lead, -1),
@@ -120,11 +114,8 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
             axis.label: (added[:, k] * axis.width**2).reshape(lead)
             for k, axis in enumerate(lattice.axes)
         },
-        sharpest,
-        narrowest,
-        cut,
+        worst,
         tuple(axis.label for k, axis in enumerate(lattice.axes) if k in split),
-        uneven=uneven,
     )
     filtered = filtered.reshape(*lead, *shape[1:])
     values = (filtered,) if smoothed is None else (smoothed.reshape(filtered.shape), filtered)

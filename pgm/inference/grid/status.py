@@ -12,9 +12,9 @@ import numpy as np
 from pgm.display import Shown, Summary, brief, number
 from pgm.errors import GridWarning
 from pgm.immutable import Immutable
-from pgm.inference.grid.densities import EVEN, Uneven
+from pgm.inference.grid.densities import Uneven
 from pgm.inference.grid.measured import Sharpness
-from pgm.inference.grid.slices import Cut, Narrowness
+from pgm.inference.grid.slices import Cut, Narrowness, Worst
 from pgm.inference.status import _levels_to_user
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
@@ -122,13 +122,10 @@ class GridStatus(Shown, Immutable):
         self,
         outside_by_step: Array,
         added: Mapping[str, Array],
-        sharpest: Sharpness,
-        narrowest: Narrowness,
-        cut: Cut,
+        worst: Worst,
         split: Sequence[str] = (),
         refinements: Sequence[Refinement] = (),
         converged: bool = True,
-        uneven: Uneven = EVEN,
     ) -> None:
         added = {name: np.asarray(value) for name, value in added.items()}
         outside = np.asarray(1.0 - np.prod(1.0 - outside_by_step, axis=-1))
@@ -138,11 +135,8 @@ class GridStatus(Shown, Immutable):
             outside=outside,
             outside_by_step=outside_by_step,
             added=MappingProxyType(added),
-            sharpest=sharpest,
-            narrowest=narrowest,
-            cut=cut,
+            **worst._asdict(),
             split=tuple(split),
-            uneven=uneven,
             refinements=tuple(refinements),
             converged=np.bool_(converged),
         )
@@ -159,8 +153,12 @@ class GridStatus(Shown, Immutable):
 
     def refined(self, refinements: Sequence[Refinement], converged: bool) -> GridStatus:
         """The same status with the resolutions that led there."""
-        found = self.outside_by_step, self.added, self.sharpest, self.narrowest
-        return GridStatus(*found, self.cut, self.split, refinements, converged, self.uneven)
+        found = self.outside_by_step, self.added, self._worst, self.split
+        return GridStatus(*found, refinements, converged)
+
+    @property
+    def _worst(self) -> Worst:
+        return Worst(self.sharpest, self.narrowest, self.cut, self.uneven)
 
     @property
     def lost(self) -> bool:
@@ -186,43 +184,34 @@ class GridStatus(Shown, Immutable):
             If more than 10⁻³ has left in a run, or may have been cut off, a density is narrow for
             the cells, or refining has not converged.
         """
-        if self.rough and not (before and before.rough):
-            message = (
+        told = before or GridStatus(np.zeros((1, 1)), {}, Worst())
+        if self.rough and not told.rough:
+            _warn(
                 f"the density of {self.uneven.variable!r} at step {self.uneven.step} is narrow for "
                 f"the cells: its sum over their centres differs by {self.uneven.share:.2g} with "
                 "where between centres it stands (status.uneven): take narrower cells, or a "
                 "Gaussian CPD, or a mixture of such, which is moved by displacements"
             )
-            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
-        if self.lost and not (before and before.lost):
-            message = (
+        if self.lost and not told.lost:
+            _warn(
                 f"the evidence at step {self.cut.step} is so far from what was believed that up to "
                 f"{self.cut.share:.2g} of the belief stands where it had been cut off "
                 "(status.cut): beliefs and log-evidence are wrong from there on; look for a "
                 "mistaken measurement, or give the prior or the motion more noise"
             )
-            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
-        if self.much and not (before and before.much):
-            most = float(self.outside.max())
-            runs = int((self.outside > MUCH).sum())
-            step = int(
-                self.outside_by_step.reshape(-1, self.outside_by_step.shape[-1])
-                .max(axis=0)
-                .argmax()
+        if self.much and not told.much:
+            steps = self.outside_by_step.reshape(-1, self.outside_by_step.shape[-1]).max(axis=0)
+            _warn(
+                f"up to {float(self.outside.max()):.2g} of the probability has left the bounds of "
+                f"the grid, in {int((self.outside > MUCH).sum())} of {self.outside.size} runs, "
+                f"most of it at step {int(steps.argmax())} (status.outside): widen the bounds"
             )
-            message = (
-                f"up to {most:.2g} of the probability has left the bounds of the grid, in {runs} "
-                f"of {self.outside.size} runs, most of it at step {step} (status.outside): widen "
-                "the bounds"
-            )
-            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
         if not self.converged:
             last = self.refinements[-1]
-            message = (
+            _warn(
                 f"the figure of refine= still changes by {last.change:.2g} at {last.cells} cells "
                 "(status.refinements): allow more doublings, or a larger tolerance"
             )
-            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
 
     @property
     def _title(self) -> str:
@@ -265,3 +254,7 @@ class GridStatus(Shown, Immutable):
             settled = "settled" if self.converged else "not settled"
             parts.append(f"refined {len(self.refinements) - 1} times to {cells} cells, {settled}")
         return parts
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
