@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.inference.associations import Found, collected
-from pgm.inference.grid.belief import GridBelief, require_step, scope_axes
+from pgm.inference.grid.belief import GridBelief, PointMasses, require_step, scope_axes
 from pgm.inference.grid.dependence import centres
 from pgm.inference.grid.lattice import Lattice
 from pgm.inference.grid.status import GridStatus
@@ -30,9 +30,47 @@ from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
+Belief = TypeVar("Belief", bound=PointMasses)
+
+
+class PointPosterior(Labelled, Viewed, Shown, NoArray, Generic[Belief]):
+    """Base of posteriors over time whose beliefs are point masses."""
+
+    # Python would else iterate by asking for the variables 0, 1, ...
+    __iter__: ClassVar[None] = None
+
+    _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
+
+    def __getitem__(self, variable: Variable) -> Belief:
+        """The marginal of a state, or of a hidden control that was drawn.
+
+        Parameters
+        ----------
+        variable : Variable
+            ``x``, of all steps, or ``x.at(3)``.
+
+        Returns
+        -------
+        GridBelief or ParticleBelief
+            Leading axes (*runs, T+1) of a state over time, (*runs, T) of a hidden control,
+            (*runs) at a step.
+
+        Raises
+        ------
+        EvidenceError
+            If it is no hidden variable of the network that beliefs are over.
+        ModelError
+            If it stands after the last step.
+        """
+        return self.joint(require_variable(variable))
+
+    def joint(self, *variables: Variable) -> Belief:
+        """The joint of some variables."""
+        raise NotImplementedError
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GridPosterior(Labelled, Viewed, Shown, NoArray):
+class GridPosterior(PointPosterior[GridBelief]):
     """The beliefs of a dynamic network's states on a grid.
 
     Attributes
@@ -71,11 +109,6 @@ class GridPosterior(Labelled, Viewed, Shown, NoArray):
     _values: npt.NDArray[Any]
     _filtered: npt.NDArray[Any] | None = None
 
-    # Python would else iterate by asking for the variables 0, 1, ...
-    __iter__: ClassVar[None] = None
-
-    _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
-
     def __post_init__(self) -> None:
         self.log_evidence.flags.writeable = False
 
@@ -100,28 +133,6 @@ class GridPosterior(Labelled, Viewed, Shown, NoArray):
         if self._filtered is None:
             return self
         return replace(self, kind=FILTERED, _values=self._filtered, _filtered=None)
-
-    def __getitem__(self, variable: Variable) -> GridBelief:
-        """The marginal of a state.
-
-        Parameters
-        ----------
-        variable : Variable
-            ``x``, of all steps, or ``x.at(3)``.
-
-        Returns
-        -------
-        GridBelief
-            Leading axes (*runs, T+1) of a state over time, (*runs) at a step.
-
-        Raises
-        ------
-        EvidenceError
-            If it is no state of the network.
-        ModelError
-            If it stands after the last step.
-        """
-        return self.joint(require_variable(variable))
 
     def joint(self, *variables: Variable) -> GridBelief:
         """The joint of some states of one slice.

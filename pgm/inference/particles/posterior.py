@@ -6,24 +6,23 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar
 
 import numpy as np
 
 from pgm.compile import DynamicGraph
 from pgm.cpds.mixture import UnidentifiedCPD
-from pgm.display import NoArray, Shown, Summary
+from pgm.display import Summary
 from pgm.errors import EvidenceError
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.inference.associations import Found, collected
 from pgm.inference.grid.belief import require_step
+from pgm.inference.grid.posterior import PointPosterior
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.laws import Some
 from pgm.inference.particles.model import ParticleModel, Sensor, parts
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
-from pgm.inference.posterior import Labelled, Viewed, require_variable
 from pgm.inference.status import FILTERED, Kind
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
@@ -31,7 +30,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParticlePosterior(Labelled, Viewed, Shown, NoArray):
+class ParticlePosterior(PointPosterior[ParticleBelief]):
     """The beliefs of a dynamic network as weighted draws.
 
     Attributes
@@ -65,11 +64,6 @@ class ParticlePosterior(Labelled, Viewed, Shown, NoArray):
     _model: ParticleModel
     _clouds: tuple[Cloud, ...]
     _filtered: tuple[Cloud, ...]
-
-    # Python would else iterate by asking for the variables 0, 1, ...
-    __iter__: ClassVar[None] = None
-
-    _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
 
     def __post_init__(self) -> None:
         self.log_evidence.flags.writeable = False
@@ -117,29 +111,6 @@ class ParticlePosterior(Labelled, Viewed, Shown, NoArray):
         if self.kind == FILTERED:
             return self
         return replace(self, kind=FILTERED, _clouds=self._filtered)
-
-    def __getitem__(self, variable: Variable) -> ParticleBelief:
-        """The marginal of a state or hidden control.
-
-        Parameters
-        ----------
-        variable : Variable
-            ``x``, of all steps, or ``x.at(3)``.
-
-        Returns
-        -------
-        ParticleBelief
-            Leading axes (*runs, T+1) of a state over time, (*runs, T) of a hidden control,
-            (*runs) at a step.
-
-        Raises
-        ------
-        EvidenceError
-            If it is no hidden variable of the network.
-        ModelError
-            If it stands after the last step.
-        """
-        return self.joint(require_variable(variable))
 
     def joint(self, *variables: Variable) -> ParticleBelief:
         """The joint of some variables: of one slice, and of a smoother of any steps.
