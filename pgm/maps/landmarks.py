@@ -12,7 +12,7 @@ from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.maps.given import as_finite
+from pgm.maps.cells import as_finite
 
 
 class FeatureMap(InCode, Immutable):

@@ -16,9 +16,8 @@ from pgm.errors import FileError, ModelError
 from pgm.kernels import planar, rays
 from pgm.kernels.arrays import Array, Mask, frozen
 from pgm.maps import files
-from pgm.maps.cells import CellGrid
+from pgm.maps.cells import CellGrid, as_angles, as_finite, as_mask, as_pose, as_positive, as_share
 from pgm.maps.files import FREE, OCCUPIED
-from pgm.maps.given import as_angles, as_finite, as_mask, as_pose, as_positive, as_share
 from pgm.maps.uniform import UniformPose
 from pgm.sizes import require_memory
 from pgm.variables import Variable

@@ -10,7 +10,7 @@ from pgm.cpds.values import Known, Values
 from pgm.errors import ModelError
 from pgm.kernels import planar, rays
 from pgm.kernels.arrays import LOG_2PI, Array
-from pgm.maps.given import as_positive, as_share
+from pgm.maps.cells import as_positive, as_share
 from pgm.maps.occupancy import OccupancyMap, blocks
 from pgm.maps.scans import ScanCPD
 from pgm.variables import Variable

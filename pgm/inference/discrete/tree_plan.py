@@ -22,9 +22,8 @@ from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.structure import Forest
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
-from pgm.inference.discrete.evidence import at_once
 from pgm.inference.discrete.place import LARGE, Place, positions, steps
-from pgm.inference.discrete.storage import Storage, sepset_between
+from pgm.inference.discrete.storage import Storage, at_once, sepset_between
 from pgm.inference.discrete.sums import (
     BlockProduct,
     GatheredProduct,
