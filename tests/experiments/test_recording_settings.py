@@ -12,8 +12,9 @@ import pgm
 from experiments import recordings
 from experiments.recordings import drives, setting_file
 from experiments.recordings.setting_file import READERS, described
+from experiments.recordings.settings import Sensor
 from models import motion
-from models.networks import pose
+from models.networks import distance, pose
 from pgm import consistency
 from tests.models.test_pose_graphs import written
 
@@ -101,6 +102,8 @@ def test_dead_reckoning_of_one_trajectory_against_another(tmp_path):
     placed = motion.increment(np.tile(TRUE[4], (37, 1)), seen)
     due = np.sqrt(np.mean(np.sum((placed - TRUE[4:])[:, :2] ** 2, axis=1)))
     assert found["dead reckoning"][""]["rmse"] == pytest.approx(due, rel=1e-9)
+    end = np.linalg.norm((placed - TRUE[4:])[-1, :2])
+    assert found["dead reckoning"][""]["end"] == pytest.approx(end, rel=1e-9)
 
 
 def test_a_trajectory_is_odometry_and_another_a_sensor(tmp_path):
@@ -108,7 +111,7 @@ def test_a_trajectory_is_odometry_and_another_a_sensor(tmp_path):
     told = described(trajectories(tmp_path, more), "tum")
     drive = drives.laid(told.name, told.setting, drives.read(told.setting, told.path))
     assert drive.timeline.times[0] == TIMES[4]
-    assert set(np.concatenate(list(drive.labels.values()))) == {"poses"}
+    assert [variable.name for variable in drive.sensors] == ["poses"]
     errors = [
         consistency.rmse(pgm.smooth(drive.network(), e)[pose], drive.truth, ("east", "north"))
         for e in (drive.motion, drive.evidence)
@@ -284,3 +287,9 @@ def test_refusals(tmp_path):
         recordings.run(data="pose_graph")
     with pytest.raises(pgm.errors.FileError, match=r"none.toml: it cannot be read \(No such file"):
         setting_file.described(tmp_path / "none.toml", "csv")
+
+
+def test_sensors_have_variables_of_their_own():
+    two = tuple(Sensor(name, "range", (1.0,)) for name in ("x", "radio"))
+    assert [variable.name for variable in drives.named(two)] == ["z of x", "radio"]
+    assert list(drives.named(two[:1])) == [distance]
