@@ -12,7 +12,7 @@ LAYERS = [
         *("boundary", "display", "errors", "immutable", "optional", "progress", "sizes"),
         *("variables", "kernels"),
     },
-    {"factors"},
+    {"factors", "tracing"},
     {"linearisers"},
     {"cpds", "maps"},
     {"evidence"},

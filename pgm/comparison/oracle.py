@@ -24,7 +24,7 @@ from pgm.inference import (
     Smoothing,
     infer,
 )
-from pgm.inference.kind import FILTERED, SMOOTHED
+from pgm.inference.status import FILTERED, SMOOTHED
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 

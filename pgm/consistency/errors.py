@@ -15,8 +15,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
 from pgm.inference import GridBelief, Innovations, ParticleBelief
 from pgm.kernels import roots
-from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner
+from pgm.kernels.arrays import Array, Integers, Mask, block, difference, independent, inner
 
 
 def check_gaussian(belief: Any) -> Gaussian:

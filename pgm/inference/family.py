@@ -13,9 +13,7 @@ import numpy as np
 from pgm.cpds import AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, dimension
-from pgm.inference import faults
-from pgm.inference.rows import At, Rows, own_noise
-from pgm.kernels.angles import nearest_branch
+from pgm.inference.rows import At, Rows, failure, own_noise, require_finite
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -24,6 +22,7 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     cut,
+    nearest_branch,
     quiet,
     times,
     vacant,
@@ -142,9 +141,8 @@ class Family(Rows):
             part.noise = part.noise.copy("K")
         return part
 
-    def put(self, first: int, part: Family) -> None:
-        """Keep what some of the rows, from the first of them on, were linearised to."""
-        rows = slice(first, first + part.step.size)
+    def put(self, rows: slice | tuple[slice, slice], part: Family) -> None:
+        """Keep the linearisations of some of the rows, or of the rows and runs."""
         if not self.exact:
             self.matrix[rows], self.offset[rows] = part.matrix, part.offset
         if part.approximate:
@@ -198,10 +196,10 @@ class Family(Rows):
         try:
             return self.prepared(function, mean, cov)
         except Exception as error:
-            failure = faults.failure(self, function, mean, error)
-            if failure is error:
+            refusal = failure(self, function, mean, error)
+            if refusal is error:
                 raise
-            raise failure from (None if isinstance(error, Misfit) else error)
+            raise refusal from (None if isinstance(error, Misfit) else error)
 
     def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
         """Keep the linearisation of a step's rows; the noise where it includes an error."""
@@ -272,7 +270,7 @@ class Family(Rows):
             at = components_first(mean, 1)
             line = self.line(_unplaced(function), at, components_first(cov, 2))
             if finite:
-                faults.require_finite(self, function, at, line)
+                require_finite(self, function, at, line)
         return line
 
     def store(
@@ -353,19 +351,40 @@ class Family(Rows):
         if self.template is None or not self.step.size:
             return
         axes = (2, 3)
+        known = [
+            None if value is None else np.broadcast_to(value, (*axes, value.size))
+            for value in self._observed
+        ]
         parts = [means.get(v.template, np.zeros(v.dimension)) for v in self.hidden]
         x = np.broadcast_to(np.concatenate([np.zeros(0), *parts]), (*axes, dimension(self.hidden)))
-        known = [
-            np.broadcast_to(self.inputs[parent][0, 0], (*axes, parent.dimension))
+        function = BoundFunction(self.template, known, 2, source=Source(self.cpd, True, None))
+        with np.errstate(all="ignore"):
+            function(x)
+            if len(self.template.missing) < self.template.size:
+                function.jacobian(x)
+
+    def confirm(self, means: Mapping[Variable, Array]) -> None:
+        """Compare the function with its trace, about the means and its first evidence."""
+        template = self.template
+        if template is None or template.tracer is None or not template.missing:
+            return
+        template.tracer.confirm(
+            [
+                means.get(parent.template, np.zeros(parent.dimension)) if value is None else value
+                for parent, value in zip(template.given, self._observed, strict=True)
+            ]
+        )
+
+    @property
+    def _observed(self) -> list[Array | None]:
+        """The first values of each argument with evidence, (d,)."""
+        assert self.template is not None
+        return [
+            (self.inputs[parent][0, 0] if self.step.size else np.zeros(parent.dimension))
             if place is None
             else None
             for parent, place in zip(self.template.given, self.template.places, strict=True)
         ]
-        function = BoundFunction(self.template, known, 2, source=Source(self.cpd, True, None))
-        with np.errstate(all="ignore"):
-            function(x)
-            if len(self.template.numerical) < self.template.size:
-                function.jacobian(x)
 
 
 def _unplaced(function: BoundFunction) -> At:

@@ -20,8 +20,7 @@ from pgm.io.stamped import (
     rows_text,
     sealed,
 )
-from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers, Mask, difference
 from pgm.variables import Variable
 
 Kind = Literal["odometry", "velocities"]

@@ -16,6 +16,7 @@ from operator import or_
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
+from pgm.clustergraph.structure import Forest
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference.discrete.enumeration import Enumeration
@@ -30,7 +31,6 @@ from pgm.inference.discrete.sums import (
     Sum,
     summed,
 )
-from pgm.inference.forest import Forest
 from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete

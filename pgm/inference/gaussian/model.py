@@ -17,8 +17,16 @@ from pgm.evidence.static import BoundValues
 from pgm.factors.scope import names
 from pgm.inference.family import Family
 from pgm.inference.gaussian.layout import Group, Layout
-from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Integers, Mask, apply, deviation, sandwich, transpose
+from pgm.kernels.arrays import (
+    Array,
+    Integers,
+    Mask,
+    apply,
+    deviation,
+    nearest_branch,
+    sandwich,
+    transpose,
+)
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
@@ -165,6 +173,7 @@ class Model:
         taken = [_taken(group, bound) for group in layout.groups]
         for family in families:
             family.probe({})
+            family.confirm({})
         alike = all(mask is None or mask.shape[1] == 1 for mask in taken)
         shared = alike and all(
             family.exact and family.own_noise.shape[1] == 1 for family in families

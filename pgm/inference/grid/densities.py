@@ -28,8 +28,7 @@ from pgm.inference.grid.values import (
     require_noise,
     settled,
 )
-from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import LOG_2PI, Array, Integers
+from pgm.kernels.arrays import LOG_2PI, TURN, Array, Integers
 from pgm.kernels.lattice import Span
 from pgm.sizes import require_memory
 from pgm.variables import Variable

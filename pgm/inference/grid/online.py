@@ -22,9 +22,9 @@ from pgm.inference.grid.run import require_room
 from pgm.inference.grid.slices import GridModel, GridSlices, Tested
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
-from pgm.inference.kind import FILTERED, PREDICTED, Kind
 from pgm.inference.online import step_evidence
 from pgm.inference.posterior import require_variable
+from pgm.inference.status import FILTERED, PREDICTED, Kind
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork

@@ -24,8 +24,8 @@ from pgm.inference.grid.lattice import Lattice
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.grid.values import at_a_time, known_at
-from pgm.inference.kind import FILTERED, Kind
 from pgm.inference.posterior import Labelled, Viewed, require_variable
+from pgm.inference.status import FILTERED, Kind
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable

@@ -18,9 +18,9 @@ from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.slices import GridModel, GridSlices, Narrowness
 from pgm.inference.grid.status import GridStatus, Refinement
 from pgm.inference.grid.value import Grid
-from pgm.inference.kind import SMOOTHED, Kind
 from pgm.inference.markov.chain import StateChain, kind_of, require_chain
 from pgm.inference.schedule import Schedule
+from pgm.inference.status import SMOOTHED, Kind
 from pgm.kernels.arrays import Array
 from pgm.progress import counted
 from pgm.sizes import NUMBER, gibibytes, require_memory

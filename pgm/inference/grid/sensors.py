@@ -43,8 +43,7 @@ from pgm.inference.grid.values import (
     root_of,
     settled,
 )
-from pgm.kernels.angles import wrap
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, wrap
 
 # Exponents below this are none: products of such numbers would be slow, denormal ones.
 _LEAST = -600.0

@@ -19,8 +19,7 @@ from pgm.immutable import Immutable
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.model import Part
 from pgm.inference.summaries import moments_of, spread
-from pgm.kernels.angles import TURN, wrap
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import TURN, Array, Integers, wrap
 
 
 class ParticleBelief(Framed, Shown, NoArray, Immutable):

@@ -16,7 +16,6 @@ from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
 from pgm.inference.associations import by_density
-from pgm.inference.kind import FILTERED, PREDICTED, Kind
 from pgm.inference.online import step_evidence
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.chain import ParticleChain
@@ -27,6 +26,7 @@ from pgm.inference.particles.run import require_fitting, require_room
 from pgm.inference.particles.status import ParticleStatus, Record
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import require_variable
+from pgm.inference.status import FILTERED, PREDICTED, Kind
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork

@@ -17,7 +17,6 @@ from pgm.factors.scope import Scope, as_scope, listed
 from pgm.immutable import Immutable
 from pgm.inference.associations import Found, collected
 from pgm.inference.grid.belief import require_step
-from pgm.inference.kind import FILTERED, Kind
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.laws import Some
@@ -25,6 +24,7 @@ from pgm.inference.particles.model import ParticleModel, Sensor, parts
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import Labelled, Viewed, require_variable
+from pgm.inference.status import FILTERED, Kind
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
