@@ -1,4 +1,4 @@
-"""Builds the wheel: the viewer's modules joined, and the archive deflated by zopfli."""
+"""Builds the wheel: the viewer's script joined and minified, the archive deflated by zopfli."""
 
 import runpy
 import tempfile
@@ -7,28 +7,46 @@ from pathlib import Path
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-# Over each file: the wheel is 3 % smaller than by zlib; 15 passes take off 0.05 % more.
-PASSES = 5
+# Over each file: the wheel is 3 % smaller than by zlib, and 5 passes would leave 0.06 % more.
+PASSES = 40
 
 
 class WheelHook(BuildHookInterface):
-    """Puts the joined ``pgm/viewer/script.js`` into a wheel, and writes the wheel small."""
+    """Puts the viewer's script and style into a wheel, minified, and writes the wheel small."""
 
     def initialize(self, version, build_data):
-        """Write the script beside the wheel's other files; a checkout keeps its modules."""
+        """Write them beside the wheel's other files; a checkout keeps its modules."""
         if version == "editable":
             return
-        module = runpy.run_path(str(Path(self.root) / "pgm" / "viewer" / "scripts.py"))
+        viewer = Path(self.root) / "pgm" / "viewer"
+        texts = {
+            "script.js": runpy.run_path(str(viewer / "scripts.py"))["joined"](),
+            "viewer.css": (viewer / "viewer.css").read_text("utf-8"),
+        }
         self.folder = tempfile.TemporaryDirectory()
-        script = Path(self.folder.name) / "script.js"
-        script.write_text(module["joined"](), encoding="utf-8")
-        build_data["force_include"][str(script)] = "pgm/viewer/script.js"
+        for name, text in texts.items():
+            file = Path(self.folder.name) / name
+            file.write_text(minified(name, text), encoding="utf-8")
+            build_data["force_include"][str(file)] = f"pgm/viewer/{name}"
 
     def finalize(self, version, build_data, artifact_path):
         """Remove what was written for the build, and deflate the wheel again."""
         if version != "editable":
             self.folder.cleanup()
             deflate(Path(artifact_path))
+
+
+def minified(name, text):
+    """The text of a script or a style sheet without what a browser does not need.
+
+    Where the minifier publishes no binary (pyproject.toml excepts Apple's processors) it is
+    missing, and the text stays as it is: larger, and the same to a browser.
+    """
+    try:
+        from minify import string
+    except ImportError:
+        return text
+    return string({".js": "text/javascript", ".css": "text/css"}[Path(name).suffix], text)
 
 
 def deflate(path):

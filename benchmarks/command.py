@@ -14,7 +14,7 @@ from benchmarks.choice import Choice, short
 from benchmarks.row import Row
 from benchmarks.verdicts import verdicts
 from experiments.record import folder, note, table, versions
-from pgm.io.whole import whole
+from pgm.io.sources import whole
 
 OUT = Path("results") / "bench"
 PEERS = (

@@ -21,7 +21,7 @@ from rich.table import Table
 
 from experiments.best import best_cells
 from pgm.errors import PgmError
-from pgm.io.whole import whole
+from pgm.io.sources import whole
 
 Out = Annotated[Path | None, typer.Option(help="Folder for results; results/NAME without.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything that is drawn.")]

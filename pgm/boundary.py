@@ -110,21 +110,10 @@ def as_floats(
 ) -> Array:
     """An array of floats of what a user gives, which may be the user's own; truth is one.
 
-    Parameters
-    ----------
-    value : array_like
-    what : str
-        The subject of the message.
-    error : type of PgmError
-        Raised if it is none, with the keywords that are left over.
-    labels : sequence of str
-        Names of the entries along the last axis. A structured array or data frame is taken by
-        these names, in any order, and refused if its columns have other ones; a data frame whose
-        columns have no names is taken as it stands.
-    missing : bool
-        Whether an entry may be missing: masked ones, None and pandas' NA are then NaN.
-    verb : str
-        What it must do: be numbers, or return them.
+    `what` is the subject of the message, and `verb` what it must do: be numbers, or return them.
+    `labels` name the entries along the last axis: a structured array or data frame is taken by
+    them, in any order, and refused if its columns have other ones; a data frame whose columns have
+    no names is taken as it stands. With `missing`, masked entries, None and pandas' NA are NaN.
     """
     if type(value) is np.ndarray and value.dtype == _FLOAT:
         return value

@@ -9,13 +9,10 @@ from typing import Any
 class PgmError(Exception):
     """Base of all errors of this library.
 
-    Parameters
-    ----------
-    message : str
-        What was found and what to do about it.
-    variable, cpd, cluster, step, run : optional
-        The objects concerned, for programs that handle the error; a run is counted from 0. They
-        are attributes, None where not given.
+    Arguments that are not as a docstring describes them are refused before any work begins, with a
+    `ModelError`, `GraphError` or `EvidenceError`; sections "Raises" list what else can happen. The
+    objects concerned are attributes, None where not given: `variable`, `cpd`, `cluster`, `step`,
+    and `run`, counted from 0.
     """
 
     def __init__(
@@ -37,28 +34,17 @@ class PgmError(Exception):
 
 
 class ModelError(PgmError, ValueError):
-    """A variable, factor, CPD or network that is not well formed.
-
-    Parameters and attributes are those of a `PgmError`; it is a `ValueError` too.
-    """
+    """A variable, factor, CPD, schedule or network that is not well formed; a `ValueError` too."""
 
 
 class GraphError(PgmError, ValueError):
-    """A cluster graph that is not valid, or one asked for something it does not have.
-
-    Parameters and attributes are those of a `PgmError`; it is a `ValueError` too.
-    """
+    """A cluster graph that is not valid or has not what it is asked for; a `ValueError` too."""
 
 
 class FileError(PgmError, ValueError):
-    """A file that cannot be read as what it should be.
+    """A file that cannot be read as what it should be; a `ValueError` too.
 
-    Parameters
-    ----------
-    message : str
-        What was found and what to do about it.
-    path, line : optional
-        The file, where it has a name, and the line of it, from 1.
+    Its attributes are `path`, where the file has a name, and `line`, counted from 1.
     """
 
     def __init__(self, message: str, *, path: str | None = None, line: int | None = None) -> None:
@@ -68,44 +54,25 @@ class FileError(PgmError, ValueError):
 
 
 class EvidenceError(PgmError, ValueError):
-    """Evidence that does not fit the model.
-
-    Parameters and attributes are those of a `PgmError`; it is a `ValueError` too.
-    """
+    """Evidence that does not fit the model; a `ValueError` too."""
 
 
 class LinearisationError(PgmError, ValueError):
-    """A function or lineariser that gives values that cannot be used.
-
-    Parameters and attributes are those of a `PgmError`; it is a `ValueError` too.
-    """
+    """A function or lineariser that gives values that cannot be used; a `ValueError` too."""
 
 
 class NumericalError(PgmError, ArithmeticError):
-    """A quantity that does not exist for these numbers, like the inverse of a singular matrix.
-
-    Parameters and attributes are those of a `PgmError`; it is an `ArithmeticError` too.
-    """
+    """A quantity that does not exist, like a singular inverse; an `ArithmeticError` too."""
 
 
 class ArrayError(PgmError, TypeError):
-    """A value that was taken for an array, like a belief handed to `numpy.asarray`.
-
-    Parameters and attributes are those of a `PgmError`; it is a `TypeError` too.
-    """
+    """A value taken for an array, like a belief handed to `numpy.asarray`; a `TypeError` too."""
 
 
 class ExecutorError(PgmError, RuntimeError):
-    """An executor that takes no work, or loses what it was handed.
+    """An executor that takes no work, or loses what it was handed; a `RuntimeError` too.
 
-    Parameters
-    ----------
-    message : str
-        What was found and what to do about it.
-    runs : sequence of (int, int), optional
-        The runs that were lost: the first of each row of them, and that after its last.
-    **where
-        As of a `PgmError`.
+    Its attribute `runs` has those that were lost: of each row the first and the one after it.
     """
 
     def __init__(self, message: str, *, runs: Sequence[tuple[int, int]] = (), **where: Any) -> None:

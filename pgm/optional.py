@@ -9,21 +9,7 @@ FRAMES = "sepset[frames]"
 
 
 def optional(module: str, what: str, requirement: str) -> Any:
-    """A module of a package that may not be installed.
-
-    Parameters
-    ----------
-    module : str
-    what : str
-        The call that needs it, for the message.
-    requirement : str
-        What pip installs: an extra of this distribution, or the package.
-
-    Raises
-    ------
-    ImportError
-        If it is not installed, saying how to.
-    """
+    """A module that may not be installed: `what` needs it, pip installs it by `requirement`."""
     try:
         return import_module(module)
     except ImportError as error:

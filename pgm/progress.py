@@ -22,18 +22,7 @@ T = TypeVar("T")
 
 @contextmanager
 def reporting(progress: Progress) -> Iterator[None]:
-    """Report the progress of what is done within, as a user has asked for.
-
-    Parameters
-    ----------
-    progress : bool or callable
-        True for bars, ``progress(done, total)`` to call a function.
-
-    Raises
-    ------
-    ModelError
-        If it is neither.
-    """
+    """Report the progress of what is done within: True for bars, or ``progress(done, total)``."""
     if not isinstance(progress, bool) and (isinstance(progress, type) or not callable(progress)):
         raise ModelError(
             "progress= is True, for a bar, or a function that is called with the numbers done and "
@@ -54,13 +43,7 @@ def reporting(progress: Progress) -> Iterator[None]:
 def counted(items: Iterable[T], what: str, total: int | None = None) -> Iterable[T]:
     """The items of a loop, counted where a call reports its progress and no loop around does.
 
-    Parameters
-    ----------
-    items : iterable
-        A sequence, or in all so many.
-    what : str
-        The loop, for the bar.
-    total : int, optional
+    `items` are a sequence, or in all `total`; `what` names the loop in the bar.
     """
     report = _REPORT.get()
     if report is None or report.busy:

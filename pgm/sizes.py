@@ -1,16 +1,45 @@
-"""Amounts of memory, told and refused before any is taken."""
+"""Amounts of memory, told and refused before any is taken, and the allocator's use of it."""
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
+import numpy as np
+
 from pgm.errors import ModelError, PgmError
-from pgm.kernels import memory
 
 # Bytes of a number in double precision.
 NUMBER = 8
 # More than this no float holds.
 _COUNTLESS = 10**300
+# Just below the largest size by which glibc raises its thresholds, 32 MiB.
+_SIZE = 31 * 2**20
+# Where the system does not tell.
+_UNKNOWN = 64 * 2**30
+
+
+def retain() -> None:
+    """Have the allocator keep what is freed between steps, rather than fetch it anew each time.
+
+    By default glibc gives freed memory back above a threshold that grows with the largest block
+    freed; every page of the next step's arrays, of many runs, would be faulted in again, which
+    costs more than the arithmetic. A block that is made and freed untouched raises the threshold;
+    on other systems it does nothing.
+    """
+    np.empty(_SIZE, dtype=np.uint8)
+
+
+def most_memory() -> int:
+    """Bytes that arrays may take: the machine's memory, or the process's share."""
+    try:
+        found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        import resource  # here, since not every system has it
+
+        share, _ = resource.getrlimit(resource.RLIMIT_AS)
+        return min(found, share) if share != resource.RLIM_INFINITY else found
+    except (AttributeError, ImportError, OSError, ValueError):
+        return _UNKNOWN
 
 
 def gibibytes(entries: float) -> str:
@@ -21,19 +50,11 @@ def gibibytes(entries: float) -> str:
 def require_memory(
     entries: int, what: str, advice: str, *, error: type[PgmError] = ModelError, **where: Any
 ) -> None:
-    """Refuse arrays that this machine cannot hold.
+    """Refuse arrays of at least so many doubles, which this machine cannot hold.
 
-    Parameters
-    ----------
-    entries : int
-        Numbers in double precision that are surely needed.
-    what, advice : str
-        Of the message: the arrays, and the way out.
-    error : type of PgmError
-    **where
-        The objects concerned, as of a `PgmError`.
+    `what` names the arrays in the message, `advice` the way out; `where` are the objects concerned.
     """
-    limit = memory.most()
+    limit = most_memory()
     if entries * NUMBER > limit:
         raise error(
             f"{what} would take {gibibytes(entries)} or more, where this machine has "

@@ -35,12 +35,6 @@ class Variable(InCode):
     lag : int, optional
         How many steps before the current one a template stands (see `previous`).
 
-    Raises
-    ------
-    ModelError
-        If a name is no text or empty, names repeat, an angle is no component, or a step or lag is
-        negative or not whole.
-
     Examples
     --------
     >>> x = Variable("x", components=("east", "north", "heading"), angles=("heading",))
@@ -125,13 +119,7 @@ class Variable(InCode):
 
     @property
     def previous(self) -> Variable:
-        """The same variable one step before.
-
-        Raises
-        ------
-        ModelError
-            If that is before step 0.
-        """
+        """The same variable one step before; refused at step 0."""
         if self.step is not None:
             return self.at(self.step - 1)
         return self._moved(None, self.lag + 1)
@@ -144,18 +132,7 @@ class Variable(InCode):
     def at(self, step: int) -> Variable:
         """The copy at a step; for a template with a lag, that many steps before it.
 
-        Parameters
-        ----------
-        step : int
-
-        Returns
-        -------
-        Variable
-
-        Raises
-        ------
-        ModelError
-            If the step is no whole number, or the copy would stand before step 0.
+        One before step 0 is refused.
 
         Examples
         --------
@@ -198,11 +175,6 @@ class Discrete(Variable):
         Names of the states, in order; a number n stands for ``"0"`` to ``"n−1"``.
     step, lag : int, optional
         As of a `Variable`.
-
-    Raises
-    ------
-    ModelError
-        If there is no state, names repeat, or their number would not fit into memory.
 
     Examples
     --------
@@ -252,23 +224,7 @@ class Discrete(Variable):
         return len(self.states)
 
     def index(self, state: str | int) -> int:
-        """The index of a state.
-
-        Parameters
-        ----------
-        state : str or int
-            Its name or its index.
-
-        Returns
-        -------
-        int
-            0 to size − 1.
-
-        Raises
-        ------
-        ModelError
-            If there is no such state.
-        """
+        """The index of a state, 0 to size − 1, by its name or index."""
         if isinstance(state, str) and state in self.states:
             return self.states.index(state)
         if is_whole(state) and 0 <= int(state) < self.size:
@@ -305,16 +261,6 @@ def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:
     ----------
     names : str or iterable of str
         Names, in one string separated by white space or commas, or one by one.
-
-    Returns
-    -------
-    tuple of Variable
-        In the order of the names.
-
-    Raises
-    ------
-    ModelError
-        If a name is empty or no string, names repeat, or they are a set of several, without order.
 
     Examples
     --------

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 import pgm
 from experiments.killian import made_up
-from experiments.killian.graph import seen_from
 from models import motion
 from models.networks import pose
 from pgm.maps import LikelihoodField, OccupancyMap
@@ -87,7 +86,7 @@ class Scans:
     @property
     def evidence(self) -> dict[pgm.Variable, Any]:
         """Odometry, and scans from step 0 on: the peer weighs its first particles too."""
-        moved = seen_from(self.poses[:-1], self.poses[1:])
+        moved = motion.relative(self.poses[:-1], self.poses[1:])
         return {odometry: moved, scan: pgm.sightings(self.scans, step=np.arange(len(self.scans)))}
 
 

@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 import pgm
 from experiments.recordings import drives
-from experiments.recordings.drives import SETTINGS, Drive
+from experiments.recordings.drives import Drive
+from experiments.recordings.settings import SETTINGS
 from models import networks
 from models.networks import calibration, distance, landmark, pose
 from pgm import consistency
@@ -58,7 +59,8 @@ class Way:
 
 def recorded(name: str, path: Path) -> Drive:
     """A drive with its ranges as they were recorded."""
-    raw = replace(SETTINGS[name], scale=1.0, offset=0.0)
+    setting = SETTINGS[name]
+    raw = replace(setting, sensors=(replace(setting.sensors[0], scale=1.0, offset=0.0),))
     return drives.laid(name, raw, drives.read(raw, path))
 
 
@@ -151,8 +153,9 @@ def fitted(drive: Drive) -> tuple[dict[str, Any], pgm.ChainPosterior]:
     fitted calibration: what the noise of a range ought to be.
     """
     setting = SETTINGS[drive.name]
-    model = parametric(drive, setting.sensor_std[0], setting.rates)
-    values = np.array([setting.scale, setting.offset])
+    (radio,) = setting.sensors
+    model = parametric(drive, radio.std[0], setting.rates)
+    values = np.array([radio.scale, radio.offset])
     posterior = pgm.smooth(model, {**drive.evidence, calibration: pgm.constant(values)})
     result = {**_named(values), **_noise(drive, model), **judged(drive, posterior)}
     return {**result, "residual": residual(drive, *values)}, posterior

@@ -75,17 +75,8 @@ def error(poses: Array, edges: Edges) -> float:
 
 def residuals(poses: Array, edges: Edges) -> Array:
     """Each edge's motion between the poses less the one it tells, (E, 3) [m, m, rad]."""
-    between = seen_from(poses[edges.first], poses[edges.second])
+    between = motion.relative(poses[edges.first], poses[edges.second])
     return differing(between, edges.motions)
-
-
-def seen_from(one: Array, other: Array) -> Array:
-    """Poses (..., 3) in the frames of others: the motions from these to those."""
-    apart = other - one
-    cos, sin = np.cos(one[..., 2]), np.sin(one[..., 2])
-    ahead = cos * apart[..., 0] + sin * apart[..., 1]
-    left = cos * apart[..., 1] - sin * apart[..., 0]
-    return np.stack([ahead, left, apart[..., 2]], axis=-1)
 
 
 def differing(poses: Array, others: Array) -> Array:
@@ -107,7 +98,7 @@ def reckoned(start: Array, motions: Array) -> Array:
 def _slopes(poses: Array, edges: Edges, factors: Array) -> sparse.csc_array:
     """The weighted residuals' derivatives by all poses but the first, (3E, 3(N − 1))."""
     one, other = poses[edges.first], poses[edges.second]
-    ahead, left, _ = seen_from(one, other).T
+    ahead, left, _ = motion.relative(one, other).T
     by_other = np.zeros((len(one), 3, 3))
     by_other[:, 0, 0] = by_other[:, 1, 1] = np.cos(one[:, 2])
     by_other[:, 0, 1] = np.sin(one[:, 2])

@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from experiments.killian.graph import fitted, seen_from
+from experiments.killian.graph import fitted
 from experiments.killian.log import Log
+from models import motion
 from pgm.maps import OccupancyMap
 from pgm.recordings import Edges
 
@@ -36,7 +37,7 @@ def drive(seed: int) -> Log:
     scans = np.clip(scans + rng.normal(scale=RANGE_STD, size=scans.shape), 0.0, MOST)
     first = np.concatenate([np.arange(2 * LAP - 1), np.arange(0, LAP, 4)])
     second = np.concatenate([np.arange(1, 2 * LAP), np.arange(LAP, 2 * LAP, 4)])
-    motions = seen_from(truth[first], truth[second])
+    motions = motion.relative(truth[first], truth[second])
     motions[:, 2] = (motions[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
     motions += rng.normal(scale=MOTION_STD, size=motions.shape)
     information = np.tile(np.diag(1.0 / np.square(MOTION_STD)), (len(first), 1, 1))

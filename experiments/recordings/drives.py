@@ -1,11 +1,9 @@
-"""Recorded drives as networks see them: one motion, one sensor, for all recordings."""
+"""Recorded drives as networks see them: one motion for all recordings, and their sensors."""
 
 from __future__ import annotations
 
-import importlib
-import os
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,141 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 import pgm
+from experiments.recordings.settings import SETTINGS, Sensor, Setting
 from models import motion, networks
-from models.networks import distance, landmark, pose, sighting
+from models.networks import landmark, pose
 from models.networks.covariances import diagonal
-from pgm import recordings
 from pgm.cpds.robust import RobustNoise
-from pgm.recordings import Recording
+from pgm.recordings import Recording, Stream
 
 Array = npt.NDArray[np.float64]
 
 # The motion of a step as it is seen from its beginning [m, m, rad], and its duration [s].
 moved = pgm.Variable("u", components=("forward", "left", "turn", "dt"))
-# The folder of recordings, where it is not beside the checkout.
-VARIABLE = "PGM_DATA"
-_BESIDE = Path(__file__).parents[3] / "shared" / "data"
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What a network has to know of a recording that the recording does not say.
-
-    Attributes
-    ----------
-    read : callable
-        From the path to a `Recording`.
-    sensor : str
-        Whose sightings are read.
-    rates : tuple of float
-        Standard deviations of the motion's noise after one second, along, across, and of the
-        heading [m, m, rad].
-    sensor_std : tuple of float
-        Of a range [m], or of a range and a bearing [m, rad].
-    start_std : tuple of float
-        Of the first pose [m, m, rad].
-    start : tuple of float or None
-        The first pose; that of the truth without. A heading of NaN in it is the truth's.
-    heading_shift : float
-        What true headings lack [rad].
-    scale, offset : float
-        range = scale · distance + offset, of which the range is freed.
-    find : callable
-        The path where the recording is on this machine; None where it is not.
-    needs : str
-        Where it comes from.
-    about : str
-        What of the above was fitted, to what.
-    """
-
-    read: Callable[[Path], Recording]
-    sensor: str
-    rates: tuple[float, float, float]
-    sensor_std: tuple[float, ...]
-    start_std: tuple[float, float, float] = (0.1, 0.1, 0.05)
-    start: tuple[float, float, float] | None = None
-    heading_shift: float = 0.0
-    scale: float = 1.0
-    offset: float = 0.0
-    find: Callable[[], Path | None] = field(default=lambda: None)
-    needs: str = "give --path"
-    about: str = "The noise is a guess, tuned to nothing."
-
-
-def _in_gtsam(name: str) -> Path | None:
-    try:
-        gtsam = importlib.import_module("gtsam")
-    except ImportError:
-        return None
-    return Path(gtsam.findExampleDataFile(name))
-
-
-def _beside(name: str) -> Path | None:
-    folder = Path(os.environ.get(VARIABLE) or _BESIDE) / name
-    return folder if folder.is_dir() else None
-
-
-_TUNED = "Range calibration and noise were fitted with the truth: a check of an engine, no claim."
-_GTSAM = "pip install gtsam, or --path"
-_FOLDER = "--path, or the folder of recordings named by PGM_DATA"
-SETTINGS = {
-    "plaza1": Setting(
-        recordings.read_plaza,
-        "radio",
-        rates=(0.05, 0.05, 0.001),
-        sensor_std=(0.508,),
-        start_std=(0.2, 0.2, 0.05),
-        scale=1.0693,
-        offset=0.034,
-        find=lambda: _in_gtsam("Plaza1_.mat"),
-        needs=_GTSAM,
-        about=_TUNED,
-    ),
-    "plaza2": Setting(
-        recordings.read_plaza,
-        "radio",
-        rates=(0.05, 0.05, 0.02),
-        sensor_std=(0.529,),
-        start_std=(0.2, 0.2, 0.05),
-        heading_shift=np.pi,
-        scale=1.0694,
-        offset=0.020,
-        find=lambda: _in_gtsam("Plaza2_.mat"),
-        needs=_GTSAM,
-        about=_TUNED,
-    ),
-    "labyrinth": Setting(
-        recordings.read_labyrinth,
-        "uwb",
-        rates=(0.01, 0.01, 0.02),
-        sensor_std=(0.0857,),
-        start_std=(0.1, 0.1, 0.3),
-        start=(np.nan, np.nan, np.pi),
-        offset=0.118,
-        find=lambda: _beside("labyrinth"),
-        needs=_FOLDER,
-        about=_TUNED,
-    ),
-    "freiburg": Setting(
-        recordings.read_freiburg,
-        "landmark",
-        rates=(0.02, 0.02, 0.01),
-        sensor_std=(0.10, 0.048),
-        start=(0.0, 0.0, 0.0),
-        find=lambda: _beside("freiburg"),
-        needs=_FOLDER,
-        about="The sensor's noise is that of its residuals; there is no truth.",
-    ),
-    "mrclam": Setting(
-        lambda path: recordings.read_mrclam(path).located(),
-        "camera",
-        rates=(0.05, 0.05, 0.05),
-        sensor_std=(0.2, 0.1),
-    ),
-    "barfoot": Setting(
-        recordings.read_barfoot, "laser", rates=(0.05, 0.05, 0.05), sensor_std=(0.05, 0.03)
-    ),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,14 +48,14 @@ class Drive:
     truth: Array | None
     start: Array
 
-    @property
-    def sensor(self) -> pgm.Variable:
-        """The variable of sightings."""
-        return distance if len(self.setting.sensor_std) == 1 else sighting
+    @cached_property
+    def sensors(self) -> dict[pgm.Variable, Sensor]:
+        """The sensors, by their variables."""
+        return named(self.setting.sensors)
 
     @property
     def evidence(self) -> dict[pgm.Variable, Any]:
-        """Motion and sightings."""
+        """Motion and readings."""
         return dict(self.timeline.evidence)
 
     @property
@@ -190,11 +64,19 @@ class Drive:
         return {moved: self.timeline.evidence[moved]}
 
     @property
-    def labels(self) -> npt.NDArray[np.str_]:
-        """Whom each sighting of the evidence is of, (M,)."""
+    def labels(self) -> dict[pgm.Variable, npt.NDArray[np.str_]]:
+        """Whom each reading of the evidence is of, (M,): its landmark, or else its sensor."""
         places = {tuple(place[:2]): str(key) for key, place in self.recording.landmarks.items()}
-        rows = self.evidence[self.sensor].given[landmark]
-        return np.array([places[tuple(row)] for row in np.asarray(rows).tolist()])
+        found = {}
+        for variable, sensor in self.sensors.items():
+            read = self.evidence[variable]
+            if not sensor.kind.of_landmarks:
+                found[variable] = np.array([sensor.stream] * len(read.step))
+                continue
+            before = f"{sensor.stream} " * (len(self.sensors) > 1)
+            rows = np.asarray(read.given[landmark]).tolist()
+            found[variable] = np.array([before + places[tuple(row)] for row in rows])
+        return found
 
     def network(
         self,
@@ -203,17 +85,18 @@ class Drive:
         start_std: npt.ArrayLike | None = None,
         noise: RobustNoise | None = None,
     ) -> pgm.DynamicBayesianNetwork:
-        """The network of the drive, from its own start or another, with noise of its sensor."""
+        """The network of the drive, from its own start or another, with noise of its sensors."""
         setting = self.setting
         std = setting.start_std if start_std is None else np.asarray(start_std).tolist()
-        sees = (
-            networks.sees_range(setting.sensor_std[0])
-            if self.sensor == distance
-            else networks.sees_landmark(setting.sensor_std)
-        )
-        if noise is not None:
-            sees = pgm.NonlinearGaussianCPD(
-                sees.child, sees.given, sees.function, sees.cov, jacobian=sees.jacobian, noise=noise
+        observation = []
+        for variable, sensor in self.sensors.items():
+            mount = sensor.mount
+            if mount is None and sensor.stream in self.recording.mounts:
+                mount = tuple(self.recording.mounts[sensor.stream].tolist())
+            parents = (pose, landmark) if sensor.kind.of_landmarks else (pose,)
+            cov = diagonal(sensor.std)
+            observation.append(
+                networks.senses(variable, sensor.kind.sensor, parents, cov, mount, noise=noise)
             )
         return pgm.DynamicBayesianNetwork(
             prior=[pgm.GaussianCPD(pose, self.start if start is None else start, diagonal(std))],
@@ -229,8 +112,22 @@ class Drive:
                     },
                 )
             ],
-            observation=[sees],
+            observation=observation,
         )
+
+
+def named(sensors: tuple[Sensor, ...]) -> dict[pgm.Variable, Sensor]:
+    """Sensors by variables; of several each has a variable of its own."""
+    if len(sensors) == 1:
+        return {sensors[0].kind.variable: sensors[0]}
+    found = {}
+    for sensor in sensors:
+        alike = sensor.kind.variable
+        variable = pgm.Variable(
+            f"z of {sensor.stream}", components=alike.components, angles=alike.angles
+        )
+        found[variable] = sensor
+    return found
 
 
 def load(name: str, path: Path, *, every_stamp: bool = False) -> Drive:
@@ -240,38 +137,103 @@ def load(name: str, path: Path, *, every_stamp: bool = False) -> Drive:
 
 
 def read(setting: Setting, path: Path) -> Recording:
-    """The recording, its ranges calibrated."""
+    """The recording, its ranges calibrated, without sightings of what has no place.
+
+    Raises
+    ------
+    EvidenceError
+        If it has no such sensor, or one that does not read what it should.
+    """
     found = setting.read(path)
-    if (setting.scale, setting.offset) == (1.0, 0.0):
-        return found
-    return found.calibrated(setting.sensor, setting.scale, setting.offset)
+    for sensor in setting.sensors:
+        _require(found, sensor)
+        if (sensor.scale, sensor.offset) != (1.0, 0.0):
+            found = found.calibrated(sensor.stream, sensor.scale, sensor.offset)
+    of_landmarks = any(sensor.kind.of_landmarks for sensor in setting.sensors)
+    return found.located() if of_landmarks else found
+
+
+def _require(found: Recording, sensor: Sensor) -> None:
+    """Refuse a sensor that the recording does not have."""
+    known: dict[str, Stream | None] = dict(found.sightings)
+    known |= {"fixes": found.fixes, "imu": found.imu}
+    stream = known.get(sensor.stream)
+    if stream is None:
+        has = ", ".join(name for name, each in known.items() if each is not None) or "none"
+        raise pgm.EvidenceError(f"{found._title}: no sensor {sensor.stream!r}; it has {has}")
+    due = sensor.kind.variable.components
+    if lost := [name for name in due if name not in stream.components]:
+        raise pgm.EvidenceError(
+            f"{sensor.stream} has the components {', '.join(stream.components)}; to read "
+            f"{sensor.reads} it lacks {', '.join(lost)}"
+        )
+    if sensor.kind.of_landmarks and stream.subject is None:
+        raise pgm.EvidenceError(
+            f"{sensor.stream} does not say which landmark a reading is of, which {sensor.reads} "
+            "needs: name its column, subject"
+        )
+    if sensor.kind.of_landmarks and not found.landmarks:
+        raise pgm.EvidenceError(
+            f"{sensor.stream} reads {sensor.reads}, and the recording has no map; give the places "
+            "of its landmarks"
+        )
 
 
 def laid(name: str, setting: Setting, found: Recording, *, every_stamp: bool = False) -> Drive:
-    """A recording on the times of its states."""
-    sensor = distance if len(setting.sensor_std) == 1 else sighting
+    """A recording on the times of its states.
+
+    Where the start is the truth's, what was driven before the truth begins is left out.
+
+    Raises
+    ------
+    EvidenceError
+        If nothing says where the drive begins.
+    """
+    start = np.full(3, np.nan) if setting.start is None else np.array(setting.start)
+    if np.isnan(start).any() and found.truth is not None and len(found.truth):
+        found = _from_truth(name, found)
+    times = None if every_stamp else found.times
+    if setting.period is not None and not every_stamp:
+        times = found.resampled(period=setting.period).times
+    sensors = named(setting.sensors)
+    of_landmarks = any(sensor.kind.of_landmarks for sensor in sensors.values())
     timeline = found.timeline(
-        None if every_stamp else found.times,
+        times,
         odometry=moved,
-        sensors={sensor: setting.sensor},
-        landmark=landmark,
+        sensors={variable: sensor.stream for variable, sensor in sensors.items()},
+        landmark=landmark if of_landmarks else None,
     )
     truth = _truth(found, timeline.times, setting.heading_shift)
-    start = np.full(3, np.nan) if setting.start is None else np.array(setting.start)
     if np.isnan(start).any():
         if truth is None or np.isnan(np.where(np.isnan(start), truth[0], start)).any():
-            raise pgm.EvidenceError(f"{name}: the truth does not say where the drive begins")
+            raise pgm.EvidenceError(
+                f"{name}: the truth does not say where the drive begins; give the start's mean"
+            )
         start = np.where(np.isnan(start), truth[0], start)
     return Drive(name, setting, found, timeline, truth, start)
 
 
+def _from_truth(name: str, found: Recording) -> Recording:
+    """The recording from where its truth begins."""
+    assert found.truth is not None
+    (first, last), known = found.times[[0, -1]].tolist(), found.truth.stamps[[0, -1]].tolist()
+    if known[0] >= last or known[1] <= first:
+        raise pgm.EvidenceError(
+            f"{name}: the motion covers {first:.9g} s to {last:.9g} s, and the truth "
+            f"{known[0]:.9g} s to {known[1]:.9g} s; they have no time in common: are their clocks "
+            "the same?"
+        )
+    return found if known[0] <= first else found.between(known[0], last)
+
+
 def _truth(found: Recording, times: Array, shift: float) -> Array | None:
-    if found.truth is None:
+    if found.truth is None or not len(found.truth):
         return None
     known = found.truth.stamps
     inside = (times >= known[0]) & (times <= known[-1])
     truth = np.full((len(times), 3), np.nan)
-    values = found.truth_at(times[inside]).values
-    truth[inside, : values.shape[1]] = values
+    if inside.any():
+        values = found.truth_at(times[inside]).values
+        truth[inside, : values.shape[1]] = values
     truth[:, 2] += shift
     return truth

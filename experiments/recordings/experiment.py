@@ -15,26 +15,40 @@ import typer
 
 import pgm
 from experiments.record import Out, Record, Seed, note, progress
-from experiments.recordings import drives, figures
-from experiments.recordings.drives import SETTINGS, Drive
-from experiments.recordings.methods import LINEARISERS, METHODS
+from experiments.recordings import drives, figures, graphs
+from experiments.recordings.drives import Drive
+from experiments.recordings.methods import LINEARISERS, methods
+from experiments.recordings.setting_file import READERS, described
+from experiments.recordings.settings import SETTINGS
 from models.networks import pose
 from pgm import consistency
+from pgm.recordings import Recording
 
 QUICK: dict[str, Any] = {"data": "labyrinth", "linearisers": "Taylor"}
 PLANE = ("east", "north")
 _NONE = "unnormalised"
+KNOWN = list(dict.fromkeys((*SETTINGS, *READERS, graphs.READER)))
 
 
 def run(
     data: Annotated[
         str | None,
-        typer.Argument(help=f"One of {', '.join(SETTINGS)}; all that are found without."),
+        typer.Argument(
+            help=f"One of {', '.join(KNOWN)}; of those with settings of their own all that are "
+            "found, without."
+        ),
     ] = None,
     out: Out = None,
     seed: Seed = 0,
     path: Annotated[
         Path | None, typer.Option(help="The file or folder of the recording.", exists=True)
+    ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(
+            help="What the recording does not say, in TOML: noise, sensors, map, start. The "
+            "guide's page about recordings has the keys, and an example of each reader."
+        ),
     ] = None,
     linearisers: Annotated[
         str | None, typer.Option(help=f"One of {', '.join(LINEARISERS)}; all without.")
@@ -45,36 +59,107 @@ def run(
 ) -> None:
     """Estimate recorded drives by filters, smoothers, gates and robust noise."""
     for what, value, known in (
-        ("a recording", data, SETTINGS),
+        ("a recording", data, KNOWN),
         ("a lineariser", linearisers, LINEARISERS),
     ):
         if value is not None and value not in known:
             raise pgm.EvidenceError(f"{value!r} is not {what}: {', '.join(known)}")
-    if path is not None and data is None:
-        raise pgm.EvidenceError("--path is of one recording; say of which kind: recordings plaza1")
-    chosen = [data] if data else list(SETTINGS)
-    files = {name: path or SETTINGS[name].find() for name in chosen}
-    for name, file in files.items():
-        if file is None and (data or SETTINGS[name].needs != "give --path"):
-            note(f"recordings: {name} is not here; {SETTINGS[name].needs}")
-    found = {name: file for name, file in files.items() if file is not None}
-    if not found:
-        return
+    for option, file in (("--path", path), ("--settings", settings)):
+        if file is not None and data is None:
+            raise pgm.EvidenceError(
+                f"{option} is of one recording; say of which kind: recordings plaza1"
+            )
+    if settings is not None and data not in (*READERS, graphs.READER):
+        raise pgm.EvidenceError(
+            f"{data} has settings of its own; with --settings name the reader: "
+            f"{', '.join((*READERS, graphs.READER))}"
+        )
+    if data is not None and settings is None and data not in (*SETTINGS, graphs.READER):
+        raise pgm.EvidenceError(
+            f"recordings {data} needs --settings FILE, in which the noise and the sensors of the "
+            "recording stand; the guide's page about recordings has an example"
+        )
     used = [linearisers] if linearisers else list(LINEARISERS)
-    record = Record(
-        "recordings", out, seed=seed, data=list(found), linearisers=used, every_stamp=every_stamp
-    )
+    if data == graphs.READER:
+        graphs.run(out, seed, path, settings, [linearisers] if linearisers else ["Taylor"])
+        return
+    if data is not None and settings is not None:
+        told = described(settings, data, path)
+        whole = drives.read(told.setting, told.path)
+        found = {told.name: drives.laid(told.name, told.setting, whole, every_stamp=every_stamp)}
+        record = Record(
+            "recordings",
+            out,
+            seed=seed,
+            data=[told.name],
+            reader=data,
+            linearisers=used,
+            every_stamp=every_stamp,
+            setting=settings.read_text(encoding="utf-8"),
+        )
+        _said(record, whole, found[told.name])
+    else:
+        files = _files(data, path)
+        if not files:
+            return
+        record = Record(
+            "recordings",
+            out,
+            seed=seed,
+            data=list(files),
+            linearisers=used,
+            every_stamp=every_stamp,
+        )
+        found = {
+            name: drives.load(name, file, every_stamp=every_stamp) for name, file in files.items()
+        }
     results: dict[str, Any] = {}
     rankings: dict[str, Any] = {}
-    for name, file in found.items():
-        drive = drives.load(name, file, every_stamp=every_stamp)
+    for name, drive in found.items():
         record.note(f"{name}: {drive.setting.about}")
         record.note(repr(drive.timeline))
         results[name], shown = estimated(drive, used)
-        _tables(record, name, results[name])
-        if shown:
-            _pictures(record, drive, shown, rankings)
+        _tables(record, drive, results[name])
+        _pictures(record, drive, shown, rankings)
     record.summary(results=results, ranking=rankings)
+
+
+def _files(data: str | None, path: Path | None) -> dict[str, Path]:
+    """The recordings with settings of their own that are here."""
+    found = {}
+    for name in [data] if data else SETTINGS:
+        file = path or SETTINGS[name].find()
+        if file is not None:
+            found[name] = file
+        elif data or SETTINGS[name].needs != "give --path":
+            note(f"recordings: {name} is not here; {SETTINGS[name].needs}")
+    return found
+
+
+def _said(record: Record, whole: Recording, drive: Drive) -> None:
+    """What is in the recording, and what of it is not taken."""
+    record.note(repr(whole))
+    taken = {sensor.stream for sensor in drive.setting.sensors}
+    streams = [*whole.sightings, *(n for n in ("fixes", "imu") if getattr(whole, n) is not None)]
+    if others := [name for name in streams if name not in taken]:
+        record.note(f"No sensor of the settings, and not taken: {', '.join(others)}.")
+    if whole.scans:
+        record.note(
+            f"Scans are not taken: {', '.join(whole.scans)}. A place is found by scans with a map "
+            "of them; see the guide's page about maps."
+        )
+    for sensor in drive.setting.sensors:
+        stream = {**whole.sightings, "fixes": whole.fixes, "imu": whole.imu}[sensor.stream]
+        if stream is None or stream.variances is None:
+            continue
+        columns = [stream.place(name) for name in sensor.kind.variable.components]
+        if (usual := np.sqrt(np.nanmedian(stream.variances[:, columns], axis=0))).any():
+            record.note(
+                f"{sensor.stream}: the settings' deviations are {list(sensor.std)}; by the "
+                f"recording's variances they are {usual.round(4).tolist()}, the medians."
+            )
+    if (late := drive.timeline.times[0] - whole.times[0]) > 0.0:
+        record.note(f"The first {late:.4g} s are left out: the start is the truth's first pose.")
 
 
 def estimated(drive: Drive, linearisers: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -82,10 +167,11 @@ def estimated(drive: Drive, linearisers: list[str]) -> tuple[dict[str, Any], dic
     reckoned = pgm.filter(drive.network(), drive.motion)[pose]
     results: dict[str, Any] = {"dead reckoning": {"": _judged(drive, reckoned)}}
     shown = {}
-    for label in progress(list(METHODS), drive.name):
+    ways = methods(drive.setting.ways) if drive.sensors else {}
+    for label in progress(list(ways), drive.name):
         results[label] = {}
         for name in linearisers:
-            posterior = METHODS[label](drive, LINEARISERS[name])
+            posterior = ways[label](drive, LINEARISERS[name])
             results[label][name] = {
                 **_judged(drive, posterior[pose]),
                 "log_evidence": float(posterior.log_evidence),
@@ -109,7 +195,7 @@ def _judged(drive: Drive, belief: pgm.Gaussian) -> dict[str, float]:
     }
 
 
-def _tables(record: Record, name: str, results: dict[str, Any]) -> None:
+def _tables(record: Record, drive: Drive, results: dict[str, Any]) -> None:
     rows = [
         (
             label,
@@ -123,13 +209,15 @@ def _tables(record: Record, name: str, results: dict[str, Any]) -> None:
         for label, each in results.items()
         for lineariser, found in each.items()
     ]
-    about = "; ".join(f"{label}: {method.about}" for label, method in METHODS.items())
+    ways = methods(drive.setting.ways) if drive.sensors else {}
+    about = "; ".join(f"{label}: {method.about}" for label, method in ways.items())
     record.table(
-        f"{name}: position against the truth",
+        f"{drive.name}: position against the truth",
         ("method", "lineariser", "RMSE [m]", "NEES", "log-evidence", "steps lost"),
         rows,
-        about="NEES is a component's, 1 of a right belief. The robust noise has no density, so "
-        f"that its log-evidence compares with no other. {about}.",
+        about="NEES is a component's, 1 of a right belief. A robust noise without a density has no "
+        "log-evidence that compares with others. "
+        + (f"{about}." if about else "There is no sensor: the motion alone."),
         best={"RMSE [m]": -np.inf, "NEES": 1.0},
     )
 
@@ -141,27 +229,30 @@ def _pictures(
     record.figure(
         figures.paths(drive, shown),
         f"{drive.name}_path",
-        f"The recording {drive.name} [m]: landmarks, dead reckoning from the same start, filter "
-        "and smoother, and the truth where there is one.",
+        f"The recording {drive.name} [m]: landmarks, readings of positions, dead reckoning from "
+        "the same start, filter and smoother, and the truth, where there are any.",
     )
-    if drive.truth is not None:
+    if drive.truth is not None and np.isfinite(drive.truth[:, 0]).any():
         record.figure(
             figures.errors(drive, shown),
             f"{drive.name}_errors",
             f"Distance of estimates of {drive.name} from the truth [m] over time [s]; dashed, the "
-            "longest axis of the filter's 95 % ellipse.",
+            f"longest axis of the 95 % ellipse of {'the filter' if shown else 'dead reckoning'}.",
         )
-    ranked = consistency.ranking(shown["filter"].innovations, by={drive.sensor: drive.labels})
+    if not shown:
+        return
+    ranked = consistency.ranking(shown["filter"].innovations, by=drive.labels)
     record.figure(
         figures.ranked(drive, ranked),
         f"{drive.name}_ranking",
-        f"Landmarks of {drive.name} by the normalised innovations of the filter, over time [s]: "
-        "orange where sightings are further off than the model says, purple where nearer; frames "
-        "are the stretches that speak most against it, dashed where that may be chance.",
+        f"Landmarks or sensors of {drive.name} by the normalised innovations of the filter, over "
+        "time [s]: orange where sightings are further off than the model says, purple where "
+        "nearer; frames are the stretches that speak most against it, dashed where that may be "
+        "chance.",
     )
     record.table(
-        f"{drive.name}: which landmark, which stretch",
-        ("landmark", "components", "NIS", "low", "high", "bias", "first", "last", "p at most"),
+        f"{drive.name}: which landmark or sensor, which stretch",
+        ("of", "components", "NIS", "low", "high", "bias", "first", "last", "p at most"),
         [
             (
                 str(row.group),

@@ -8,6 +8,7 @@ from typing import Any
 
 import pgm
 from experiments.recordings.drives import Drive
+from experiments.recordings.settings import Ways
 from pgm.cpds.robust import RobustNoise
 
 LINEARISERS: dict[str, pgm.Lineariser] = {
@@ -16,8 +17,6 @@ LINEARISERS: dict[str, pgm.Lineariser] = {
     "cubature": pgm.Cubature(),
     "Gauss–Hermite 3": pgm.GaussHermite(3),
 }
-ITERATIONS, LAG, GATE = 10, 20, 0.999
-ROBUST = pgm.Cauchy(1.0)
 
 
 @dataclass(frozen=True)
@@ -51,18 +50,21 @@ def _filter(**settings: Any) -> Callable[..., pgm.ChainPosterior]:
     return lambda model, evidence, **more: pgm.filter(model, evidence, **settings, **more)
 
 
-METHODS = {
-    "filter": Method("each sighting as it comes", _filter()),
-    "gated filter": Method(f"without sightings beyond a gate of {GATE}", _filter(gate=GATE)),
-    "robust filter": Method(f"sightings weighed by {ROBUST!r}", _filter(), ROBUST),
-    "fixed lag": Method(f"given {LAG} more steps", _smooth(lag=LAG)),
-    "smoother": Method("given all sightings", _smooth()),
-    "iterated smoother": Method(
-        f"linearised up to {ITERATIONS} times", _smooth(iterations=ITERATIONS, tolerance=1e-4)
-    ),
-    "robust smoother": Method(
-        f"linearised and weighed up to {5 * ITERATIONS} times",
-        _smooth(iterations=5 * ITERATIONS, tolerance=1e-3),
-        ROBUST,
-    ),
-}
+def methods(ways: Ways) -> dict[str, Method]:
+    """All methods, with the settings of a recording."""
+    gate, robust, many = ways.gate, ways.robust, ways.iterations
+    return {
+        "filter": Method("each sighting as it comes", _filter()),
+        "gated filter": Method(f"without sightings beyond a gate of {gate:g}", _filter(gate=gate)),
+        "robust filter": Method(f"sightings weighed by {robust!r}", _filter(), robust),
+        "fixed lag": Method(f"given {ways.lag} more steps", _smooth(lag=ways.lag)),
+        "smoother": Method("given all sightings", _smooth()),
+        "iterated smoother": Method(
+            f"linearised up to {many} times", _smooth(iterations=many, tolerance=1e-4)
+        ),
+        "robust smoother": Method(
+            f"linearised and weighed up to {5 * many} times",
+            _smooth(iterations=5 * many, tolerance=1e-3),
+            robust,
+        ),
+    }

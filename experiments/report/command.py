@@ -14,7 +14,7 @@ from experiments.catalogue import EXPERIMENTS
 from experiments.record import Seed, folder, note, versions, writing
 from experiments.report.page import page, state
 from experiments.report.running import Outcome, run_all
-from pgm.io.whole import whole
+from pgm.io.sources import whole
 
 Folder = Annotated[Path, typer.Option(help="Folder for the page and all results.")]
 Only = Annotated[

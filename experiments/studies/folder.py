@@ -21,7 +21,7 @@ from experiments.studies.code import differences, own_source, versions
 from experiments.studies.errors import StudyError, require_packages
 from experiments.studies.study import Part, Study
 from experiments.studies.task import Columns
-from pgm.io.whole import whole
+from pgm.io.sources import whole
 
 MANIFEST, PARTS = "study.json", "parts"
 _NAME = re.compile(r"(\d{4,})-(\d{6,})\.parquet")

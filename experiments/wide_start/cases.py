@@ -10,7 +10,8 @@ import numpy.typing as npt
 import pgm
 from experiments.freiburg import exercise
 from experiments.recordings import drives
-from experiments.recordings.drives import SETTINGS, Drive, Setting
+from experiments.recordings.drives import Drive
+from experiments.recordings.settings import SETTINGS, Sensor, Setting
 
 Array = npt.NDArray[np.float64]
 
@@ -45,7 +46,7 @@ def _wide(name: str, *start_std: float) -> Setting:
 _EXERCISE = replace(
     SETTINGS["freiburg"],
     rates=tuple(np.sqrt(exercise.MOTION).tolist()),
-    sensor_std=(float(np.sqrt(exercise.SENSOR)),),
+    sensors=(Sensor("landmark", "range", (float(np.sqrt(exercise.SENSOR)),)),),
     start_std=tuple(np.sqrt(exercise.START).tolist()),
 )
 CASES = {

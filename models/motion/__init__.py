@@ -28,6 +28,17 @@ from models.motion.gyro import (
     drifting_by_control,
     drifting_by_state,
 )
+from models.motion.relative import (
+    place,
+    place_by_sight,
+    place_by_state,
+    relative,
+    relative_by_other,
+    relative_by_state,
+    retreat,
+    retreat_by_control,
+    retreat_by_state,
+)
 from models.motion.steps import (
     increment,
     increment_by_control,
@@ -60,6 +71,15 @@ __all__ = [
     "odometry",
     "odometry_by_control",
     "odometry_by_state",
+    "place",
+    "place_by_sight",
+    "place_by_state",
+    "relative",
+    "relative_by_other",
+    "relative_by_state",
+    "retreat",
+    "retreat_by_control",
+    "retreat_by_state",
     "travelled",
     "travelled_by_control",
     "travelled_by_state",

@@ -11,6 +11,7 @@ from models.networks.observations import (
     sees_bearing,
     sees_landmark,
     sees_range,
+    senses,
 )
 from models.networks.points import linear, linear_velocity
 from models.networks.poses import velocity_pose, velocity_position
@@ -87,6 +88,7 @@ __all__ = [
     "sees_bearing",
     "sees_landmark",
     "sees_range",
+    "senses",
     "shift",
     "sighting",
     "speed",

@@ -20,6 +20,7 @@ from models.networks.variables import (
     pose_fix,
     sighting,
 )
+from pgm.cpds.robust import RobustNoise
 
 
 def reads_position(
@@ -61,7 +62,7 @@ def reads_antenna(
     mount : sequence of float or Variable
         Where the antenna is, (forward [m], left [m], turn [rad]), or the parent that says it.
     """
-    return _sees(fix, sensors.POSITION, (pose,), diagonal(std), mount)
+    return senses(fix, sensors.POSITION, (pose,), diagonal(std), mount)
 
 
 def sees_range(
@@ -86,7 +87,7 @@ def sees_range(
         (scale, offset [m]): range = scale · distance + offset; or the parent that says it.
     """
     cov = variances(std)
-    return _sees(
+    return senses(
         distance, sensors.RANGE, (pose, landmark), cov, mount, calibration, grouped=grouped
     )
 
@@ -103,7 +104,7 @@ def sees_bearing(
     mount : sequence of float or Variable, optional
         As of `sees_range`.
     """
-    return _sees(bearing, sensors.BEARING, (pose, landmark), variances(std), mount)
+    return senses(bearing, sensors.BEARING, (pose, landmark), variances(std), mount)
 
 
 def sees_landmark(
@@ -122,10 +123,10 @@ def sees_landmark(
         As of `sees_range`.
     """
     cov = diagonal(std)
-    return _sees(sighting, sensors.RANGE_BEARING, (pose, landmark), cov, mount, calibration)
+    return senses(sighting, sensors.RANGE_BEARING, (pose, landmark), cov, mount, calibration)
 
 
-def _sees(
+def senses(
     child: pgm.Variable,
     sensor: sensors.Sensor,
     parents: tuple[pgm.Variable, ...],
@@ -134,8 +135,24 @@ def _sees(
     calibration: Sequence[float] | pgm.Variable | None = None,
     *,
     grouped: bool = False,
+    noise: RobustNoise | None = None,
 ) -> pgm.NonlinearGaussianCPD:
-    """A CPD of a sensor as it is on the robot."""
+    """A CPD of a sensor as it is on the robot.
+
+    Parameters
+    ----------
+    child : Variable
+        The reading.
+    sensor : Sensor
+    parents : tuple of Variable
+        The pose, and what else the sensor reads.
+    cov : ndarray
+    mount, calibration : sequence of float or Variable, optional
+        As of `sees_range`.
+    grouped : bool
+        Whether sigma points see the readings of a step as one vector.
+    noise : RobustNoise, optional
+    """
     for changed, by in ((sensors.mounted, mount), (sensors.calibrated, calibration)):
         if isinstance(by, pgm.Variable):
             sensor, parents = changed(sensor), (*parents, by)
@@ -148,4 +165,5 @@ def _sees(
         cov=cov,
         jacobian=dict(zip(parents, sensor.derivatives, strict=True)),
         grouped=grouped,
+        noise=noise,
     )

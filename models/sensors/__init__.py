@@ -32,6 +32,7 @@ from models.sensors.ideal import (
 from models.sensors.real import (
     BEARING,
     HEADING,
+    POSE,
     POSITION,
     RANGE,
     RANGE_BEARING,
@@ -43,6 +44,7 @@ from models.sensors.real import (
 __all__ = [
     "BEARING",
     "HEADING",
+    "POSE",
     "POSITION",
     "RANGE",
     "RANGE_BEARING",

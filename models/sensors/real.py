@@ -37,6 +37,7 @@ BEARING = Sensor(ideal.bearing_only, (ideal.bearing_only_by_state, ideal.bearing
 RANGE_BEARING = Sensor(
     ideal.range_bearing, (ideal.range_bearing_by_state, ideal.range_bearing_by_landmark)
 )
+POSE = Sensor(ideal.pose, (ideal.pose_by_state,))
 POSITION = Sensor(ideal.position, (ideal.position_by_state,))
 HEADING = Sensor(ideal.heading, (ideal.heading_by_state,))
 

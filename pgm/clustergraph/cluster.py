@@ -1,19 +1,153 @@
-"""Clusters, the nodes of a cluster graph: their sizes, and the work they make."""
+"""Clusters of variables, and the two properties that make a graph of them a cluster graph."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from heapq import heappop, heappush
+from typing import TYPE_CHECKING, Any
 
+from pgm.boundary import as_tuple, is_whole
 from pgm.cpds import CPD
 from pgm.display import Listing, Shown, Summary, few
+from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, dimension, listed
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
     from pgm.clustergraph.structure import ClusterGraph
+
+Edge = tuple[int, int]
+
+
+def check_families(
+    scopes: Sequence[Iterable[Variable]],
+    assigned: Sequence[Iterable[Scope]],
+    families: Iterable[Scope] | None = None,
+) -> None:
+    """Family preservation: each CPD's family stands in exactly one cluster, which holds it.
+
+    `assigned` are the families of each cluster, `families` all of the network, or those assigned.
+    """
+    for index, (scope, inside) in enumerate(zip(scopes, assigned, strict=True)):
+        held = set(scope)
+        for family in inside:
+            lost = [variable for variable in family if variable not in held]
+            if lost:
+                raise GraphError(
+                    f"family preservation fails: cluster {index} is assigned the CPD of "
+                    f"{family[0]!r}, but lacks ({listed(lost)}) of its family ({listed(family)}); "
+                    "add them to the cluster or move the CPD",
+                    variable=lost[0],
+                    cluster=index,
+                )
+    counts = Counter(family for inside in assigned for family in inside)
+    for family in counts if families is None else families:
+        if counts[family] != 1:
+            raise GraphError(
+                f"family preservation fails: the CPD of {family[0]!r}, with family "
+                f"({listed(family)}), is assigned to {counts[family]} clusters; one was due",
+                variable=family[0],
+            )
+
+
+def check_running_intersection(
+    scopes: Sequence[Iterable[Variable]], sepsets: Mapping[Edge, Iterable[Variable]]
+) -> None:
+    """Running intersection: the clusters and sepsets that carry a variable form a tree."""
+    holders: dict[Variable, set[int]] = defaultdict(set)
+    for index, scope in enumerate(scopes):
+        for variable in scope:
+            holders[variable].add(index)
+    edges = set(sepsets)
+    for i, j in edges:
+        if i == j or (j, i) in edges:
+            raise GraphError(
+                f"clusters {i} and {j} are joined twice, or one to itself; one sepset joins two "
+                "clusters",
+                cluster=i,
+            )
+    carriers: dict[Variable, list[Edge]] = defaultdict(list)
+    for (i, j), sepset in sepsets.items():
+        for variable in sepset:
+            for end in (i, j):
+                if end not in holders.get(variable, ()):
+                    raise GraphError(
+                        f"the sepset between clusters {i} and {j} holds {variable!r}, which "
+                        f"cluster {end} does not",
+                        variable=variable,
+                        cluster=end,
+                    )
+            carriers[variable].append((i, j))
+    loopless = is_forest(edges)
+    for variable, clusters in holders.items():
+        carrying = carriers[variable]
+        if len(carrying) == len(clusters) - 1 and (loopless or is_forest(carrying)):
+            continue
+        raise _broken(variable, clusters, carrying)
+
+
+def _broken(
+    variable: Variable, clusters: Collection[int], carrying: Collection[Edge]
+) -> GraphError:
+    import networkx as nx  # here, since it is slow to import
+
+    graph = nx.Graph(carrying)
+    graph.add_nodes_from(clusters)
+    pieces = list(nx.connected_components(graph))
+    if len(pieces) > 1:
+        apart = " and ".join(map(_some, pieces[:2]))
+        return GraphError(
+            f"running intersection fails: {variable!r} is in clusters {apart}, which no "
+            "path of sepsets carrying it joins; add it to the sepsets between them",
+            variable=variable,
+            cluster=min(pieces[1]),
+        )
+    loop = [edge[0] for edge in nx.find_cycle(graph)]
+    return GraphError(
+        f"running intersection fails: the sepsets carry {variable!r} around the loop of "
+        f"clusters {_some(loop)}; take it out of one of them",
+        variable=variable,
+        cluster=loop[0],
+    )
+
+
+def is_forest(edges: Iterable[Edge]) -> bool:
+    """Whether no edges form a loop: each joins two trees that were apart."""
+    above: dict[int, int] = {}
+
+    def root(index: int) -> int:
+        while above.get(index, index) != index:
+            above[index] = above.get(above[index], above[index])
+            index = above[index]
+        return index
+
+    for i, j in edges:
+        first, second = root(i), root(j)
+        if first == second:
+            return False
+        above[first] = second
+    return True
+
+
+def _some(clusters: Collection[int]) -> str:
+    shown = ", ".join(map(str, sorted(clusters)[:5]))
+    return f"[{shown}{', ...' if len(clusters) > 5 else ''}]"
+
+
+def as_edge(edge: Any, count: int) -> Edge:
+    """A pair of different clusters, lower index first."""
+    ends = as_tuple(edge) or ()
+    if len(ends) != 2 or not all(map(is_whole, ends)):
+        raise GraphError(f"sepsets map pairs of clusters to variables; {edge!r} is none")
+    i, j = sorted(map(int, ends))
+    if i == j or not (i >= 0 and j < count):
+        raise GraphError(
+            f"a sepset joins two of the clusters 0..{count - 1}, not {edge!r}", cluster=i
+        )
+    return i, j
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,3 +249,79 @@ def neighbourhoods(graph: ClusterGraph) -> Listing:
         rows.append([str(k), scope, "; ".join(each + more)])
     heads = ("cluster", "variables", "joined to")
     return Listing(heads, rows, names=3)
+
+
+def holding(scopes: Sequence[Scope]) -> dict[Variable, list[int]]:
+    """The clusters that hold each variable."""
+    holders: dict[Variable, list[int]] = defaultdict(list)
+    for k, scope in enumerate(scopes):
+        for variable in scope:
+            holders[variable].append(k)
+    return holders
+
+
+def assign(
+    families: Sequence[tuple[int, ...]], members: Sequence[tuple[int, ...]], sizes: Sequence[int]
+) -> list[int]:
+    """The smallest cluster that holds each family, the first of equals; −1, where none does."""
+    holders: dict[int, set[int]] = {}
+    for k, held in enumerate(members):
+        for place in held:
+            if place in holders:
+                holders[place].add(k)
+            else:
+                holders[place] = {k}
+    homes, nowhere = list[int](), set[int]()
+    for family in families:
+        fits = set.intersection(*[holders.get(place, nowhere) for place in family])
+        homes.append(min(sorted(fits), key=sizes.__getitem__, default=-1))
+    return homes
+
+
+def spanning_tree(scopes: Sequence[Scope]) -> dict[Edge, Scope]:
+    """The sepsets of a maximum-weight spanning tree, or forest: full intersections.
+
+    An edge weighs as many variables as its clusters share. A tree carries a variable of k clusters
+    on at most k − 1 edges, and on as many only if these join all k: so if any spanning tree has
+    running intersection, those of maximum weight have it, and no others. Maximum cardinality
+    search finds one in time about linear in the clusters' sizes (Tarjan and Yannakakis, 1984,
+    section 4; Jensen and Jensen, Optimal junction trees, 1994).
+    """
+    holders = holding(scopes)
+    members = [set(scope) for scope in scopes]
+    shared = [0] * len(scopes)
+    taken = [False] * len(scopes)
+    # Which cluster was the first to hold a variable, and when it was taken.
+    first: dict[Variable, tuple[int, int]] = {}
+    # Entries of clusters that share more by now stay until they come up.
+    heap = [(0, k) for k in range(len(scopes))]
+    joined: dict[Edge, Scope] = {}
+    while heap:
+        _, cluster = heappop(heap)
+        if taken[cluster]:
+            continue
+        taken[cluster] = True
+        scope = scopes[cluster]
+        old = tuple(variable for variable in scope if variable in first)
+        if old:
+            _, nearest = max(first[variable] for variable in old)
+            lost = [variable for variable in old if variable not in members[nearest]]
+            if lost:
+                ends = sorted((first[lost[0]][1], cluster))
+                raise GraphError(
+                    f"running intersection fails: no tree of these clusters carries each variable; "
+                    f"{lost[0]!r} is in clusters {ends[0]} and {ends[1]}, but not in {nearest} "
+                    "between them. Add it there, or give sepsets, for a graph with loops",
+                    variable=lost[0],
+                    cluster=nearest,
+                )
+            joined[min(cluster, nearest), max(cluster, nearest)] = old
+        when = len(first)
+        for variable in scope:
+            if variable not in first:
+                first[variable] = (when, cluster)
+                for other in holders[variable]:
+                    if not taken[other]:
+                        shared[other] += 1
+                        heappush(heap, (-shared[other], other))
+    return joined

@@ -10,15 +10,21 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pgm.boundary import as_tuple, is_whole
-from pgm.clustergraph.assignment import assign, spanning_tree
-from pgm.clustergraph.checks import (
+from pgm.clustergraph.cluster import (
+    Cluster,
     Edge,
+    amount,
     as_edge,
+    assign,
     check_families,
     check_running_intersection,
+    extent,
+    is_discrete,
     is_forest,
+    neighbourhoods,
+    spanning_tree,
+    work,
 )
-from pgm.clustergraph.cluster import Cluster, amount, extent, is_discrete, neighbourhoods, work
 from pgm.cpds.jacobians import check_jacobians
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
@@ -128,11 +134,7 @@ class ClusterGraph(Drawn, Immutable):
     def _tree(
         cls, network: BayesianNetwork, members: Iterable[set[int]], joined: Mapping[Edge, set[int]]
     ) -> ClusterGraph:
-        """A graph without loops that has running intersection by its making: it is not checked.
-
-        members: The variables of each cluster, by place.
-        joined: Sepsets.
-        """
+        """A graph of places that has running intersection by its making: it is not checked."""
         graph = cls.__new__(cls)
         graph._assign(network, [tuple(sorted(held)) for held in members])
         sepsets = {edge: tuple(sorted(shared)) for edge, shared in joined.items()}
@@ -193,22 +195,7 @@ class ClusterGraph(Drawn, Immutable):
         return tuple(tuple(sorted(found)) for found in lists)
 
     def neighbours(self, cluster: int | Cluster) -> tuple[int, ...]:
-        """The clusters joined to one.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        tuple of int
-            Their indices, in order.
-
-        Raises
-        ------
-        GraphError
-            If the graph has no such cluster.
-        """
+        """The indices of the clusters joined to one, in order."""
         return self._neighbours[self.index(cluster)]
 
     @cached_property
@@ -245,22 +232,7 @@ class ClusterGraph(Drawn, Immutable):
         return sum(work(cluster.scope) * count for cluster, count in self._alike)
 
     def index(self, cluster: int | Cluster) -> int:
-        """The index of a cluster.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-            Its index or the cluster itself.
-
-        Returns
-        -------
-        int
-
-        Raises
-        ------
-        GraphError
-            If there is none of the index, or the cluster is another graph's.
-        """
+        """The index of a cluster, given by it or as it; another graph's is refused."""
         found = cluster.index if isinstance(cluster, Cluster) else cluster
         if not is_whole(found) or not 0 <= found < self._count:
             raise GraphError(
@@ -275,18 +247,7 @@ class ClusterGraph(Drawn, Immutable):
         return int(found)
 
     def cluster(self, cluster: int | Cluster) -> Cluster:
-        """One of the clusters: its variables, CPDs and their families.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-            Its index, from 0 to ``len(graph) - 1``, or the cluster itself.
-
-        Raises
-        ------
-        GraphError
-            If the graph has no such cluster, naming the ones there are.
-        """
+        """One of the clusters, by its index, 0 to ``len(graph) - 1``, or the cluster itself."""
         return self._view(self.index(cluster))
 
     def _view(self, index: int) -> Cluster:
@@ -301,20 +262,11 @@ class ClusterGraph(Drawn, Immutable):
         return (cpd.scope for cpd in self.network.cpds)
 
     def check(self, *, jacobians: bool = False) -> None:
-        """Prove family preservation and running intersection.
+        """Prove family preservation and running intersection, or raise a `GraphError`.
 
-        Parameters
-        ----------
-        jacobians : bool
-            Whether to compare given Jacobians, too, with the derivatives of their functions'
-            traces (differences, where there is none), at the prior's mean and at drawn points.
-
-        Raises
-        ------
-        GraphError
-            Naming the variable and the clusters concerned.
-        ModelError
-            Naming the CPD and the entry of its Jacobian that is wrong.
+        It names the variable and the clusters concerned. With ``jacobians=True`` given Jacobians
+        are compared with their functions' derivatives, at drawn points about the prior's mean: a
+        `ModelError` names the CPD, and the entry that is wrong.
         """
         clusters = list(self.clusters)
         scopes = [cluster.scope for cluster in clusters]
@@ -324,13 +276,7 @@ class ClusterGraph(Drawn, Immutable):
             check_jacobians(self.network.cpds)
 
     def to_networkx(self) -> nx.Graph:
-        """The structure as a graph.
-
-        Returns
-        -------
-        networkx.Graph
-            Nodes are indices with the attribute ``cluster``; edges have ``sepset``.
-        """
+        """The structure as a graph: nodes are indices with ``cluster``; edges have ``sepset``."""
         import networkx as nx  # here, since it is slow to import
 
         graph = nx.Graph()
@@ -339,20 +285,9 @@ class ClusterGraph(Drawn, Immutable):
         return graph
 
     def derived(self, make: Callable[..., T], *key: Any) -> T:
-        """The result of a function of this graph and a key, made once.
+        """The result of ``make(graph, *key)``, made once; the latest are kept.
 
-        The place of plans that the layers above compile from the structure; the latest are kept.
-
-        Parameters
-        ----------
-        make : callable
-            ``make(graph, *key)``.
-        *key : hashable
-
-        Returns
-        -------
-        object
-            The result of that call.
+        The place of plans that the layers above compile from the structure.
         """
         plans = self._derived
         found: T = plans.pop((make, key)) if (make, key) in plans else make(self, *key)

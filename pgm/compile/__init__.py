@@ -2,10 +2,8 @@
 
 from pgm.compile.balanced import Balanced, BalancedGraph
 from pgm.compile.compiling import Method, compile
-from pgm.compile.dynamic import DynamicGraph, SliceGraph
-from pgm.compile.families import LTRIP, Bethe
-from pgm.compile.junction import JoinGraph, JunctionTree
-from pgm.compile.layout import SliceLayout
+from pgm.compile.dynamic import DynamicGraph, SliceGraph, SliceLayout
+from pgm.compile.methods import LTRIP, Bethe, JoinGraph, JunctionTree
 from pgm.compile.orders import (
     MinFill,
     NestedDissection,

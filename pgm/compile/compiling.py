@@ -8,7 +8,7 @@ from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.balanced import Balanced, BalancedGraph
 from pgm.compile.dynamic import DynamicGraph, SliceGraph
-from pgm.compile.junction import JunctionTree
+from pgm.compile.methods import JunctionTree
 from pgm.display import titled
 from pgm.errors import GraphError, ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
@@ -22,7 +22,6 @@ class Method(Protocol):
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
         """Compile a network."""
-        ...
 
 
 @overload

@@ -9,8 +9,7 @@ from typing import Protocol
 
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.cluster import extent
-from pgm.compile.elimination import Adjacency, min_fill, moral
-from pgm.compile.search import cheapest
+from pgm.compile.elimination import Adjacency, cheapest, min_fill, moral
 from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed
@@ -23,24 +22,13 @@ class Order(Protocol):
 
     def __call__(self, network: BayesianNetwork) -> Sequence[Variable]:
         """All variables of a network, each once."""
-        ...
 
 
 class Rule(InCode, ABC):
     """An order that is found in the moral graph."""
 
     def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        tuple of Variable
-            Each once, the first to be eliminated first.
-        """
+        """The variables of a network in this order."""
         found = self._places(network, moral(network))
         return tuple(network.variables[k] for k in found)
 
@@ -110,11 +98,6 @@ class StochasticMinFill(Rule):
     seed : int
         Of what is drawn.
 
-    Raises
-    ------
-    GraphError
-        If either is no whole number, or negative.
-
     References
     ----------
     Kask, Gelfand, Otten and Dechter (2011), Pushing the power of stochastic greedy ordering schemes
@@ -158,11 +141,6 @@ class NestedDissection(Rule):
     ----------
     small : int
         Parts of at most this many variables are not divided.
-
-    Raises
-    ------
-    GraphError
-        If `small` is no positive number.
 
     References
     ----------
@@ -233,10 +211,7 @@ def dissect(adjacent: Adjacency, small: int) -> list[int]:
     Vertices of one stage are those of a part that is not divided further, or of one separator;
     two such sets of one stage are not joined, and stay so.
 
-    small: Parts of at most this many vertices are not divided.
-
-    Source: George and Liu (1981), Computer Solution of Large Sparse Positive Definite Systems,
-    section 8.1.
+    Parts of at most `small` vertices are not divided.
     """
     stages = [0] * len(adjacent)
     parts = [(set(range(len(adjacent))), 0)]

@@ -1,4 +1,4 @@
-"""Are innovations white? What a filter could still predict, it has not used."""
+"""Are innovations white? A filter has not used what it could still predict."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincc
 
-from pgm.consistency.checks import check_count, check_innovations
+from pgm.consistency.errors import check_count, check_innovations
 from pgm.consistency.regions import chi_squared, normal
 from pgm.display import Shown, Summary, count, number, table
 from pgm.errors import ModelError
@@ -31,9 +31,9 @@ class Whiteness(Shown):
     statistic : float
         The sum of squared autocorrelations, each by its own variance: χ² for white innovations.
     dof : int
-        Its degrees of freedom, the number of lags.
+        Its degrees of freedom, the number of lags that are known.
     limit : float
-        What the statistic stays below with the confidence asked for.
+        The statistic stays below it with the confidence asked for.
 
     Examples
     --------
@@ -82,25 +82,19 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
 
     Sums are over steps and runs. Innovations of an exact filter are independent from step to
     step; its ρ_l has the variance Σ p_l² / (Σ |w_t|² Σ |w_{t+l}|²), which for one measurement a
-    step tends to 1/N, N the number of products of components summed. Several measurements of one
-    step share its prediction: the variance above allows for it. The k-th measurement of a step
-    meets the k-th of a later one, so that sightings of several landmarks are best given in one
-    order. After iterating, innovations are those of the last linearisation, z − (F x⁻ + b) at the
-    predicted mean x⁻, not z − h(x⁻): they have seen the measurement that they are innovations of.
+    step tends to 1/N, N the number of products of components summed, and which allows for
+    several measurements of one step sharing its prediction. The k-th measurement of a step meets
+    that of a later one: sightings of several landmarks are best given in one order. `nis` says
+    what innovations are after iterating.
 
     Parameters
     ----------
     innovations : Innovations
         As ``posterior.innovations[z]``; components that were not taken are left out.
     lags : int
-        The number of lags.
+        From 1 to this, in steps with measurements.
     confidence : float
         Probability of the band and below the limit.
-
-    Returns
-    -------
-    Whiteness
-        At the lags 1 to `lags`.
 
     Raises
     ------

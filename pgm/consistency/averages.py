@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats
-from pgm.consistency.checks import check_count, check_innovations
-from pgm.consistency.errors import nees_and_dof
+from pgm.consistency.errors import check_count, check_innovations, nees_and_dof
 from pgm.consistency.regions import chi_squared, tails
 from pgm.display import Listing, Shown, Summary, column, count, number, places
 from pgm.errors import ModelError
@@ -96,9 +95,9 @@ class Average(Shown):
     def overall(self) -> Average:
         """One mean of all, in the mean of their bands: that of means which move as one.
 
-        The errors of a run at two steps depend on each other, so that a mean over steps varies
-        more than one of as many runs. This band allows for that, and is wider than due where
-        they depend on each other less; for independent ones take `average`.
+        The errors of a run at two steps depend on each other, so that a mean over steps varies more
+        than one of as many runs. This band is wider than due where they depend less; take `average`
+        for independent ones.
         """
         count = self.count.sum()
         value, low, high = (
@@ -120,9 +119,8 @@ def average(
     .. math:: \bar\epsilon = \frac1N \sum_i \epsilon_i, \qquad
         N \bar\epsilon \sim \chi^2_{\sum_i d_i}
 
-    Runs are independent; steps of one run are not, except for the innovations of a filter that
-    is exact. A mean over steps that depend on each other leaves this band too often: see
-    `Average.overall`.
+    Runs are independent; steps of one run are not, but for the innovations of an exact filter: a
+    mean over them leaves this band too often, see `Average.overall`.
 
     Parameters
     ----------
@@ -131,14 +129,9 @@ def average(
     dof : array_like
         Degrees of freedom of each, above 0 where there is an error; they broadcast.
     axis : int or tuple of int, optional
-        What to average over; everything without.
+        The axes averaged over; all without.
     confidence : float
         Probability of the band.
-
-    Returns
-    -------
-    Average
-        Over the axes that are left.
 
     Raises
     ------
@@ -188,8 +181,8 @@ def anees(
 ) -> Average:
     """The NEES at each step, averaged over runs, (T+1,); over all of a belief without steps.
 
-    Degrees of freedom differ with how much of the truth is known; the band is that of their sum.
-    Above its band the belief claims too much, below it too little. See `nees` and `average`.
+    The band is that of the sum of degrees of freedom, which differ with how much of the truth is
+    known. Above it the belief claims too much, below it too little.
 
     Parameters
     ----------
@@ -228,9 +221,9 @@ def anees(
 def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
     """The NIS at each step, averaged over the runs that read the sensor there, (T+1,).
 
-    Degrees of freedom differ with what was read; the band is that of their sum. See `average`,
-    which with ``innovations.nis`` and ``innovations.dof`` takes all steps together, and `nis`,
-    which says what innovations are after iterating.
+    The band is that of the sum of degrees of freedom, which differ with what was read. For all
+    steps together give `average` ``innovations.nis`` and ``innovations.dof``; `nis` says what
+    innovations are after iterating.
 
     Parameters
     ----------
@@ -262,7 +255,7 @@ def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
 
 
 def mean_band(dof: int, count: int, confidence: float = 0.99) -> tuple[float, float]:
-    """The two-sided χ² band of the mean of independent normalised errors squared.
+    """The two-sided χ² band, (low, high), of the mean of independent normalised errors squared.
 
     Parameters
     ----------
@@ -272,10 +265,6 @@ def mean_band(dof: int, count: int, confidence: float = 0.99) -> tuple[float, fl
         How many are averaged.
     confidence : float
         Probability of the band.
-
-    Returns
-    -------
-    low, high : float
 
     Raises
     ------

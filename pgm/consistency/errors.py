@@ -3,23 +3,63 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pgm.boundary import as_floats, as_tuple
-from pgm.consistency.checks import check_gaussian, check_innovations
+from pgm.boundary import as_floats, as_tuple, is_whole
+from pgm.display import titled
 from pgm.errors import ModelError, NumericalError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
-from pgm.inference import Innovations
+from pgm.inference import GridBelief, Innovations, ParticleBelief
 from pgm.kernels import roots
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner
 
 
+def check_gaussian(belief: Any) -> Gaussian:
+    """The Gaussian; refuses anything else."""
+    if isinstance(belief, GridBelief | ParticleBelief):
+        raise ModelError(
+            f"a belief is a Gaussian, not {titled(belief)}; belief.gaussian() has its mean and "
+            "covariance"
+        )
+    if not isinstance(belief, Gaussian):
+        raise ModelError(
+            f"a belief is a Gaussian, like posterior[x], not {type(belief).__name__}; take the "
+            "marginal of one variable first"
+        )
+    return belief
+
+
+def check_innovations(innovations: Any) -> Innovations:
+    """The innovations; refuses anything else."""
+    if not isinstance(innovations, Innovations):
+        raise ModelError(
+            "innovations are those of one sensor, posterior.innovations[z], not "
+            f"{type(innovations).__name__}"
+        )
+    return innovations
+
+
+def check_confidence(confidence: npt.ArrayLike) -> Array:
+    """Confidences, (...); refuses what is no probability strictly between 0 and 1."""
+    values = as_floats(confidence, "a confidence")
+    if not ((values > 0.0) & (values < 1.0)).all():
+        raise ModelError(f"a confidence lies between 0 and 1; {confidence!r} does not")
+    return values
+
+
+def check_count(what: str, value: Any) -> None:
+    """Refuse what is no whole number, 1 or more."""
+    if not is_whole(value) or value < 1:
+        raise ModelError(f"{what} = {value!r}; a whole number, 1 or more, was due")
+
+
 def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
-    """Mean less truth, (..., n), angles wrapped to [−π, π); NaN where the truth is not known.
+    """Mean less truth, (*runs, T+1, n), angles wrapped to [−π, π); NaN where no truth is known.
 
     A truth has the steps of the belief. Its runs are the belief's, or it is one truth that all of
     them had; several truths against one belief are refused, since statistics would count them as
@@ -31,11 +71,6 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
         (*runs, T+1, n), as ``posterior[x]``; without steps, all its leading axes are runs.
     truth : array_like
         (*runs, T+1, n), or without the axes of runs; NaN in components that are not known.
-
-    Returns
-    -------
-    ndarray
-        (*runs, T+1, n), in the units of the components; angles in radians.
 
     Raises
     ------
@@ -106,16 +141,13 @@ def places(belief: Gaussian, components: Sequence[str]) -> Integers:
 
 
 def size(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> Array:
-    """The length of the error over the components named, or over all, (...).
-
-    NaN where the truth of one of them is not known.
-    """
+    """The length of the error over the components named, or all, (...); NaN if one is not known."""
     errors = error(belief, truth)[..., places(belief, components)]
     return np.asarray(np.sqrt(np.sum(errors**2, axis=-1)))
 
 
 def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> float:
-    """Root mean square error over all runs and steps.
+    """Root mean square error over all runs and steps, in the units of the components.
 
     √ of the mean of Σ e², the sum taken over the components named, or over all, the mean over the
     runs and steps at which the truth of all these is known.
@@ -127,12 +159,7 @@ def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     truth : array_like
         (..., n), its leading axes as `error` asks for.
     components : sequence of str
-        Over which the error's length is taken; all without.
-
-    Returns
-    -------
-    float
-        In the units of the components, which should be the same.
+        Over which the error's length is taken, of one unit; all without.
 
     Raises
     ------
@@ -163,7 +190,7 @@ def nothing_known(belief: Gaussian, components: Sequence[str]) -> ModelError:
 
 
 def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> Array:
-    """Normalised estimation error squared, eᵀP⁻¹e, (...): χ² with n degrees for a right belief.
+    """Normalised estimation error squared, eᵀP⁻¹e, (*runs, T+1): χ² with n degrees of a right one.
 
     Where the truth of some components is not known, e and P are those of the others, n of them;
     NaN where that of none is.
@@ -175,11 +202,6 @@ def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
         (..., n), its leading axes as `error` asks for.
     components : sequence of str
         Whose marginal is judged, n of them; all without.
-
-    Returns
-    -------
-    ndarray
-        (*runs, T+1), or the belief's leading axes.
 
     Raises
     ------
@@ -237,7 +259,7 @@ def _no_scale(belief: Gaussian, judged: list[str], faulty: Mask) -> NumericalErr
 
 
 def nis(innovations: Innovations) -> Array:
-    """Normalised innovation squared of each step, rᵀS⁻¹r, (..., T+1); NaN where nothing was read.
+    """Normalised innovation squared, rᵀS⁻¹r, (*runs, T+1); NaN at steps where nothing was read.
 
     χ² for a right model, its degrees the number of components read, ``innovations.dof``. After
     iterating, innovations are those of the last linearisation, z − (F x⁻ + b) at the predicted
@@ -247,11 +269,6 @@ def nis(innovations: Innovations) -> Array:
     ----------
     innovations : Innovations
         As ``posterior.innovations[z]``.
-
-    Returns
-    -------
-    ndarray
-        (*runs, T+1).
 
     Raises
     ------
@@ -276,16 +293,10 @@ def kl(p: Gaussian, q: Gaussian) -> Array:
     p, q : Gaussian
         Of one scope; leading axes broadcast.
 
-    Returns
-    -------
-    ndarray
-        (...), in nats.
-
     Raises
     ------
     ModelError
-        If one of them is no Gaussian, they are over different variables, or their leading axes do
-        not broadcast.
+        If one of them is no Gaussian, their variables differ, or leading axes do not broadcast.
     NumericalError
         If a covariance is singular.
 

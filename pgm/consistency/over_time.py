@@ -76,11 +76,6 @@ def over_time(
     percentiles : pair of float
         The lower and the upper one, in percent.
 
-    Returns
-    -------
-    OverTime
-        (T+1,).
-
     Raises
     ------
     ModelError
@@ -136,7 +131,7 @@ def rmse_over_time(
     *,
     percentiles: tuple[float, float] = (5.0, 95.0),
 ) -> OverTime:
-    """RMSE over runs at each step, and percentiles of the length of a run's error.
+    """RMSE over runs at each step, and percentiles of the length of a run's error, in its units.
 
     The runs are, at each step, those of which the truth of all the components is known there.
 
@@ -149,12 +144,7 @@ def rmse_over_time(
     components : sequence of str
         Over which the error's length is taken; all without.
     percentiles : pair of float
-        The lower and the upper one, in percent.
-
-    Returns
-    -------
-    OverTime
-        (T+1,), in the units of the components.
+        As of `over_time`.
 
     Raises
     ------

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.consistency.averages import Average, average
-from pgm.consistency.checks import check_innovations
+from pgm.consistency.errors import check_innovations
 from pgm.display import Listing, Shown, Summary, count, number
 from pgm.errors import ModelError
 from pgm.inference import Innovations
@@ -278,26 +278,14 @@ def _ranked(
     read = (~np.isnan(parts)).sum(axis=0)
     bias = np.divide(np.nansum(parts, axis=0), read, out=np.zeros(len(read)), where=read > 0)
     error = 1.0 / np.sqrt(np.maximum(read, 1))
-    first, last, square, weight, worst = _stretch(nis, dof)
+    first, last, share, worst = _stretch(nis, dof)
     chance = float(min(1.0, (dof > 0).sum() * np.exp(-worst)))
-    return Ranked(
-        sensor,
-        group,
-        mean,
-        bias,
-        error,
-        int(steps[first]),
-        int(steps[last]),
-        square / weight,
-        chance,
-        steps,
-        nis,
-        dof,
-    )
+    ends = int(steps[first]), int(steps[last])
+    return Ranked(sensor, group, mean, bias, error, *ends, share, chance, steps, nis, dof)
 
 
-def _stretch(nis: Array, dof: Integers) -> tuple[int, int, float, int, float]:
-    """First and last place of the heaviest stretch of a run, its NIS, its dof, its Λ."""
+def _stretch(nis: Array, dof: Integers) -> tuple[int, int, float, float]:
+    """First and last place of the heaviest stretch of a run, its NIS a degree, and its Λ."""
     squares = np.nan_to_num(nis).reshape(-1, nis.shape[-1])
     each = dof.reshape(squares.shape)
     gain = 0.5 * squares * (1.0 - 1.0 / _WIDER) - 0.5 * each * np.log(_WIDER)
@@ -307,5 +295,5 @@ def _stretch(nis: Array, dof: Integers) -> tuple[int, int, float, int, float]:
     # A stretch begins after the last of the lowest sums.
     first = int(last) - int(np.argmin(total[run, : last + 1][::-1]))
     part = slice(first, int(last) + 1)
-    weight = max(int(each[run, part].sum()), 1)
-    return first, int(last), float(squares[run, part].sum()), weight, float(over[run, last])
+    share = float(squares[run, part].sum()) / max(int(each[run, part].sum()), 1)
+    return first, int(last), share, float(over[run, last])

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import betaincinv, gammaincinv, ndtri
 
-from pgm.consistency.checks import check_confidence
-from pgm.consistency.errors import nees_and_dof, nothing_known
+from pgm.consistency.errors import check_confidence, nees_and_dof, nothing_known
 from pgm.display import Shown, Summary, table
 from pgm.display import count as counted
 from pgm.errors import ModelError
@@ -84,9 +83,8 @@ def coverage(
 
     The interval of the probability is that of Clopper and Pearson. Steps of one run depend on
     each other: they sharpen the share, but only runs count as trials, so that the interval is
-    wider than need be rather than too narrow.
-
-    Where the truth of some components is not known, the region is that of the others.
+    rather too wide than too narrow. Where the truth of some components is not known, the region is
+    that of the others.
 
     Parameters
     ----------
@@ -95,16 +93,11 @@ def coverage(
     truth : array_like
         (..., n), its leading axes as `error` asks for.
     confidence : array_like
-        (...): the probability c of the region, or several.
+        (...): the probability c of the region, or several, of which the result has the shape.
     components : sequence of str
         Whose region, two for an ellipse in the plane; all without.
     band : float
         Probability of the interval.
-
-    Returns
-    -------
-    Coverage
-        Of the shape of `confidence`.
 
     Raises
     ------

@@ -1,10 +1,9 @@
 """Conditional probability distributions."""
 
 from pgm.cpds.base import CPD
-from pgm.cpds.conditional import ConditionalGaussian
+from pgm.cpds.conditional import ConditionalGaussian, Noise, noise
 from pgm.cpds.linear import AffineCPD, GaussianCPD, LinearGaussianCPD
 from pgm.cpds.mixture import MixtureCPD
-from pgm.cpds.noise import Noise, noise
 from pgm.cpds.nonlinear import NonlinearGaussianCPD
 from pgm.cpds.robust import Cauchy, Huber, RobustNoise, StudentT, TruncatedLeastSquares
 from pgm.cpds.sampled import SampledCPD

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats
-from pgm.cpds.conditional import ConditionalGaussian
-from pgm.cpds.noise import Noise
+from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, by_component, named_matrix, stacked, vector
 from pgm.errors import ModelError

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.cpds.conditional import ConditionalGaussian
+from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.derivatives import Derivatives
-from pgm.cpds.noise import Noise
 from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, called, number
 from pgm.errors import ModelError

@@ -31,7 +31,7 @@ _GROWTH, _HARD = 1.4, 1e7
 
 
 class RobustNoise(InCode, ABC):
-    """A noise whose residuals count the less the larger they are."""
+    """A noise whose residuals count the less the larger they are; of positive parameters."""
 
     graduated: ClassVar[bool] = False
 
@@ -131,11 +131,6 @@ class StudentT(RobustNoise):
     dof : float
         Degrees of freedom ν > 0; 3 to 5 where a few per cent are outliers.
 
-    Raises
-    ------
-    ModelError
-        If it is no positive number.
-
     References
     ----------
     Lange, Little & Taylor, Robust statistical modeling using the t distribution, 1989.
@@ -186,11 +181,6 @@ class Cauchy(RobustNoise):
     ----------
     scale : float
         k > 0, in deviations; 2.385 keeps 95 % of the efficiency for Gaussian scalars.
-
-    Raises
-    ------
-    ModelError
-        If it is no positive number.
 
     References
     ----------
@@ -246,11 +236,6 @@ class Huber(RobustNoise):
     threshold : float
         k > 0, in deviations; 1.345 keeps 95 % of the efficiency for Gaussian scalars.
 
-    Raises
-    ------
-    ModelError
-        If it is no positive number.
-
     References
     ----------
     Huber, Robust estimation of a location parameter, 1964.
@@ -298,12 +283,7 @@ class Huber(RobustNoise):
 
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
         """Draws of unit scale: a direction, and a length by the inverse of its distribution."""
-        from scipy.special import (  # here, since it is slow to import
-            gammainc,
-            gammaincc,
-            gammainccinv,
-            gammaincinv,
-        )
+        from scipy.special import gammainc, gammaincc, gammainccinv, gammaincinv  # slow to import
 
         size, k = white.shape[-1], self.threshold
         near, far = self._log_masses(size)
@@ -336,11 +316,6 @@ class TruncatedLeastSquares(RobustNoise):
     ----------
     threshold : float
         c > 0, in deviations: the root of the χ² quantile of an inlier's square.
-
-    Raises
-    ------
-    ModelError
-        If it is no positive number.
 
     References
     ----------

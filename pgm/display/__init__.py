@@ -1,18 +1,26 @@
 """Summaries of values: a few lines, as text and in HTML."""
 
-from pgm.display.brief import (
+from pgm.display.shown import (
+    Drawn,
+    InCode,
+    NoArray,
+    Shown,
     as_numbers,
+    axes,
     beside,
     brief,
+    by_component,
     called,
     column,
     count,
+    named_matrix,
     number,
+    stacked,
     table,
+    titled,
     vector,
+    whereabouts,
 )
-from pgm.display.moments import axes, by_component, named_matrix, stacked, whereabouts
-from pgm.display.shown import Drawn, InCode, NoArray, Shown, titled
 from pgm.display.summary import ENDS, LEFT_OUT, TITLE, Listing, Summary, few, places
 
 __all__ = [

@@ -3,8 +3,17 @@
 from pgm.evidence.dynamic import BoundEvidence, Reading, bind
 from pgm.evidence.records import records
 from pgm.evidence.static import BoundStates, BoundValues, bind_discrete, bind_values
-from pgm.evidence.unidentified import Unknown, unknown
-from pgm.evidence.values import Constant, Evidence, Sightings, Soft, constant, sightings, soft
+from pgm.evidence.values import (
+    Constant,
+    Evidence,
+    Sightings,
+    Soft,
+    Unknown,
+    constant,
+    sightings,
+    soft,
+    unknown,
+)
 
 __all__ = [
     "BoundEvidence",

@@ -13,11 +13,18 @@ import numpy.typing as npt
 from pgm.boundary import is_whole
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
-from pgm.evidence import states
-from pgm.evidence.arrays import as_steps, no_evidence_for
-from pgm.evidence.rows import Rows, complete, constant_row, rows_of, taken_of
-from pgm.evidence.unidentified import Unknown, opened, require_whole
-from pgm.evidence.values import Constant, Evidence, Sightings
+from pgm.evidence.rows import (
+    Rows,
+    as_steps,
+    complete,
+    constant_row,
+    due,
+    no_evidence_for,
+    rows_of,
+    taken_of,
+    unread,
+)
+from pgm.evidence.values import Constant, Evidence, Sightings, Unknown, opened, require_whole
 from pgm.factors.runs import common_runs, flat
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask
@@ -172,7 +179,7 @@ class _Binder:
             if variable.step is not None and variable.template in known:
                 raise EvidenceError(
                     f"evidence for the single step {variable!r}; give {variable.template!r} an "
-                    f"array {states.due(variable)} of steps 1..T or, where it is a sensor's "
+                    f"array {due(variable)} of steps 1..T or, where it is a sensor's "
                     "measurement, sightings with step=",
                     variable=variable,
                     step=variable.step,
@@ -216,7 +223,7 @@ class _Binder:
             if isinstance(value, Sightings) and variable not in self.sensors:
                 raise EvidenceError(
                     f"sightings of {variable!r}, which is no sensor's measurement; give its values "
-                    f"as an array {states.due(variable)}, a constant, or in the sightings' given=",
+                    f"as an array {due(variable)}, a constant, or in the sightings' given=",
                     variable=variable,
                 )
             if isinstance(value, Constant) and variable in self.sensors:
@@ -248,7 +255,7 @@ class _Binder:
         if self.drawing:
             rows = np.full((step.size, sensor.dimension), np.nan)
             if isinstance(sensor, Discrete):
-                rows = states.unread(step.size)
+                rows = unread(step.size)
         elif rows is None:
             raise EvidenceError(
                 f"sightings of {sensor!r} have no values; only sample() draws them", variable=sensor

@@ -1,16 +1,243 @@
-"""Rows of evidence of any variable: values of continuous ones, states of discrete ones."""
+"""Rows of evidence of any variable, checked: values, states, weights, and their steps."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
-from pgm.evidence import states
-from pgm.evidence.arrays import as_rows, require_finite, taken_readings
-from pgm.evidence.values import Constant
-from pgm.kernels.arrays import Integers, Mask
+from pgm.boundary import as_floats, as_wholes
+from pgm.errors import EvidenceError
+from pgm.evidence.values import Constant, Soft
+from pgm.factors.axes import MISSING, as_indices
+from pgm.factors.runs import Place, in_row, in_run
+from pgm.factors.scope import listed, unknown_name
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete, Variable
+
+
+def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
+    """Evidence as an array (..., rows, d), or (..., d) where there is no axis of rows."""
+    if isinstance(value, Soft):
+        raise EvidenceError(
+            f"soft evidence for {variable!r}, which is continuous; soft weights are for discrete "
+            "variables, and an uncertain reading is evidence of a child: "
+            f"LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, cov=...)",
+            variable=variable,
+        )
+    array = as_floats(
+        value,
+        f"evidence for {variable!r}",
+        EvidenceError,
+        labels=variable.components,
+        missing=True,
+        variable=variable,
+    )
+    if axis == "M" and array.shape == (0,):
+        array = np.empty((0, variable.dimension))  # no measurements, written as []
+    if axis is None and array.ndim == 0 and variable.dimension == 1:
+        array = array[None]
+    hint = "; give a scalar its component axis, value[..., None]" if variable.dimension == 1 else ""
+    due = f"(..., {axis}, {variable.dimension})" if axis else f"(..., {variable.dimension})"
+    if array.ndim < (2 if axis else 1) or array.shape[-1] != variable.dimension:
+        raise EvidenceError(
+            f"evidence for {variable!r} has shape {array.shape}; {due} was due, the last axis "
+            f"its components ({listed(variable.components)}){hint}",
+            variable=variable,
+        )
+    return array
+
+
+def require_finite(
+    variable: Variable,
+    array: Array,
+    step: Integers | None = None,
+    advice: str = "finite numbers were due",
+) -> Array:
+    """Refuse NaN and infinity in evidence that must be complete, (..., rows, d)."""
+    finite = np.isfinite(array)
+    if finite.all():
+        return array
+    _refuse(
+        variable,
+        ~finite.all(axis=-1),
+        step,
+        "entries that are NaN, masked or infinite",
+        advice,
+    )
+    return array
+
+
+def taken_readings(variable: Variable, array: Array, step: Integers | None = None) -> Mask | None:
+    """The mask of components of a sensor's measurements taken, (..., rows, d); None for all.
+
+    NaN is a component not taken; infinity is refused.
+    """
+    if np.isfinite(array).all():
+        return None
+    _refuse(
+        variable,
+        np.isinf(array).any(axis=-1),
+        step,
+        "infinite entries",
+        "a component not taken is NaN",
+    )
+    return ~np.isnan(array)
+
+
+def _refuse(
+    variable: Variable, bad: Mask | np.bool_, step: Integers | None, what: str, advice: str
+) -> None:
+    """Raise if any row, (..., rows), is bad, naming the step of the first."""
+    if not bad.any():
+        return
+    first = None if step is None else int(step[np.nonzero(bad)[-1]].min())
+    where = "" if first is None else f", first at step {first}"
+    raise EvidenceError(
+        f"evidence for {variable!r} has {what}{where}; {advice}", variable=variable, step=first
+    )
+
+
+def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Integers:
+    """The steps of sightings, (M,), in 0..last."""
+    if step is None:
+        raise EvidenceError(
+            f"sightings of {variable!r} have no steps; give step=, one for each measurement",
+            variable=variable,
+        )
+    array = as_wholes(step, f"sightings of {variable!r}: step", EvidenceError, variable=variable)
+    if array.ndim != 1:
+        raise EvidenceError(
+            f"sightings of {variable!r}: step must be a row of whole numbers, not of shape "
+            f"{array.shape}",
+            variable=variable,
+        )
+    if count is not None and array.shape != (count,):
+        raise EvidenceError(
+            f"sightings of {variable!r}: {count} measurements with {array.shape[0]} steps; one "
+            "step for each measurement was due",
+            variable=variable,
+        )
+    outside = array[(array < 0) | (array > last)]
+    if outside.size:
+        raise EvidenceError(
+            f"sightings of {variable!r}: step {outside[0]} is outside 0..{last}",
+            variable=variable,
+            step=int(outside[0]),
+        )
+    return array
+
+
+def no_evidence_for(key: object, known: Collection[Variable]) -> EvidenceError:
+    """The error of evidence whose key is none of the known variables."""
+    return EvidenceError(
+        f"evidence for {key!r}, {unknown_name(key, known)}",
+        variable=key if isinstance(key, Variable) else None,
+    )
+
+
+def as_weights(variable: Discrete, value: Soft, where: Place = in_run) -> Array:
+    """The weights of soft evidence, (..., size); a message has where the first bad ones are."""
+    what = f"soft evidence for {variable!r}"
+    states = f"({listed(variable.states)})"
+    if isinstance(value.weights, Mapping):
+        raise EvidenceError(
+            f"{what}: the weights are a mapping; give them as a row, in the order of the states "
+            f"{states}",
+            variable=variable,
+        )
+    array = as_floats(
+        value.weights,
+        f"{what}: the weights, one for each of the states {states},",
+        EvidenceError,
+        labels=variable.states,
+        variable=variable,
+    ).copy()
+    if array.shape[-1:] != (variable.size,):
+        raise EvidenceError(
+            f"{what}: the weights have shape {array.shape}; the last axis must hold one for each "
+            f"of the states {states}",
+            variable=variable,
+        )
+    bad = ~np.isfinite(array) | (array < 0.0)
+    if bad.any():
+        raise EvidenceError(
+            f"{what}: weights that are negative, NaN or infinite{where(bad.any(axis=-1))}",
+            variable=variable,
+        )
+    empty = ~array.any(axis=-1)
+    if empty.any():
+        raise EvidenceError(
+            f"{what}: the weights are all zero{where(empty)}; a state that is possible needs a "
+            "positive one, and equal ones say nothing",
+            variable=variable,
+        )
+    return array
+
+
+def _state_rows(variable: Discrete, value: Any, axis: str | None) -> Rows:
+    """Indices of states as (..., rows, 1), or soft weights as (..., rows, size).
+
+    Without an axis of rows they are (..., 1), or (..., size).
+    """
+    where = in_run if axis is None else in_row
+    if isinstance(value, Soft):
+        rows: Rows = as_weights(variable, value, where)
+        due = f"(..., {axis}, {variable.size})"
+    else:
+        rows = as_indices(variable, value, where)[..., None]
+        due = f"(..., {axis})"
+    if axis == "M" and rows.shape == (0, 1):
+        return rows  # no measurements, written as []
+    if axis is not None and rows.ndim < 2:
+        shape = rows.shape if isinstance(value, Soft) else rows.shape[:-1]
+        raise EvidenceError(
+            f"evidence for {variable!r} has shape {shape}; {due} was due, an entry a row: the "
+            f"index or the name of a state ({listed(variable.states)}), −1 for not measured",
+            variable=variable,
+        )
+    return rows
+
+
+def due(variable: Variable) -> str:
+    """The shape of plain evidence, for messages."""
+    return "(..., T)" if isinstance(variable, Discrete) else "(..., T, d)"
+
+
+def _require_known(variable: Discrete, rows: Rows, step: Integers | None) -> Rows:
+    """Refuse an input that is missing somewhere, or of which there are but weights."""
+    if rows.dtype.kind == "f":
+        raise EvidenceError(
+            f"soft evidence for {variable!r}, an input, whose state must be known; weights are for "
+            "measurements",
+            variable=variable,
+        )
+    missing = rows[..., 0] == MISSING
+    if missing.any():
+        first = None if step is None else int(step[np.nonzero(missing)[-1]].min())
+        where = "" if first is None else f" at step {first}"
+        raise EvidenceError(
+            f"evidence for {variable!r} is missing{where} (−1); only a sensor's measurement may be",
+            variable=variable,
+            step=first,
+        )
+    return rows
+
+
+def _taken_states(rows: Rows) -> Mask | None:
+    """The mask of what was measured, of the rows' shape; None for all."""
+    if rows.dtype.kind == "f":
+        return None
+    missing = rows == MISSING
+    return ~missing if missing.any() else None
+
+
+def unread(count: int) -> Rows:
+    """The indices of measurements that are still to be drawn, (count, 1)."""
+    return np.full((count, 1), MISSING)
+
 
 # Numbers (..., d), or indices of states (..., 1).
 Rows = npt.NDArray[Any]
@@ -28,19 +255,19 @@ def rows_of(variable: Variable, value: Any, axis: str | None) -> Rows:
     Of a discrete variable d is one, the index of a state, or as many weights as there are states.
     """
     if isinstance(variable, Discrete):
-        return states.as_rows(variable, value, axis)
+        return _state_rows(variable, value, axis)
     return as_rows(variable, value, axis)
 
 
 def complete(variable: Variable, rows: Rows, step: Integers | None = None) -> Rows:
     """Refuse evidence of an input of which something is missing."""
     if isinstance(variable, Discrete):
-        return states.require_known(variable, rows, step)
+        return _require_known(variable, rows, step)
     return require_finite(variable, rows, step, WHOLE)
 
 
 def taken_of(variable: Variable, rows: Rows, step: Integers) -> Mask | None:
     """The mask of what was measured, (..., rows, d); None for all."""
     if isinstance(variable, Discrete):
-        return states.taken(rows)
+        return _taken_states(rows)
     return taken_readings(variable, rows, step)

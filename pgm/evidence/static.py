@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from pgm.boundary import as_floats
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
-from pgm.evidence.arrays import as_rows, no_evidence_for, require_finite, taken_readings
+from pgm.evidence.rows import as_rows, as_weights, no_evidence_for, require_finite, taken_readings
 from pgm.evidence.values import Constant, Evidence, Sightings, Soft
 from pgm.factors.axes import as_indices
-from pgm.factors.runs import Place, common_runs, flat, in_run
+from pgm.factors.runs import common_runs, flat
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete, Variable
@@ -169,42 +168,3 @@ def _of_dynamic(variable: Discrete, value: Sightings | Constant) -> EvidenceErro
         f"({listed(variable.states)})",
         variable=variable,
     )
-
-
-def as_weights(variable: Discrete, value: Soft, where: Place = in_run) -> Array:
-    """The weights of soft evidence, (..., size); a message has where the first bad ones are."""
-    what = f"soft evidence for {variable!r}"
-    states = f"({listed(variable.states)})"
-    if isinstance(value.weights, Mapping):
-        raise EvidenceError(
-            f"{what}: the weights are a mapping; give them as a row, in the order of the states "
-            f"{states}",
-            variable=variable,
-        )
-    array = as_floats(
-        value.weights,
-        f"{what}: the weights, one for each of the states {states},",
-        EvidenceError,
-        labels=variable.states,
-        variable=variable,
-    ).copy()
-    if array.shape[-1:] != (variable.size,):
-        raise EvidenceError(
-            f"{what}: the weights have shape {array.shape}; the last axis must hold one for each "
-            f"of the states {states}",
-            variable=variable,
-        )
-    bad = ~np.isfinite(array) | (array < 0.0)
-    if bad.any():
-        raise EvidenceError(
-            f"{what}: weights that are negative, NaN or infinite{where(bad.any(axis=-1))}",
-            variable=variable,
-        )
-    empty = ~array.any(axis=-1)
-    if empty.any():
-        raise EvidenceError(
-            f"{what}: the weights are all zero{where(empty)}; a state that is possible needs a "
-            "positive one, and equal ones say nothing",
-            variable=variable,
-        )
-    return array

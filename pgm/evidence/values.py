@@ -7,13 +7,17 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, is_number
+from pgm.cpds import CPD
 from pgm.display import InCode, Shown, Summary, as_numbers, brief, table
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
-from pgm.variables import Variable
+from pgm.kernels.arrays import Array, Mask
+from pgm.variables import Discrete, Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -168,3 +172,217 @@ def sightings(
             f"{type(given).__name__}"
         )
     return Sightings(values, step, MappingProxyType(dict(given or {})))
+
+
+# The ways of answering for what is not known.
+LIKELIHOOD, SUM, JOINT = "likelihood", "sum", "joint"
+
+
+class Unknown(InCode, Immutable):
+    """The candidates for a parent that is not known of any sighting; made by `unknown`.
+
+    candidates: (k, d).
+    log_shares: (k + 2,): the logarithms of the prior probabilities of each candidate, of a spurious
+        sighting, and of a new thing.
+    """
+
+    candidates: Array
+    log_shares: Array
+    volume: float | None
+    gate: float | None
+    association: str
+
+    def __init__(
+        self,
+        candidates: Any,
+        weights: Any,
+        spurious: float,
+        new: float,
+        volume: float | None,
+        gate: float | None,
+        association: str,
+    ) -> None:
+        values = np.array(as_floats(candidates, "unknown: candidates", EvidenceError))
+        if values.ndim != 2 or not len(values) or not np.isfinite(values).all():
+            raise EvidenceError(
+                "unknown: candidates are one or more rows of finite numbers, (k, d); found "
+                + (
+                    "some that are not finite"
+                    if values.ndim == 2 and len(values)
+                    else f"shape {values.shape}"
+                )
+            )
+        shares = np.ones(len(values))
+        if weights is not None:
+            shares = np.array(as_floats(weights, "unknown: weights", EvidenceError))
+            fine = shares.shape == (len(values),) and np.isfinite(shares).all()
+            if not fine or (shares < 0.0).any() or not shares.any():
+                raise EvidenceError(
+                    f"unknown: weights are {len(values)} numbers, one for each candidate, not "
+                    f"negative and not all zero; found {weights!r}"
+                )
+        for name, share in (("spurious", spurious), ("new", new)):
+            if not is_number(share) or not 0.0 <= share < 1.0:
+                raise EvidenceError(f"unknown: {name} is a probability below 1, not {share!r}")
+        if spurious + new >= 1.0:
+            raise EvidenceError(
+                f"unknown: spurious and new are probabilities whose sum is below 1, not "
+                f"{spurious!r} and {new!r}"
+            )
+        if volume is not None and (not is_number(volume) or not 0.0 < volume < np.inf):
+            raise EvidenceError(f"unknown: volume is a positive number, not {volume!r}")
+        if (volume is None) == bool(spurious + new > 0.0):
+            raise EvidenceError(
+                "unknown: spurious and new sightings are uniform over a volume= of measurements "
+                "(the product of their components' ranges), which is given with them, and with "
+                f"nothing else; found spurious={spurious!r}, new={new!r}, volume={volume!r}"
+            )
+        if gate is not None and (not is_number(gate) or not 0.0 < gate < 1.0):
+            raise EvidenceError(f"unknown: gate is a probability between 0 and 1, not {gate!r}")
+        if association not in (LIKELIHOOD, SUM, JOINT):
+            raise EvidenceError(
+                f'unknown: association is "{LIKELIHOOD}", "{JOINT}" or "{SUM}", not {association!r}'
+            )
+        if association == JOINT and gate is None:
+            raise EvidenceError(
+                'unknown: association="joint" takes as many pairs as lie within a gate together: '
+                "give gate=0.99 or so"
+            )
+        shares = shares / shares.max()  # whose sum is of ordinary size
+        with np.errstate(divide="ignore"):
+            known = np.log(shares / shares.sum()) + np.log1p(-(spurious + new))
+            others = np.log([spurious, new])
+        values.flags.writeable = False
+        self._set(
+            candidates=values,
+            log_shares=np.concatenate([known, others]),
+            volume=None if volume is None else float(volume),
+            gate=None if gate is None else float(gate),
+            association=association,
+        )
+
+    @property
+    def log_outliers(self) -> Array:
+        """The log-densities of spurious and of new sightings, each with its probability, (2,)."""
+        volume = 1.0 if self.volume is None else self.volume
+        found: Array = self.log_shares[-2:] - np.log(volume)
+        return found
+
+    def __repr__(self) -> str:
+        return f"unknown(one of {len(self.candidates):,}, by {self.association})"
+
+
+def unknown(
+    candidates: Any,
+    *,
+    weights: Any = None,
+    spurious: float = 0.0,
+    new: float = 0.0,
+    volume: float | None = None,
+    gate: float | None = None,
+    association: str = LIKELIHOOD,
+) -> Unknown:
+    r"""Sightings whose parent is not known: one of some candidates, or none of them.
+
+    ``pgm.sightings(values, step=..., given={m: pgm.unknown(landmarks)})``. The density of each
+    sighting z is, of a robot at x,
+
+    .. math:: \sum_k w_k (1 - s - n) \, p(z \mid x, m_k) + \frac{s + n}{V}
+
+    with ``association="sum"``, where what was seen is summed out; with ``"likelihood"`` it is the
+    largest of these terms. Beliefs of Gaussians take the likelihood alone: at the predicted belief
+    of each step, given also what of its measurements leaves nothing open, every sighting is given
+    its likeliest candidate, of ln w_k + ln N(z; ẑ_k, S_k) with the innovation's covariance S_k, and
+    the network is then inferred as if that had been known. One sensor's are taken in before the
+    next one's, in the order of the network.
+    ``posterior.associations`` tells what each sighting was taken for. Sightings are associated one
+    by one: two of a step may be given the same candidate.
+
+    With ``"joint"``, for beliefs of Gaussians, the sightings of a sensor at a step are associated
+    together, no candidate being given twice: as many as can be whose innovations, stacked, lie
+    within the gate together, and of several such sets the likeliest, by Σ ln w_k + ln N(ν; 0, S).
+    It sees that the sightings of a robot whose heading is off are all turned alike. The others are
+    spurious or new; ``probability`` is then of the decision, 1 of what was taken.
+
+    Parameters
+    ----------
+    candidates : array_like
+        (k, d): the values that the parent may have.
+    weights : array_like, optional
+        w_k, (k,), relative to each other; equal, if not given.
+    spurious, new : float
+        s and n, the prior probabilities that a sighting is of nothing, and that it is of something
+        that is no candidate.
+    volume : float
+        V, over which such sightings are uniform: the product of the ranges of the measurement's
+        components, in its units; 188 m rad of ranges up to 30 m all round. Due with `spurious` or
+        `new`.
+    gate : float, optional
+        A probability, .999 for instance: a candidate is out of the question where the squared
+        Mahalanobis distance of the innovation exceeds the χ² quantile of that probability, with as
+        many degrees of freedom as components were measured; of grids and particles that of the
+        residual, at each point. A sighting without a candidate is spurious or new, whichever
+        was likelier; where neither is declared Gaussian beliefs leave it out of the density, and to
+        point masses it is impossible.
+    association : str
+        ``"likelihood"``, ``"joint"`` or ``"sum"``.
+
+    Returns
+    -------
+    Unknown
+        A value of ``given=`` of `sightings`, which fits its variable where it is used.
+
+    Raises
+    ------
+    EvidenceError
+        If one of these is of a wrong kind or shape.
+
+    References
+    ----------
+    Thrun, Burgard & Fox, Probabilistic Robotics, 2005, sections 7.5 and 7.6; Bar-Shalom & Fortmann,
+    Tracking and Data Association, 1988; Neira & Tardós, Data association in stochastic mapping
+    using the joint compatibility test, 2001.
+
+    Examples
+    --------
+    >>> unknown([[0.0, 1.0], [5.0, 1.0]], spurious=0.1, volume=60.0, gate=0.999)
+    unknown(one of 2, by likelihood)
+    """
+    return Unknown(candidates, weights, spurious, new, volume, gate, association)
+
+
+def opened(
+    cpd: CPD, given: Mapping[Variable, Any], allowed: bool
+) -> tuple[Mapping[Variable, Any], tuple[Variable, Unknown] | None]:
+    """The parents of sightings that are given, and the one of which there are candidates."""
+    found = [(v, value) for v, value in given.items() if isinstance(value, Unknown)]
+    if not found:
+        return given, None
+    variable, value = found[0]
+    what, why = f"sightings of {cpd.child!r} leave {variable!r} open", ""
+    if not allowed:
+        why = "filters, smoothers and online filters of dynamic networks alone do that"
+    elif len(found) > 1:
+        why = f"and {found[1][0]!r} too; candidates are for one parent"
+    elif isinstance(variable, Discrete) or isinstance(cpd.child, Discrete):
+        why = "which is for variables that are not discrete"
+    elif value.candidates.shape[1] != variable.dimension:
+        count = value.candidates.shape[1]
+        why = f"with candidates of {count} components; it has {variable.dimension}"
+    if why:
+        raise EvidenceError(f"{what}: {why}", variable=variable, cpd=cpd)
+    return {v: each for v, each in given.items() if v != variable}, found[0]
+
+
+def require_whole(cpd: CPD, unknown: tuple[Variable, Unknown] | None, taken: Mask) -> None:
+    """Refuse open sightings that are measured in part, where some may be of no candidate."""
+    if unknown is None or unknown[1].volume is None:
+        return
+    if (taken.any(axis=-1) != taken.all(axis=-1)).any():
+        raise EvidenceError(
+            f"sightings of {cpd.child!r} leave {unknown[0]!r} open and have components that are "
+            "NaN, whose share of the volume= of spurious and new sightings is not known: give "
+            "all components or none, or neither spurious= nor new=",
+            variable=cpd.child,
+            cpd=cpd,
+        )

@@ -2,8 +2,7 @@
 
 from pgm.factors.affine import AffineGaussian
 from pgm.factors.canonical import CanonicalForm
-from pgm.factors.ellipse import Ellipse
-from pgm.factors.gaussian import Gaussian
+from pgm.factors.gaussian import Ellipse, Gaussian
 from pgm.factors.table import Table
 
 __all__ = ["AffineGaussian", "CanonicalForm", "Ellipse", "Gaussian", "Table"]

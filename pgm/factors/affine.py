@@ -11,14 +11,13 @@ import numpy.typing as npt
 from pgm.boundary import as_floats
 from pgm.display import NoArray, Shown, Summary, axes, named_matrix
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import matrices
+from pgm.factors.arrays import is_symmetric, matrices, symmetrised
 from pgm.factors.canonical import CanonicalForm
 from pgm.factors.gaussian import Gaussian, as_gaussian
 from pgm.factors.scope import as_scope, dimension, names, one_name_each
 from pgm.immutable import Immutable, set_writeable
 from pgm.kernels import canonical, moments
 from pgm.kernels.arrays import Array
-from pgm.kernels.checks import is_symmetric, symmetrised
 from pgm.variables import Variable
 
 
@@ -37,10 +36,6 @@ class AffineGaussian(Shown, NoArray, Immutable):
     cov : array_like
         As above; or (d,), the variance of each component; or one variance for all of them.
 
-    Raises
-    ------
-    ModelError
-        If the shapes do not fit one another.
 
     Examples
     --------
@@ -91,22 +86,8 @@ class AffineGaussian(Shown, NoArray, Immutable):
     def forward(self, x: Gaussian, child: Variable) -> Gaussian:
         """The child's marginal: mean F μ + b and covariance F P Fᵀ + Σ.
 
-        Parameters
-        ----------
-        x : Gaussian
-            Over the parents: mean μ, (..., n), and covariance P.
-        child : Variable
-
-        Returns
-        -------
-        Gaussian
-            Over the child, (..., d).
-
-        Raises
-        ------
-        ModelError
-            If `x` is no Gaussian, F does not map its scope to the child, or F, b and Σ are not
-            finite or Σ is not symmetric.
+        F has to map the scope of x, N(μ, P), to the child, and be finite as b and Σ are; Σ has to
+        be symmetric: else it is a ModelError, here and in the other methods.
         """
         child_scope, given = as_scope(child), as_gaussian(x).scope
         one_name_each((*child_scope, *given))
@@ -120,24 +101,8 @@ class AffineGaussian(Shown, NoArray, Immutable):
         With M = I + K Σ and e = h − K b: FᵀM⁻¹K F, FᵀM⁻¹e and
         g − ½ ln|M| + hᵀb − ½ bᵀK b + ½ eᵀΣM⁻¹e.
 
-        Parameters
-        ----------
-        message : CanonicalForm
-            Over the child.
-        given : Variable or sequence of Variable
-            The parents.
-
-        Returns
-        -------
-        CanonicalForm
-            Over the parents.
-
-        Raises
-        ------
-        ModelError
-            If the message is no canonical form; else as of `forward`.
-        NumericalError
-            If the integral diverges, which only an indefinite K can bring about.
+        The message is over the child, `given` are the parents. Only an indefinite K can make the
+        integral diverge: a NumericalError.
         """
         if not isinstance(message, CanonicalForm):
             raise ModelError(f"a message is a CanonicalForm, not {type(message).__name__}")
@@ -159,20 +124,7 @@ class AffineGaussian(Shown, NoArray, Immutable):
         K = [[Σ⁻¹, −Σ⁻¹F], [−FᵀΣ⁻¹, FᵀΣ⁻¹F]], h = [Σ⁻¹b; −FᵀΣ⁻¹b] and
         g = −½ (bᵀΣ⁻¹b + d ln 2π + ln|Σ|).
 
-        Parameters
-        ----------
-        child, given : Variable or sequence of Variable
-
-        Returns
-        -------
-        CanonicalForm
-
-        Raises
-        ------
-        ModelError
-            If a variable is named twice; else as of `forward`.
-        NumericalError
-            If Σ is singular: the factor has no canonical form.
+        If Σ is singular, the factor has no canonical form: a NumericalError.
         """
         child, given = as_scope(child), as_scope(given)
         scope = as_scope((*child, *given), "the scope of the factor")

@@ -150,10 +150,7 @@ class _Unfit(Exception):
 
 
 def as_indices(variable: Discrete, value: Any, where: Place = in_run) -> Integers:
-    """Evidence, names or indices of states, as an array of indices (...); −1 is "not observed".
-
-    A message tells where the first bad one is.
-    """
+    """Evidence, names or indices of states, as an array of indices (...); −1 is "not observed"."""
     try:
         return _indices(variable, value, where)
     except _Unfit as fault:

@@ -39,8 +39,7 @@ class CanonicalForm(Shown, NoArray, Immutable):
     - h: the information vector, (..., n);
     - g: the log-scale, (...), so that products and messages stay unnormalised.
 
-    Leading axes are independent factors and broadcast. Two forms may be multiplied, divided,
-    marginalised and reduced; every operation carries g.
+    Leading axes are independent factors and broadcast. Every operation carries g.
 
     Parameters
     ----------
@@ -50,7 +49,10 @@ class CanonicalForm(Shown, NoArray, Immutable):
     Raises
     ------
     ModelError
-        If shapes do not fit the scope, K is not symmetric, or an entry is not finite.
+        If arguments do not fit, here and in all methods: shapes, a K that is not symmetric, entries
+        that are not finite, a variable that is not in the scope or named twice.
+    NumericalError
+        Of `log_integral`, `gaussian` and `normalised`, if K is not positive definite.
 
     References
     ----------
@@ -107,16 +109,7 @@ class CanonicalForm(Shown, NoArray, Immutable):
 
     @classmethod
     def vacuous(cls, scope: Variable | Iterable[Variable]) -> CanonicalForm:
-        """The factor that is one everywhere: K = 0, h = 0, g = 0.
-
-        Parameters
-        ----------
-        scope : Variable or sequence of Variable
-
-        Returns
-        -------
-        CanonicalForm
-        """
+        """The factor that is one everywhere: K = 0, h = 0, g = 0."""
         scope = as_scope(scope)
         size = dimension(scope)
         return cls._make(scope, np.zeros((size, size)), np.zeros(size), np.zeros(()))
@@ -125,22 +118,7 @@ class CanonicalForm(Shown, NoArray, Immutable):
     def from_gaussian(cls, gaussian: Gaussian, log_weight: npt.ArrayLike = 0.0) -> CanonicalForm:
         """exp(log_weight) N(x; μ, P): K = P⁻¹, h = P⁻¹μ, g = ln N(0; μ, P) + log_weight.
 
-        Parameters
-        ----------
-        gaussian : Gaussian
-        log_weight : array_like
-            (...), which broadcasts with the leading axes of the Gaussian.
-
-        Returns
-        -------
-        CanonicalForm
-
-        Raises
-        ------
-        ModelError
-            If the first is no Gaussian, or the log-weight is not finite or does not broadcast.
-        NumericalError
-            If P is singular: K does not exist.
+        The log-weight is (...). If P is singular, K does not exist: a NumericalError.
         """
         gaussian = as_gaussian(gaussian)
         what = f"the log-weight of the Gaussian over {names(gaussian.scope)}"
@@ -157,21 +135,7 @@ class CanonicalForm(Shown, NoArray, Immutable):
         return cls._make(gaussian.scope, K, h, g)
 
     def extend(self, scope: Variable | Iterable[Variable]) -> CanonicalForm:
-        """The same factor over a wider or reordered scope: zeros for the new variables.
-
-        Parameters
-        ----------
-        scope : Variable or sequence of Variable
-
-        Returns
-        -------
-        CanonicalForm
-
-        Raises
-        ------
-        ModelError
-            If the scope lacks a variable of the factor, or is a set, without order.
-        """
+        """The same factor over a wider or reordered scope: zeros for the new variables."""
         scope = as_scope(scope)
         if scope == self.scope:
             return self
@@ -221,20 +185,7 @@ class CanonicalForm(Shown, NoArray, Immutable):
         K' = K_xx − K_xy K_yy⁻¹ K_yx, h' = h_x − K_xy K_yy⁻¹ h_y and
         g' = g + ½ (d_y ln 2π − ln|K_yy| + h_yᵀ K_yy⁻¹ h_y), for y the variables to drop.
 
-        Parameters
-        ----------
-        *drop : Variable
-
-        Returns
-        -------
-        CanonicalForm
-
-        Raises
-        ------
-        ModelError
-            If a variable is not in the scope, or is named twice.
-        NumericalError
-            If K_yy is not positive definite, so that the integral diverges.
+        If K_yy is not positive definite, the integral diverges: a NumericalError.
         """
         out = positions(self.scope, as_scope(drop))
         keep = tuple(variable for variable in self.scope if variable not in drop)
@@ -249,22 +200,7 @@ class CanonicalForm(Shown, NoArray, Immutable):
         return self._make(keep, K, h, g)
 
     def marginal(self, *keep: Variable) -> CanonicalForm:
-        """Integrate all but some variables out.
-
-        Parameters
-        ----------
-        *keep : Variable
-
-        Returns
-        -------
-        CanonicalForm
-            In the order asked for.
-
-        Raises
-        ------
-        ModelError, NumericalError
-            As of `marginalise`.
-        """
+        """Integrate all but some variables out; the result is in the order asked for."""
         positions(self.scope, as_scope(keep))
         dropped = (variable for variable in self.scope if variable not in keep)
         return self.marginalise(*dropped).rearrange(keep)
@@ -274,21 +210,7 @@ class CanonicalForm(Shown, NoArray, Immutable):
 
         K' = K_xx, h' = h_x − K_xy Y and g' = g + h_yᵀY − ½ Yᵀ K_yy Y.
 
-        Parameters
-        ----------
-        evidence : mapping of Variable to array_like
-            (..., dimension) each; a number for a scalar.
-
-        Returns
-        -------
-        CanonicalForm
-            Over the other variables, x.
-
-        Raises
-        ------
-        ModelError
-            If it is no mapping, a variable is not in the scope, or a value is not finite or of a
-            wrong shape.
+        Values are (..., dimension) each; a number for a scalar.
         """
         evidence = as_mapping(evidence, "the evidence of a factor", ModelError)
         if not evidence:
@@ -314,11 +236,11 @@ class CanonicalForm(Shown, NoArray, Immutable):
 
     @property
     def log_integral(self) -> Array:
-        """The log-integral ln ∫ C(x) dx, (...); NumericalError where K is not positive definite."""
+        """The log-integral ln ∫ C(x) dx, (...)."""
         return self._moments()[2]
 
     def gaussian(self) -> Gaussian:
-        """The normalised moment form; NumericalError where K is not positive definite."""
+        """The normalised moment form."""
         mean, cov, _ = self._moments()
         return Gaussian._make(self.scope, mean, cov)
 
@@ -328,24 +250,8 @@ class CanonicalForm(Shown, NoArray, Immutable):
         P may be singular and is never inverted: for a root P = L Lᵀ the covariance is
         P⁺ = L (I + LᵀK L)⁻¹ Lᵀ and the mean m + P⁺ (h − K m).
 
-        Parameters
-        ----------
-        gaussian : Gaussian
-            Over the variables of the factor, in any order.
-
-        Returns
-        -------
-        product : Gaussian
-            Normalised, in the order of the one given.
-        log_integral : ndarray
-            (...).
-
-        Raises
-        ------
-        ModelError
-            If it is no Gaussian, or the scopes hold different variables.
-        NumericalError
-            If the product has no integral, which only an indefinite K can bring about.
+        The Gaussian is over the variables of the factor, in any order; the product is in its order,
+        normalised. Only an indefinite K can leave it without an integral: a NumericalError.
         """
         gaussian = as_gaussian(gaussian)
         if set(gaussian.scope) != set(self.scope):
@@ -363,27 +269,11 @@ class CanonicalForm(Shown, NoArray, Immutable):
         return Gaussian._make(gaussian.scope, mean, cov), log_integral
 
     def normalised(self) -> CanonicalForm:
-        """The factor divided by its integral; NumericalError where K is not positive definite."""
+        """The factor divided by its integral."""
         return self._make(self.scope, self.K, self.h, self.g - self.log_integral)
 
     def log_value(self, x: npt.ArrayLike) -> Array:
-        """The logarithm ln C(x) at stacked values.
-
-        Parameters
-        ----------
-        x : array_like
-            (..., n); leading axes broadcast with the factor's.
-
-        Returns
-        -------
-        ndarray
-            (...).
-
-        Raises
-        ------
-        ModelError
-            If the values are not finite, or their shape does not fit.
-        """
+        """The logarithm ln C(x) at stacked values (..., n), whose leading axes broadcast, (...)."""
         what = f"a point of the canonical form over {names(self.scope)}"
         x = as_points(self.scope, x, self.g.shape, what)
         return inner(self.h, x) - 0.5 * inner(apply(self.K, x), x) + self.g

@@ -1,10 +1,10 @@
-"""Gaussians in moment form."""
+"""Gaussians in moment form, and their confidence ellipses."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,20 +12,25 @@ import numpy.typing as npt
 from pgm.boundary import (
     as_generator,
     as_lengths,
+    as_tuple,
+    is_number,
+    is_unordered,
     is_whole,
 )
 from pgm.display import (
+    Listing,
     NoArray,
     Shown,
     Summary,
     axes,
     by_component,
+    column,
+    places,
     stacked,
 )
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import as_covariance, as_points, as_steps, as_vector
-from pgm.factors.ellipse import Ellipse, confidence_ellipse
-from pgm.factors.frames import Framed
+from pgm.factors.arrays import IMPROPER, as_covariance, as_points, as_steps, as_vector
+from pgm.factors.listing import Framed
 from pgm.factors.runs import lead_index
 from pgm.factors.scope import (
     Scope,
@@ -34,6 +39,7 @@ from pgm.factors.scope import (
     components,
     dimension,
     distinct_labels,
+    labels,
     listed,
     names,
     positions,
@@ -42,9 +48,72 @@ from pgm.immutable import Immutable
 from pgm.kernels import moments, normal, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
-from pgm.kernels.checks import IMPROPER
 from pgm.sizes import require_memory
 from pgm.variables import Variable
+
+
+class Ellipse(NamedTuple):
+    """The smallest region of a confidence of a two-dimensional Gaussian.
+
+    Attributes
+    ----------
+    centre : ndarray
+        (..., 2).
+    half_axes : ndarray
+        (..., 2), the longer one first: √(χ²₂(c) λᵢ), with χ²₂(c) = −2 ln(1 − c).
+    orientation : ndarray
+        (...), of the longer axis, atan2(v₁₂, v₁₁), radians in (−π/2, π/2]: it has no direction.
+    """
+
+    centre: Array
+    half_axes: Array
+    orientation: Array
+
+    def _summary(self) -> Summary:
+        lead = self.orientation.shape
+        found = [place for place in places(lead) if place is not None]
+        parts = np.array(
+            [[*self.centre[at], *self.half_axes[at], self.orientation[at]] for at in found]
+        )
+        cells = np.array([column(part) for part in parts.T]).reshape(5, -1)
+        rows = {place: cells[:, k].tolist() for k, place in enumerate(found)}
+        heads = ["centre", "", "half-axes", "", "orientation [rad]"]
+        where = [""] if lead else []
+        listed = [
+            None if at is None else [*([str(list(at))] if lead else []), *rows[at]]
+            for at in places(lead)
+        ]
+        return Summary(
+            "Ellipse" + (f", {lead} of them" if lead else ""),
+            [Listing([*where, *heads], listed, names=len(where))],
+        )
+
+    def __repr__(self) -> str:
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+
+def confidence_ellipse(
+    scope: Scope, mean: Array, cov: Array, confidence: float, components: tuple[str, str] | None
+) -> Ellipse:
+    """The ellipse of two components of Gaussians, by name; of the first two without."""
+    known = labels(scope)
+    if not is_number(confidence) or not 0.0 < confidence < 1.0:
+        raise ModelError(f"a confidence lies between 0 and 1; {confidence!r} does not")
+    if len(known) < 2:
+        raise ModelError(f"{names(scope)} has one component; an ellipse needs two")
+    pair = known[:2] if components is None else as_tuple(components)
+    if pair is None or len(pair) != 2 or is_unordered(components):
+        raise ModelError(f"an ellipse is of two components, not of {components!r}")
+    for label in pair:
+        if known.count(label) != 1 or pair[0] == pair[1]:
+            raise ModelError(f"{names(scope)} has no single component {label!r}; it has {known}")
+    i, j = (known.index(label) for label in pair)
+    variances, orientation = moments.principal_axes(cov[..., [[i], [j]], [i, j]])
+    half_axes = np.sqrt(-2.0 * np.log1p(-confidence) * variances)
+    return Ellipse(mean[..., [i, j]], half_axes, orientation)
 
 
 class Gaussian(Framed, Shown, NoArray, Immutable):
@@ -70,7 +139,11 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
     Raises
     ------
     ModelError
-        If shapes do not fit the scope, or `cov` is not a covariance.
+        If arguments do not fit, here and in all methods: shapes, a `cov` that is no covariance, a
+        variable that is not in the scope or named twice, a run that there is not.
+    NumericalError
+        Of `log_density` and `kl`, if a covariance is singular or infinite; of `sample`, if a
+        variance is infinite, or the covariance all but singular and off by more than rounding.
 
     Examples
     --------
@@ -165,11 +238,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         not mentioned stay. ``belief[100:200]`` is of a hundred runs, or steps where there are no
         runs, ``belief[..., -1]`` of the last step.
 
-        Raises
-        ------
-        ModelError
-            If there are no such places.
-
         Examples
         --------
         >>> x = Variable("x")
@@ -191,15 +259,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
     def marginal(self, *keep: Variable) -> Gaussian:
         """The `Gaussian` over some of the variables, in the order asked for; leading axes stay.
 
-        Parameters
-        ----------
-        *keep : Variable
-
-        Raises
-        ------
-        ModelError
-            If a variable is not in the scope, or is named twice.
-
         Examples
         --------
         >>> x, y = pgm.variables("x y")
@@ -213,19 +272,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         )
 
     def run(self, *index: int) -> Gaussian:
-        """One run of several, a `Gaussian` with all its steps.
-
-        Parameters
-        ----------
-        *index : int
-            The run's places along the axes of runs, or along the first of them.
-
-        Raises
-        ------
-        ModelError
-            If an index is no whole number, there is no such run, or there are more indices than
-            axes of runs.
-        """
+        """One run of several, a `Gaussian` with all its steps, by places along axes of runs."""
         lead = self.mean.ndim - 1 - (self.steps is not None)
         if not all(map(is_whole, index)):
             raise ModelError(
@@ -259,15 +306,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         -------
         ndarray
             (*size, ..., n).
-
-        Raises
-        ------
-        ModelError
-            If `size` is no number of draws or would not fit into memory, or `rng` is neither a
-            generator nor a seed.
-        NumericalError
-            If a variance is infinite, or the covariance all but singular and off by more than
-            rounding.
         """
         shape = as_lengths(size, "of each Gaussian")
         require_memory(
@@ -286,47 +324,18 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         return normal.draw(self.mean, lower, white)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
-        """The log-density ln N(x; mean, cov); differences of angles are wrapped.
+        """The log-density at values (..., n), in nats, (...); differences of angles are wrapped.
 
-        Parameters
-        ----------
-        x : array_like
-            (..., n); leading axes broadcast with the Gaussian's.
-
-        Returns
-        -------
-        ndarray
-            (...), in nats.
-
-        Raises
-        ------
-        ModelError, NumericalError
-            If values are not finite or do not fit; if the covariance is singular or infinite.
+        Leading axes broadcast.
         """
         value = moments.log_density(self._offset(x), self.cov)
         return self._exists(value, "log-density")
 
     def kl(self, other: Gaussian) -> Array:
-        """KL(self ‖ other); differences of angles are wrapped.
+        """KL(self ‖ other) in nats, (...), for a Gaussian of mean μ' and covariance P'.
 
-        ½ (ln |P'|/|P| − n + tr(P'⁻¹P) + (μ' − μ)ᵀ P'⁻¹ (μ' − μ)).
-
-        Parameters
-        ----------
-        other : Gaussian
-            Of mean μ' and covariance P', over the same scope.
-
-        Returns
-        -------
-        ndarray
-            (...), in nats.
-
-        Raises
-        ------
-        ModelError
-            If it is no Gaussian, or the scopes differ.
-        NumericalError
-            If a covariance is singular or infinite.
+        ½ (ln |P'|/|P| − n + tr(P'⁻¹P) + (μ' − μ)ᵀ P'⁻¹ (μ' − μ)), over one scope; differences of
+        angles are wrapped.
         """
         if as_gaussian(other).scope != self.scope:
             raise ModelError(
@@ -360,15 +369,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
             Probability of the region, in (0, 1).
         components : pair of str, optional
             Which components, by name; the first two without.
-
-        Returns
-        -------
-        Ellipse
-
-        Raises
-        ------
-        ModelError
-            If the confidence is not in (0, 1), or the components are not two of the scope's.
         """
         return confidence_ellipse(self.scope, self.mean, self.cov, confidence, components)
 

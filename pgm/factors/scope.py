@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,11 +23,7 @@ MOST = 8
 def as_scope(
     scope: Variable | Iterable[Variable], what: str = "a scope", *, ordered: bool = True
 ) -> Scope:
-    """A variable or several, as a tuple.
-
-    Refuses what is no variable, repeats, two different variables of one name, and, where their
-    order says which axis is whose, several in a set.
-    """
+    """A variable or several, as a tuple, each once; in a set only where order does not matter."""
     items = as_tuple(scope)
     result: Scope = (scope,) if items is None else items
     if ordered and is_unordered(scope):
@@ -149,10 +145,7 @@ def as_value(
     missing: bool = False,
     **about: Any,
 ) -> Array:
-    """A value of a variable as an array (..., dimension); a scalar may be a Python number.
-
-    Where entries may be missing they are NaN.
-    """
+    """A value of a variable, (..., dimension), NaN where it may be missing; a scalar's a number."""
     what, about = f"{variable!r}: the {what}", {**about, "variable": variable}
     array = as_floats(value, what, labels=variable.components, missing=missing, **about)
     if array.ndim == 0 and variable.dimension == 1:
@@ -196,3 +189,49 @@ def unknown_name(key: object, known: Collection[Variable], where: str = "the net
 
 def _in_order(variables: Iterable[Variable]) -> list[Variable]:
     return sorted(variables, key=lambda v: (v.name, -1 if v.step is None else v.step, v.lag))
+
+
+class Component(Protocol):
+    """One component of a variable, with the name that it has in a belief."""
+
+    @property
+    def variable(self) -> Variable:
+        """The variable."""
+
+    @property
+    def component(self) -> int:
+        """Its place in the variable."""
+
+    @property
+    def label(self) -> str:
+        """Its name, with that of the variable where variables share it."""
+
+
+def places_of(each: Sequence[Component], asked: Sequence[str], what: str) -> tuple[int, ...]:
+    """The places of components by name, each named once, for a result called `what`."""
+    labels = [component.label for component in each]
+    named = all(isinstance(name, str) for name in asked)
+    if not asked or not named or len(set(asked)) < len(asked):
+        raise ModelError(
+            f"{what} is of one or more of {listed(labels)}, by name, each once; found "
+            f"{tuple(asked)}"
+        )
+    unknown = [name for name in asked if name not in labels]
+    if unknown:
+        raise ModelError(
+            f"{unknown[0]!r} is no component of this belief; those are {listed(labels)}"
+        )
+    return tuple(labels.index(name) for name in asked)
+
+
+def whole_variables(each: Sequence[Component]) -> Scope:
+    """The variables whose components these are, refused if some are missing or out of order."""
+    variables = tuple(dict.fromkeys(component.variable for component in each))
+    due = [(v, k) for v in variables for k in range(v.dimension)]
+    if [(component.variable, component.component) for component in each] != due:
+        labels = [component.label for component in each]
+        raise ModelError(
+            f"a Gaussian is over whole variables: {listed(labels)} are not all components of "
+            f"{listed(variables)} in their order; take .mean and .cov"
+        )
+    return variables

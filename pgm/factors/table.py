@@ -24,8 +24,7 @@ from pgm.factors.axes import (
     spread,
     without,
 )
-from pgm.factors.frames import FramedTable
-from pgm.factors.listing import summary, title
+from pgm.factors.listing import FramedTable, summary, title
 from pgm.factors.scope import names
 from pgm.immutable import Immutable
 from pgm.kernels import tables as kernel
@@ -44,17 +43,16 @@ class Table(FramedTable, Shown, NoArray, Immutable):
     - values: (..., size of each variable...), in the order of the scope;
     - log-scale: (...), so that products of thousands of small numbers stay above zero.
 
-    Leading axes are independent factors and broadcast. Two tables may be multiplied, divided,
-    summed and maximised over: values are multiplied, divided and summed as they are, and so are
-    log-scales added and subtracted, unless values come near what numbers hold. Then, and where
-    the largest value is below 1e-100 or above 1e100, that becomes about one, and the rest goes
-    into the log-scale. Entries below 1e-300 of the largest become zero. All zero is legal.
+    Leading axes are independent factors and broadcast. Values and log-scales are multiplied,
+    divided and summed as they are, unless values come near what numbers hold. Then, and where the
+    largest value is below 1e-100 or above 1e100, that becomes about one, and the rest goes into
+    the log-scale. Entries below 1e-300 of the largest become zero. All zero is legal.
 
     Parameters
     ----------
     scope : Discrete or sequence of Discrete
     values, log_scale : array_like
-        A log-scale of −∞ says that the table is all zero.
+        Not negative and finite; a log-scale of −∞ says that the table is all zero.
     lead : int or tuple of int
         The leading axes, of several tables; without, the values are those of one, so that a table
         of a wrong shape is not taken for a stack of others.
@@ -62,7 +60,10 @@ class Table(FramedTable, Shown, NoArray, Immutable):
     Raises
     ------
     ModelError
-        If shapes do not fit the scope, or an entry is negative or not finite.
+        If arguments do not fit, here and in all methods: a variable is not in the scope or named
+        twice, a state is none of its variable's.
+    NumericalError
+        Of `normalised`, `probabilities` and `argmax`, if the table is all zero.
 
     References
     ----------
@@ -140,31 +141,13 @@ class Table(FramedTable, Shown, NoArray, Immutable):
 
     @classmethod
     def vacuous(cls, scope: Variable | Iterable[Variable]) -> Table:
-        """The factor that is one everywhere.
-
-        Parameters
-        ----------
-        scope : Discrete or sequence of Discrete
-
-        Returns
-        -------
-        Table
-        """
+        """The factor that is one everywhere."""
         scope = as_states(scope)
         return cls._make(scope, np.ones(sizes(scope)))
 
     @classmethod
     def uniform(cls, scope: Variable | Iterable[Variable]) -> Table:
-        """Equal probabilities of all combinations of states.
-
-        Parameters
-        ----------
-        scope : Discrete or sequence of Discrete
-
-        Returns
-        -------
-        Table
-        """
+        """Equal probabilities of all combinations of states."""
         return cls.vacuous(scope).normalised()
 
     @property
@@ -175,21 +158,7 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         return self._make(scope, *kernel.rescale(values, log_scale, len(scope)))
 
     def extend(self, scope: Variable | Iterable[Variable]) -> Table:
-        """The same factor over a wider or reordered scope; it is constant in new variables.
-
-        Parameters
-        ----------
-        scope : Discrete or sequence of Discrete
-
-        Returns
-        -------
-        Table
-
-        Raises
-        ------
-        ModelError
-            If the scope lacks a variable of the factor, holds a continuous one, or is a set.
-        """
+        """The same factor over a wider or reordered scope; it is constant in new variables."""
         scope = as_states(scope)
         if scope == self.scope:
             return self
@@ -225,13 +194,8 @@ class Table(FramedTable, Shown, NoArray, Immutable):
     def __truediv__(self, other: Table) -> Table:
         """Quotient of two factors on the common scope, where 0/0 is 0.
 
-        That is what belief propagation needs: it divides a message out of a belief that the
-        message is part of, so where the message is zero the belief is too.
-
-        Raises
-        ------
-        NumericalError
-            If the divisor is zero where the dividend is not.
+        So belief propagation divides a message out of a belief that it is part of. A divisor that
+        is zero where the dividend is not raises a NumericalError.
         """
         if not isinstance(other, Table):
             return NotImplemented
@@ -247,13 +211,7 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         return self._combined(scope, values, self.log_scale - other.log_scale + scale)
 
     def marginalise(self, *drop: Variable) -> Table:
-        """Sum some variables out: φ'(x) = Σ_y φ(x, y). The result is a `Table`.
-
-        Raises
-        ------
-        ModelError
-            If a variable is not in the scope, or is named twice.
-        """
+        """Sum some variables out: φ'(x) = Σ_y φ(x, y)."""
         axes = axes_of(self.scope, drop)
         if not drop:
             return self
@@ -261,47 +219,19 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         return self._combined(without(self.scope, drop), values.sum(axis=axes), scale)
 
     def marginal(self, *keep: Variable) -> Table:
-        """Sum all but some variables out; the `Table` is in the order asked for.
-
-        Raises
-        ------
-        ModelError
-            If a variable is not in the scope, or is named twice.
-        """
+        """Sum all but some variables out; the `Table` is in the order asked for."""
         axes_of(self.scope, keep)
         return self.marginalise(*without(self.scope, keep)).rearrange(keep)
 
     def maximise(self, *drop: Variable) -> Table:
-        """Maximise over some variables: φ'(x) = max_y φ(x, y). The result is a `Table`.
-
-        Raises
-        ------
-        ModelError
-            If a variable is not in the scope, or is named twice.
-        """
+        """Maximise over some variables: φ'(x) = max_y φ(x, y)."""
         axes = axes_of(self.scope, drop)
         if not drop:
             return self
         return self._combined(without(self.scope, drop), self.values.max(axis=axes), self.log_scale)
 
     def reduce(self, evidence: Mapping[Discrete, str | int]) -> Table:
-        """Put in the states of some variables; entries stay as they are.
-
-        Parameters
-        ----------
-        evidence : mapping of Discrete to str or int
-            One state each, by name or index.
-
-        Returns
-        -------
-        Table
-            Over the other variables.
-
-        Raises
-        ------
-        ModelError
-            If it is no mapping, a variable is not in the scope, or there is no such state.
-        """
+        """Put in states, by name or index, of some variables; entries stay as they are."""
         evidence = as_mapping(evidence, "the evidence of a table", ModelError)
         axes_of(self.scope, evidence)
         index = [v.index(evidence[v]) if v in evidence else slice(None) for v in self.scope]
@@ -319,33 +249,16 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         return kernel.log_sum(*self._rescaled, len(self.scope))
 
     def normalised(self) -> Table:
-        """The table divided by its sum, with the log-scale zero.
-
-        Raises
-        ------
-        NumericalError
-            If the table is all zero.
-        """
+        """The table divided by its sum, with the log-scale zero."""
         return self._make(self.scope, kernel.normalise(self._positive(), len(self.scope)))
 
     @property
     def probabilities(self) -> Array:
-        """The values of `normalised`, (..., size of each variable...), or its NumericalError."""
+        """The values of `normalised`, (..., size of each variable...)."""
         return self.normalised().values
 
     def argmax(self) -> dict[Discrete, str] | dict[Discrete, Integers]:
-        """The states of the largest entry, the first one of several equal ones.
-
-        Returns
-        -------
-        dict
-            The name of each variable's state; for stacked tables, its indices (...).
-
-        Raises
-        ------
-        NumericalError
-            If the table is all zero.
-        """
+        """The states of the largest entry, the first of equals: names; of stacks, indices (...)."""
         lead = self.log_scale.shape
         best = self._positive().reshape((*lead, math.prod(sizes(self.scope)))).argmax(axis=-1)
         index = np.unravel_index(best, sizes(self.scope))
@@ -361,12 +274,7 @@ class Table(FramedTable, Shown, NoArray, Immutable):
     def __getitem__(self, states: str | int | tuple[str | int, ...]) -> Array:
         """The entries φ at a state of each variable, in the order of the scope, (...).
 
-        Raises
-        ------
-        ModelError
-            If there is no such state, or not one for each variable.
-        NumericalError
-            If an entry is too large for a number; `log_values` has its logarithm.
+        An entry too large for a number raises a NumericalError; `log_values` has its logarithm.
         """
         wanted = states if isinstance(states, tuple) else (states,)
         if len(wanted) != len(self.scope):

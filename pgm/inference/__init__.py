@@ -1,11 +1,10 @@
 """Inference: schedules of messages, and what they leave."""
 
-from pgm.inference.associations import Associations
+from pgm.inference.associations import Associations, Rejections
 from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.marginals import KeptPosterior, Marginals
 from pgm.inference.chain.posterior import ChainPosterior
-from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
@@ -15,23 +14,30 @@ from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import Kind
-from pgm.inference.loopy_schedules import Flooding, Residual, Sequential
 from pgm.inference.lost import Lost
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
+from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cells import CellProposal
-from pgm.inference.particles.injection import Injection
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
 from pgm.inference.particles.online import OnlineParticleBelief, OnlineParticles
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.status import ParticleStatus
-from pgm.inference.particles.value import Particles
+from pgm.inference.particles.value import Injection, Particles
 from pgm.inference.posterior import Posterior
 from pgm.inference.query import query
-from pgm.inference.rejections import Rejections
-from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.inference.schedule import (
+    Calibration,
+    Filtering,
+    FixedLag,
+    Flooding,
+    Residual,
+    Schedule,
+    Sequential,
+    Smoothing,
+)
 from pgm.inference.status import Status
 
 __all__ = [

@@ -14,16 +14,14 @@ from pgm.inference import discrete, gaussian
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
-from pgm.inference.checks import require_lineariser
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.value import Grid
-from pgm.inference.loopy_schedules import Loopy
+from pgm.inference.options import Start, require_lineariser
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.value import Particles
 from pgm.inference.points import PointMasses
 from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import Filtering, FixedLag, Schedule, Smoothing
-from pgm.inference.start import Start
+from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule, Smoothing
 from pgm.inference.temporal import runner
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.progress import Progress, reporting

@@ -7,7 +7,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 
-from pgm.inference.damping import LevenbergMarquardt
+from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Filtering, Smoothing
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Index, Mask, block
@@ -22,8 +22,7 @@ _HEAVIEST = 1e12
 class Point(NamedTuple):
     """A point of linearisation: mean (steps, runs, n) and cov (steps, runs, n, n).
 
-    `joint` (steps − 1, runs, m, m) are the covariances of pairs, where a CPD needs more than those
-    of the states before.
+    `joint` (steps − 1, runs, m, m) are covariances of pairs, where a CPD needs more than states.
     """
 
     mean: Array
@@ -95,12 +94,10 @@ class Solution(Protocol):
     @property
     def means(self) -> Array:
         """Its means, (steps, runs, n)."""
-        ...
 
     @property
     def point(self) -> Any:
         """Its moments: a `Point`, or, of steps that are not controlled, all with means and std."""
-        ...
 
 
 S = TypeVar("S", bound=Solution)
@@ -112,15 +109,12 @@ class Problem(Protocol[Found]):
 
     def linearise(self, at: Any, active: Mask) -> None:
         """Linearise at the point of a solution, for the runs that are active."""
-        ...
 
     def solve(self, anchor: Anchor | None = None) -> Found:
         """The solution of the model as it is linearised."""
-        ...
 
     def settled(self) -> Mask | bool:
         """Whether a model that changes from iteration to iteration is the one asked for."""
-        ...
 
 
 class Controlled(Problem[Found], Protocol[Found]):
@@ -128,14 +122,12 @@ class Controlled(Problem[Found], Protocol[Found]):
 
     def cost(self, at: Point) -> Array:
         """The cost of means with the covariances given, the noise as linearised, (runs,)."""
-        ...
 
     def feasible(self, mean: Array, found: Point) -> Array:
         """Means projected onto exact linear CPDs, off whose solutions no cost is finite.
 
         Distances may be measured in the deviations of what was found.
         """
-        ...
 
 
 @dataclass(frozen=True, eq=False)

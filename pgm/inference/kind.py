@@ -17,18 +17,14 @@ class Kind(InCode):
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + \mathrm{lag},\, T)})
 
     Its text, ``predicted``, ``filtered``, ``fixed-lag (5)`` or ``smoothed``, labels plots:
-    ``pgm.plot.trajectory(posterior[x], label=posterior.kind)``.
+    ``pgm.plot.trajectory(posterior[x], label=posterior.kind)``. A lag that is no such number is
+    refused with a `ModelError`.
 
     Parameters
     ----------
     lag : int or math.inf
         In steps: −1 of a prediction, which knows the measurements before its step; 0 of a filter;
         more of a fixed-lag smoother; ``math.inf`` of a smoother, which knows all.
-
-    Raises
-    ------
-    ModelError
-        If the lag is no such number.
 
     Examples
     --------
@@ -52,19 +48,9 @@ class Kind(InCode):
         return names.get(self.lag, "fixed-lag")
 
     def last(self, step: int, steps: int) -> int:
-        """The last step whose measurements a belief at a step knows.
+        """The last step whose measurements a belief at `step` of a chain of `steps` knows.
 
-        Parameters
-        ----------
-        step : int
-            Of the belief.
-        steps : int
-            T, the chain's last step.
-
-        Returns
-        -------
-        int
-            min(step + lag, T); −1 of a prediction at step 0, which knows none.
+        It is min(step + lag, T); −1 of a prediction at step 0, which knows none.
         """
         return int(min(step + self.lag, steps))
 

@@ -17,16 +17,14 @@ from pgm.sizes import gibibytes
 from pgm.variables import Discrete
 
 # Entries of all tables, or covariances, of a graph, or of one answer over all runs: a gibibyte.
-# The peak of memory is more: besides the tables there are the potentials, where their entries
-# stand, and what is made of them on the way. It was measured as two times as much for large
-# tables, five for many small ones, six where messages go round.
+# The peak of memory is more, by potentials and steps between: two times as much, measured, for
+# large tables, five for many small ones, six where messages go round.
 LIMIT = 2**27
 FACTOR = "about five"
-# Bytes that the tables of many runs may take. Half is for those computed at once, which take up to
-# four times their room on the way (measured), half for those that a posterior keeps: of more runs
-# they are calibrated again when asked for.
+# Bytes that the tables of many runs may take, and entries, times runs, of its halves: one is for
+# tables computed at once, which take up to four times their room on the way (measured), one for
+# those a posterior keeps; further runs are calibrated again when asked for.
 MEMORY = 2**28
-# Entries, times runs, that these halves hold.
 BATCH, KEPT = 2**22, 2**24
 # Variables of a cluster that a message lists.
 LISTED = 8
@@ -34,10 +32,7 @@ LISTED = 8
 
 @dataclass(frozen=True)
 class Room:
-    """The share of many runs that is held at a time.
-
-    `batch` and `kept` are entries of tables, times runs: computed at once, and kept by a posterior.
-    """
+    """Entries of tables, times runs, that are computed at once, and that a posterior keeps."""
 
     batch: int
     kept: int

@@ -14,8 +14,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.clustergraph.checks import Edge
-from pgm.inference.loopy_schedules import Flooding, Loopy, Residual, Sequential
+from pgm.clustergraph.cluster import Edge
+from pgm.inference.schedule import Flooding, Loopy, Residual, Sequential
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.progress import counted
@@ -78,19 +78,14 @@ class Messages(Protocol[Round]):
         """Keep what was proposed, damped, for the runs that are active, (runs,)."""
 
     def relinearise(self, active: Mask) -> Array | None:
-        """Linearise nonlinear CPDs at the beliefs: how far means moved, (runs,), in deviations.
-
-        None where there is nothing to linearise.
-        """
+        """Linearise CPDs at the beliefs: how far means moved, (runs,), in deviations; or None."""
 
 
-# Messages settle this far, in deviations, before nonlinear CPDs are first linearised anew; later
-# by this share of what the last linearisation moved.
-_SETTLED = 1e-2
-_SHARE = 0.1
-# How many numbers of the changes along edges are kept, 8 MiB; of longer schedules none are.
+# How far messages settle, in deviations, before nonlinear CPDs are first linearised anew; later by
+# this share of the last move. The numbers of edges' changes that are kept, 8 MiB. A run whose
+# messages change by more than `LOST` has diverged, and stops before its numbers overflow.
+_SETTLED, _SHARE = 1e-2, 0.1
 _KEPT = 2**20
-# A run whose messages change by more than this has diverged; it stops before its numbers overflow.
 LOST = 1e100
 
 
@@ -109,7 +104,7 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
         if not active.any():
             break
         each = step(active)
-        change = _largest(each)
+        change = each.max(axis=0, initial=0.0)
         if len(residuals) * each.size <= 2 * _KEPT:
             along.append(np.where(active, np.maximum(each[::2], each[1::2]), 0.0))
         residuals.append(np.where(active, change, residuals[-1]) if residuals else change)
@@ -191,11 +186,6 @@ def _residual(messages: Messages[Any]) -> Callable[[Mask], Array]:
         return change.copy()
 
     return step
-
-
-def _largest(change: Array) -> Array:
-    largest: Array = change.max(axis=0, initial=0.0)
-    return largest
 
 
 _STEPS = {Flooding: _flooding, Sequential: _sequential, Residual: _residual}

@@ -1,20 +1,120 @@
-"""The interface of posteriors, of any network."""
+"""The interface of posteriors of any network, as data sets too, and of results by sensor."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
 from importlib import import_module
-from typing import ClassVar, overload
+from typing import Any, ClassVar, TypeVar, overload
+
+import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.compile import DynamicGraph
 from pgm.display import NoArray, Shown
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
-from pgm.factors.scope import Scope
-from pgm.inference.labelled import Labelled
+from pgm.factors.listing import run_names
+from pgm.factors.scope import Scope, dimension, distinct_labels, listed
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
+from pgm.optional import FRAMES, optional
+from pgm.sizes import require_memory
 from pgm.variables import Discrete, Variable
+
+
+class Labelled:
+    """A posterior whose marginals make a data set."""
+
+    def to_xarray(self: Any) -> Any:
+        """The marginals of all hidden variables as a data set of xarray.
+
+        Of continuous variables it has ``mean`` and ``std``, with the dimensions of runs (``run``,
+        or ``run_0``, ``run_1``, ...), ``step``, where there is time, and ``component``, and
+        ``cov``, with ``other_component`` last. Components are called by their names, with that of
+        the variable where variables share one, and ``variable`` says whose they are. The covariance
+        of two variables is NaN: `joint` has it. So is a hidden control at step 0, where it has no
+        value.
+
+        Of discrete variables it has the probabilities of each, under its name, with its states
+        along a last dimension ``<name>_state``.
+
+        ``log_evidence`` has the dimensions of runs. Attributes are ``kind``, where there is time,
+        and ``log_evidence_kind``. An `ImportError` says how to install xarray where it is missing.
+
+        Examples
+        --------
+        --------
+        >>> from pgm.examples import drive
+        >>> found = pgm.filter(drive, {}, steps=4).to_xarray()
+        >>> float(found.cov.sel(step=4, component="north", other_component="north"))
+        5.0
+        """
+        xarray = optional("xarray", f"{type(self).__name__}.to_xarray()", FRAMES)
+        runs = run_names(np.ndim(self.log_evidence))
+        marginals = {variable: self[variable] for variable in self._hidden}
+        steps = self.graph.steps if isinstance(self.graph, DynamicGraph) else None
+        coords = {} if steps is None else {"step": np.arange(steps + 1)}
+        dims = [*runs, *coords]
+        tables = any(isinstance(belief, Table) for belief in marginals.values())
+        data, more = (_tables if tables else _moments)(marginals, dims, steps)
+        data["log_evidence"] = (runs, np.asarray(self.log_evidence))
+        attributes = {"log_evidence_kind": self.log_evidence_kind}
+        if steps is not None:
+            attributes = {"kind": str(self.kind), **attributes}
+        return xarray.Dataset(data, {**coords, **more}, attributes)
+
+
+# Arrays of a data set by name, each with its dimensions.
+Arrays = dict[str, tuple[list[str], Any]]
+
+
+def _tables(
+    marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
+) -> tuple[Arrays, dict[str, Any]]:
+    data: Arrays = {}
+    states: dict[str, Any] = {}
+    for variable, table in marginals.items():
+        own = f"{variable!r}_state"
+        data[repr(variable)] = ([*dims, own], _at_all_steps(table.values, -2, steps))
+        states[own] = list(table.scope[0].states)
+    return data, states
+
+
+def _moments(
+    marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
+) -> tuple[Arrays, dict[str, Any]]:
+    each = [_at_all_steps(belief.mean, -2, steps) for belief in marginals.values()]
+    lead = each[0].shape[:-1] if each else (0,) * len(dims)
+    size = dimension(marginals)
+    require_memory(
+        math.prod(lead) * size * size,
+        f"the covariances of {size} components as one array",
+        "take posterior[x] of the variables that are wanted",
+    )
+    mean = np.concatenate([np.empty((*lead, 0)), *each], axis=-1)
+    cov, first = np.full((*lead, size, size), np.nan), 0
+    for variable, belief in marginals.items():
+        own = slice(first, first := first + variable.dimension)
+        cov[..., own, own] = _at_all_steps(belief.cov, -3, steps)
+    labels = list(distinct_labels(marginals))
+    owners = [repr(variable) for variable in marginals for _ in variable.components]
+    data: Arrays = {
+        "mean": ([*dims, "component"], mean),
+        "std": ([*dims, "component"], np.sqrt(np.einsum("...ii->...i", cov))),
+        "cov": ([*dims, "component", "other_component"], cov),
+    }
+    named = {"component": labels, "other_component": labels, "variable": ("component", owners)}
+    return data, named
+
+
+def _at_all_steps(values: Any, axis: int, steps: int | None) -> Array:
+    if steps is None or values.shape[axis] == steps + 1:
+        return np.asarray(values)
+    before = [(0, 0)] * values.ndim
+    before[axis] = (1, 0)
+    return np.pad(values, before, constant_values=np.nan)
 
 
 class Viewed:
@@ -86,14 +186,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     def __getitem__(self, variable: Variable) -> Gaussian | Table:
         """The marginal of a variable without evidence.
 
-        Parameters
-        ----------
-        variable : Variable
-
-        Returns
-        -------
-        Gaussian or Table
-            Leading axes are runs; of a variable over time, the last of them is of steps.
+        Of a variable over time, the last of the leading axes is of steps.
 
         Raises
         ------
@@ -109,16 +202,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
 
     @abstractmethod
     def joint(self, *variables: Variable) -> Gaussian | Table:
-        """The joint of some variables without evidence.
-
-        Parameters
-        ----------
-        *variables : Variable
-
-        Returns
-        -------
-        Gaussian or Table
-            In the order given; leading axes are runs.
+        """The joint of some variables without evidence, in the order given.
 
         Raises
         ------
@@ -130,16 +214,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
 
     @abstractmethod
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm | Table:
-        """The message from one cluster to a neighbour, over their sepset, unnormalised.
-
-        Parameters
-        ----------
-        source, target : int or Cluster
-
-        Returns
-        -------
-        CanonicalForm or Table
-            Leading axes are runs.
+        """The message from one cluster to a neighbour, over their sepset.
 
         Raises
         ------
@@ -151,16 +226,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
 
     @abstractmethod
     def belief(self, cluster: int | Cluster) -> CanonicalForm | Table:
-        """The belief of a cluster over its variables without evidence, unnormalised.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        CanonicalForm or Table
-            Leading axes are runs.
+        """The belief of a cluster over its variables without evidence.
 
         Raises
         ------
@@ -174,24 +240,9 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     def potential(self, cluster: int | Cluster) -> CanonicalForm | Table:
         """The potential of a cluster: the product of its CPDs, with their evidence put in.
 
-        Nonlinear CPDs are as they were linearised last. Times all messages to the cluster it is
-        the belief, where these were sent.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        CanonicalForm or Table
-            Over the cluster's variables without evidence; leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If the graph has no such cluster.
-        NumericalError
-            If it has no canonical form, since a noise is singular.
+        It is over the cluster's variables without evidence, nonlinear CPDs as they were linearised
+        last. Times all messages to the cluster it is the belief, where these were sent. Errors are
+        those of `belief`.
         """
 
     @property
@@ -220,3 +271,36 @@ def require_variable(variable: Variable) -> Variable:
     if not isinstance(variable, Variable):
         raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")
     return variable
+
+
+Value = TypeVar("Value")
+
+
+class EachSensor(Shown, Mapping[Variable, Value]):
+    """The results of each sensor that was read."""
+
+    _what: ClassVar[str] = "results"
+
+    def __init__(self, found: Mapping[Variable, Value]) -> None:
+        self._found = dict(found)
+
+    def __getitem__(self, variable: Variable) -> Value:
+        if require_variable(variable) not in self._found:
+            raise EvidenceError(self._absent(variable), variable=variable)
+        return self._found[variable]
+
+    def _absent(self, variable: Variable) -> str:
+        return f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
+
+    def __contains__(self, variable: object) -> bool:
+        return variable in self._found
+
+    def __iter__(self) -> Iterator[Variable]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    @property
+    def _title(self) -> str:
+        return f"{type(self).__name__}({listed(self._found)})"

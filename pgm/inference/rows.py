@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD
-from pgm.cpds.noise import evaluate
+from pgm.cpds.conditional import evaluate
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers, block_diagonal
 from pgm.linearisers import BoundFunction, FunctionTemplate, Lineariser

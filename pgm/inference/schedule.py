@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pgm.boundary import is_whole
+from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
-from pgm.inference.checks import require_count, require_tolerance
-from pgm.inference.damping import Damping, require_damping
-from pgm.inference.gates import Gate, as_gate
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
-from pgm.inference.loopy_schedules import Loopy
+from pgm.inference.options import (
+    Damping,
+    Gate,
+    as_gate,
+    require_count,
+    require_damping,
+    require_tolerance,
+)
 
 
 @dataclass(frozen=True)
@@ -40,10 +44,6 @@ class Filtering(InCode):
         freedom as components were measured, is left out, in this run. By sensor, those that are
         not named have no gate. ``posterior.rejected[z]`` has the record.
 
-    Raises
-    ------
-    ModelError
-        If one of them is no such number.
 
     References
     ----------
@@ -65,16 +65,17 @@ class Filtering(InCode):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gate", as_gate(type(self).__name__, self.gate))
-        require_count(self, "iterations, which count linearisations,", self.iterations)
+        require_count(self, _LINEARISATIONS, self.iterations)
         require_tolerance(self, self.tolerance)
         require_damping(self, self.damping)
 
     @property
     def kind(self) -> Kind:
-        """The kind of the beliefs that it leaves: filtered."""
+        """Filtered."""
         return FILTERED
 
 
+_LINEARISATIONS = "iterations, which count linearisations,"
 ONCE = Filtering()
 
 
@@ -94,11 +95,6 @@ class Calibration(InCode):
     tolerance : float
         A run stops when no mean moves by more than this many standard deviations.
 
-    Raises
-    ------
-    ModelError
-        If one of them is no such number.
-
     Examples
     --------
     >>> from pgm.examples import a, b, pair
@@ -116,7 +112,7 @@ class Calibration(InCode):
     tolerance: float = 1e-9
 
     def __post_init__(self) -> None:
-        require_count(self, "iterations, which count linearisations,", self.iterations)
+        require_count(self, _LINEARISATIONS, self.iterations)
         require_tolerance(self, self.tolerance)
 
 
@@ -130,21 +126,13 @@ class Smoothing(Calibration):
 
     Parameters
     ----------
-    iterations : int
-        Linearisations at the most.
     tolerance : float
         A run stops when no smoothed mean is more than this many standard deviations from where it
         was linearised.
-    damping : float or LevenbergMarquardt
-        The share of the old point of linearisation that is kept, in [0, 1), or a control of each
-        step by its cost.
-    gate : float or mapping of Variable to float, optional
-        As of `Filtering`: decided in the first forward pass and kept, so that all iterations are
-        of the same measurements; with a start, as everything is linearised there.
-
-    Raises
-    ------
-    ModelError
+    iterations, damping, gate
+        As of `Filtering`; of all CPDs. The gate is decided in the first forward pass and kept, so
+        that all iterations are of the same measurements; with a start, as everything is linearised
+        there.
         If one of them is no such number.
 
     References
@@ -170,7 +158,7 @@ class Smoothing(Calibration):
 
     @property
     def kind(self) -> Kind:
-        """The kind of the beliefs that it leaves: smoothed."""
+        """Smoothed."""
         return SMOOTHED
 
     @property
@@ -192,12 +180,10 @@ class FixedLag(InCode):
     window: the transitions into the steps s − L + 1 to s and their measurements. All of its CPDs
     are linearised again at the window's smoothed beliefs, the motion included, and the window is
     smoothed again from its prior p(x[s−L] | measurements up to s − L), until that settles or the
-    iterations are used up. A step that the next window leaves behind keeps the linearisations it
-    had last, at beliefs that knew L steps more, and what it says goes into the next window's prior.
-    So later measurements say where an earlier CPD is linearised, and nothing else: each measurement
-    is a factor once. While the first step is in the window, so are the network's prior and the
-    measurements there, and nothing has been left behind. A lag of one with iterations is the
-    dynamically iterated filter.
+    iterations are used up. A step that the next window leaves behind keeps its last linearisations,
+    and what it says goes into the next window's prior: each measurement is a factor once. While the
+    first step is in the window, so are the network's prior and the measurements there. A lag of one
+    with iterations is the dynamically iterated filter.
 
     The log-evidence is that of the model as each CPD was linearised last. ``posterior.filtered``
     has the belief of each window at its newest step.
@@ -208,19 +194,9 @@ class FixedLag(InCode):
         L, in steps: 0 or more.
     iterations : int
         Linearisations of a window at the most.
-    tolerance : float
-        A window of a run is done when no smoothed mean is more than this many standard deviations
-        from where it was linearised.
-    damping : float or LevenbergMarquardt
-        The share of the old point of linearisation that is kept, in [0, 1), or a control of each
-        step by the cost of the window's trajectory, its prior included.
-    gate : float or mapping of Variable to float, optional
-        As of `Filtering`: decided when a step is new, and kept.
-
-    Raises
-    ------
-    ModelError
-        If one of them is no such number.
+    tolerance, damping, gate
+        As of `Filtering`, of a window's smoothed means and of the cost of its trajectory, its prior
+        included. The gate is decided when a step is new, and kept.
 
     Examples
     --------
@@ -247,13 +223,13 @@ class FixedLag(InCode):
                 f"{self!r}: a lag is a whole number of steps, 0 or more, not {self.lag!r}; of all "
                 "later measurements, use pgm.Smoothing()"
             )
-        require_count(self, "iterations, which count linearisations,", self.iterations)
+        require_count(self, _LINEARISATIONS, self.iterations)
         require_tolerance(self, self.tolerance)
         require_damping(self, self.damping)
 
     @property
     def kind(self) -> Kind:
-        """The kind of the beliefs that it leaves: fixed-lag; filtered, of a lag of zero."""
+        """Fixed-lag; filtered, of a lag of zero."""
         return Kind(self.lag)
 
     @property
@@ -270,6 +246,92 @@ class FixedLag(InCode):
     def smoothing(self) -> Smoothing:
         """The smoothing of a window."""
         return Smoothing(self.iterations, self.tolerance, self.damping)
+
+
+@dataclass(frozen=True)
+class Loopy(InCode):
+    """Base of the schedules for any graph, a tree or not."""
+
+    tolerance: float = 1e-10
+    damping: float = 0.0
+    max_iterations: int = 1000
+
+    def __post_init__(self) -> None:
+        require_count(self, "max_iterations", self.max_iterations)
+        require_tolerance(self, self.tolerance)
+        if not is_number(self.damping) or not 0.0 <= self.damping < 1.0:
+            raise ModelError(
+                f"{self!r}: damping is the share of the old message, in [0, 1), not "
+                f"{self.damping!r}"
+            )
+
+
+@dataclass(frozen=True)
+class Flooding(Loopy):
+    """All messages at once, each from those of the iteration before, until none changes.
+
+    The beliefs of neighbours then agree. On a tree they are exact. On a graph with loops messages
+    need not converge; where they do, Gaussian means are exact, variances and log-evidence
+    approximate, and so are all beliefs of discrete variables.
+
+    Parameters
+    ----------
+    tolerance : float
+        A run has converged when no message changes by more than this: in standard deviations of
+        the belief it makes, or in probability.
+    damping : float
+        The share of the old message that is kept, in [0, 1): a new one is the geometric mean.
+    max_iterations : int
+        Iterations at the most; one sends as many messages as the graph has.
+
+    Examples
+    --------
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.compile(pair, method=pgm.Bethe())
+    >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Flooding(tolerance=1e-6))
+    >>> posterior[a]
+    Gaussian(a)
+         mean ± deviation
+      a     1.000 ± 0.707
+    >>> bool(posterior.status.converged)
+    True
+    """
+
+
+@dataclass(frozen=True)
+class Sequential(Loopy):
+    """Cluster after cluster, forth and back, each message from the latest ones.
+
+    Convergence and parameters are as of `Flooding`.
+
+    Examples
+    --------
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.compile(pair, method=pgm.Bethe())
+    >>> pgm.infer(graph, {b: [2.0]}, schedule=pgm.Sequential())[a].mean
+    array([1.])
+    """
+
+
+@dataclass(frozen=True)
+class Residual(Loopy):
+    """Always the message that would change most.
+
+    Each message sent makes all messages it has a part in be computed anew. So an iteration takes
+    about n² of them around a hub of n neighbours, where `Flooding` and `Sequential` take n.
+    Convergence and parameters are as of `Flooding`.
+
+    References
+    ----------
+    Elidan, McGraw & Koller, Residual belief propagation, 2006.
+
+    Examples
+    --------
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.compile(pair, method=pgm.Bethe())
+    >>> pgm.infer(graph, {b: [2.0]}, schedule=pgm.Residual())[a].mean
+    array([1.])
+    """
 
 
 Schedule = Filtering | FixedLag | Calibration | Loopy

@@ -21,10 +21,7 @@ FEW = 8
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
-    """The decimal digits that errors (runs,) leave, (*lead); no more than float64 has.
-
-    An error that could not be found leaves none.
-    """
+    """The decimal digits that errors (runs,) leave, (*lead), at most float64's; none where NaN."""
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)
     return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))
@@ -48,8 +45,8 @@ class Status(Shown, Immutable):
     Attributes
     ----------
     iterations : int
-        Linearisations made of a tree. After a schedule for any graph, its iterations: fewer than
-        the maximum also where messages diverged, which `converged` tells (False).
+        Linearisations made of a tree; iterations of a schedule for any graph, fewer than the
+        maximum also where messages diverged, of which `converged` is False.
     residuals : ndarray
         The convergence record. Of a tree, (iterations − 1, *runs): the largest move of a mean at
         each relinearisation, in standard deviations (on a balanced tree, with `Taylor`, given
@@ -58,29 +55,26 @@ class Status(Shown, Immutable):
         of a mean, if larger, where CPDs were linearised anew.
     converged : ndarray of bool
         (*runs): whether the last residual was within the tolerance, or nothing was to iterate. Of
-        nonlinear CPDs that were linearised once it is False: how near that is to where iterating
-        would end was not asked.
+        nonlinear CPDs that were linearised once it is False.
     by_edge : mapping of (int, int) to ndarray
         After a schedule for any graph, (*runs): how much the messages between each two joined
         clusters would still change, for ``pgm.plot.cluster_graph(graph, residuals=...)``; empty
         after others.
     edge_residuals : ndarray or None
         (iterations, edges, *runs), after a schedule for any graph: the change of the messages along
-        each edge, in the order of ``graph.sepsets``, in each iteration; zero of runs that had ended
-        before. None after others, and of schedules so long that it would take more than 8 MiB.
+        each edge, in the order of ``graph.sepsets``; zero of runs that had ended before. None after
+        others, and where it would take more than 8 MiB.
     digits : ndarray or None
         (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
         standard deviation (6 are an error of 10⁻⁶ deviations); None where they are not measured.
-        Below six a `PrecisionWarning` has said so.
+        Below six there is a `PrecisionWarning`.
 
     Examples
     --------
     >>> from pgm.examples import squares, z
     >>> status = pgm.smooth(squares, {z: [[9.0]]}, iterations=20).status
-    >>> bool(status.converged)
-    True
-    >>> bool(status.residuals[-1] < 1e-9)
-    True
+    >>> bool(status.converged), bool(status.residuals[-1] < 1e-9)
+    (True, True)
     """
 
     iterations: int
@@ -113,42 +107,13 @@ class Status(Shown, Immutable):
 
     @classmethod
     def of(cls, residuals: list[Array], converged: Mask, lead: tuple[int, ...]) -> Status:
-        """The status of relinearisations, in the user's axes.
-
-        Parameters
-        ----------
-        residuals : list of ndarray
-            Of each relinearisation, (runs,).
-        converged : ndarray of bool
-            (runs,).
-        lead : tuple of int
-            The user's axes of runs, *runs.
-
-        Returns
-        -------
-        Status
-        """
+        """The status of relinearisations: `residuals` of each and `converged` (runs,)."""
         count = len(residuals)
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
         return cls(count + 1, record, converged.reshape(lead))
 
     def with_digits(self, digits: Array) -> Status:
-        """The same status with the digits that were measured.
-
-        Parameters
-        ----------
-        digits : ndarray
-            (*runs).
-
-        Returns
-        -------
-        Status
-
-        Warns
-        -----
-        PrecisionWarning
-            If a run has less than six.
-        """
+        """The same status with digits (*runs) as measured; a warning where a run has too few."""
         least = float(digits.min(initial=np.inf))
         if least < ENOUGH_DIGITS:
             runs = int((digits < ENOUGH_DIGITS).sum())

@@ -45,22 +45,10 @@ def over_time(
     last: int,
     told_of: Sequence[str] = (),
 ) -> Summary:
-    """The summary of a posterior over time.
+    """The summary of a posterior over time, of which only the beliefs shown are asked for.
 
-    Only the beliefs that are shown are asked for, each at its step.
-
-    Parameters
-    ----------
-    title : str
-    posterior : object
-        ``posterior[x.at(3)]``, with leading axes `runs`, and its `log_evidence` and `status`.
-    variables : sequence of Variable
-        Hidden ones, templates; those that are no states begin at step 1.
-    runs : tuple of int
-    last : int
-        T.
-    told_of : sequence of str
-        Lines below its figures.
+    `variables` are hidden templates; those that are no states begin at step 1. Lines `told_of`
+    stand below the figures.
     """
     states = posterior.graph.model.states
     told = [*figures(posterior), *told_of]

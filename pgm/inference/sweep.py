@@ -21,15 +21,12 @@ class Onwards(Protocol[B]):
 
     def start(self) -> B:
         """The belief over the slice at step 0, before its measurements."""
-        ...
 
     def predict(self, step: int, belief: B) -> B:
         """The belief over the slice of a step, from that of the step before."""
-        ...
 
     def take(self, step: int, belief: B) -> tuple[B, Array | float]:
         """The belief given the measurements of its step, and their log-density, (*runs)."""
-        ...
 
 
 class Record(Protocol[C]):
@@ -37,7 +34,6 @@ class Record(Protocol[C]):
 
     def keep(self, step: int, predicted: C, known: C, log_density: Array | float) -> None:
         """Keep a step: its beliefs before and after its measurements, and their log-density."""
-        ...
 
 
 class Backwards(Protocol[B]):
@@ -45,7 +41,6 @@ class Backwards(Protocol[B]):
 
     def back(self, step: int, belief: B) -> B:
         """The belief over the slice of a step given all evidence, from that of the step after."""
-        ...
 
 
 def forward(family: Onwards[B], steps: int, record: Record[B]) -> None:

@@ -17,13 +17,13 @@ from pgm.inference.grid.run import run as run_grid
 from pgm.inference.grid.value import Grid
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.markov.run import run as run_tables
+from pgm.inference.options import Start
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.run import run as run_particles
 from pgm.inference.parts.run import Keep
 from pgm.inference.parts.run import run as run_moments
 from pgm.inference.points import PointMasses, require_no_others, require_points
 from pgm.inference.schedule import Schedule
-from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 

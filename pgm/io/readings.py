@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pgm.display import Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import Constant, Sightings, sightings
-from pgm.evidence.arrays import as_rows, taken_readings
+from pgm.evidence.rows import as_rows, taken_readings
 from pgm.io.stamped import (
     SAME,
     Stamped,

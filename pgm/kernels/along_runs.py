@@ -1,8 +1,4 @@
-"""Predictions and updates of many runs, on arrays whose last axis is the runs.
-
-One operation goes along rows of runs, one component at a time; nothing is checked or dispatched in
-between. `moments` has the same mathematics for any shape.
-"""
+"""Predictions and updates of many runs, as of `moments`, along rows: the last axis is the runs."""
 
 from __future__ import annotations
 
@@ -52,10 +48,9 @@ class Update(NamedTuple):
 def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
     """The value of det S from which on a measurement with this noise is sharp, (runs or 1,).
 
-    Below, S is at most a thousand times the noise in whatever direction: no variance falls more
-    than that, P − K S Kᵀ loses three of sixteen digits at most, and S is regular where the noise is
-    by a thousand times what is asked. Where it is not, or its determinant too small a number, this
-    is 0.
+    Below, S is at most a thousand times the noise in any direction: no variance falls more than
+    that, P − K S Kᵀ loses three of sixteen digits at most, and S is regular. Where the noise is not
+    regular by a thousand times what is asked, or its determinant too small a number, this is 0.
     """
     pivots = _eliminate(noise.copy())
     regular = (pivots > _MILD * least * np.einsum("iir->ir", noise)).all(axis=0)
@@ -78,9 +73,9 @@ def update(
     """A regular `moments.update` with S = H P Hᵀ + noise; None if that is singular.
 
     Shapes are (n, runs), (n, n, runs), H (d, n, runs), r = z − H mean (d, runs) and noise (d, d,
-    runs or 1); the covariance is exactly symmetric, `out` is where the moments go, `sharp` the
-    `sharpness` of the noise, where at hand. S is singular where a component has no larger share
-    than `least` open, given those before it.
+    runs or 1); the covariance is exactly symmetric, moments go `out`, `sharp` is the `sharpness` of
+    the noise, where at hand. S is singular where those before it leave a component no larger share
+    than `least`.
     """
     size, runs, height = len(cov), cov.shape[-1], len(residual)
     new_mean, new_cov = (np.empty((size, runs)), np.empty_like(cov)) if out is None else out

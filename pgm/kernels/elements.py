@@ -20,11 +20,7 @@ from pgm.kernels.arrays import Array, apply, inner, multiply, symmetric, transpo
 
 
 class Element(NamedTuple):
-    """A segment: the conditional of its right end given its left, and what its evidence says.
-
-    The right end is F x + b + n, n ~ N(0, cov); the likelihood of the evidence, as a function of x,
-    has the information K and h and the log-weight g, None where nobody asks for it.
-    """
+    """A segment: F x + b + n, n ~ N(0, cov), and its evidence's likelihood; g None if not asked."""
 
     F: Array
     b: Array
@@ -108,7 +104,7 @@ class Known(NamedTuple):
     """A belief N(m, P), P = L Lᵀ, after a likelihood: its mean, and its covariance XᵀX.
 
     U is a root of I + LᵀKL; `white` has the squared length (h − K m)ᵀXᵀX(h − K m); `log_weight` is
-    the log-integral of the product, None where one of the factors has none.
+    the log-integral of the product, if both factors have one.
     """
 
     mean: Array

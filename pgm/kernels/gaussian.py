@@ -1,8 +1,8 @@
 """Gaussians in moment form, one or a batch: components first, mean (n, *batch).
 
-One Gaussian has an empty batch: small ones go through straight lines of Python, larger ones through
-LAPACK. Operations on many runs go along rows of them. Where a pivot is nearly lost, any batch goes
-through `moments`, which tells singular covariances from rounding.
+Small single ones go through straight lines of Python, larger ones through LAPACK, many runs along
+rows of them. Where a pivot is nearly lost, any batch goes through `moments`, which tells singular
+covariances from rounding.
 """
 
 from __future__ import annotations
@@ -72,9 +72,9 @@ def divide(matrix: Array, lower: Array) -> Array:
 def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float) -> bool:
     """Whether a covariance is neither nearly singular nor far below an earlier one.
 
-    The components before it leave more than the share `least` of each variance, and no variance is
-    a smaller part of the earlier one; means squared are at most `far` variances. A component
-    without a variance does not count, if it had none before.
+    More than the share `least` is left of each variance, by the components before it and of the
+    earlier one; means squared are at most `far` variances. A component without a variance does not
+    count, if it had none before.
     """
     if cov.ndim == 2:
         written = checking(len(cov), least, far)
@@ -139,10 +139,7 @@ def extend(
     noise: Array,
     bare: tuple[int, ...] = (),
 ) -> None:
-    """Write the child y = F x + b + n, of mean value, into a joint that it is a part of, in place.
-
-    The joint's covariance must be zero where its components are not yet written.
-    """
+    """Write the child y = F x + b + n, of mean value, into a joint that is zero in its place."""
     mean[child] = value
     if not matrix.shape[1]:
         cov[child, child] = noise
@@ -161,10 +158,9 @@ def extend(
 class Update(NamedTuple):
     """A belief (n, *batch) given a measurement, and the log-density of this.
 
-    A component that an exact model determines adds nothing to it; `left` (d, *batch) is how far
-    each is from what the model says, None without any. `regular` says whether no component is
-    determined by those before it to 10⁻⁶ of its variance, `mild` whether no variance is known to
-    have fallen more than a thousand times.
+    A component that an exact model determines adds nothing; `left` (d, *batch) is how far each is
+    from the model's value. A `regular` one has no component determined by those before it to 10⁻⁶
+    of its variance; a `mild` one is known to shrink no variance more than a thousand times.
     """
 
     mean: Array

@@ -71,8 +71,8 @@ class Blocks:
     """All steps of one run of few states, in blocks of √T steps that are worked at together.
 
     Each row of a block's transfer matrix, the product of p(x_t | x_{t−1}) p(z_t | x_t) over its
-    steps, has a logarithm of its own as its scale: with one for the whole matrix the row of a
-    likely state would be lost beside that of an unlikely one whose measurements are likelier.
+    steps, has a logarithm as its scale: else the row of a likely state would be lost beside that of
+    an unlikely one whose measurements are likelier.
     """
 
     def __init__(self, matrix: Array, weights: Array) -> None:
@@ -89,10 +89,7 @@ class Blocks:
         self._transfer()
 
     def _transfer(self) -> None:
-        """Find each block's transfer matrix, rows of sum one, and the logarithms of scales.
-
-        Rows come first, so that a step's weights go along memory.
-        """
+        """Find each block's transfer matrix, rows of sum one, and the logarithms of scales."""
         count, size = self.count, self.size
         held = np.repeat(np.eye(size)[:, None], count, axis=1)
         spare = np.empty(held.shape)

@@ -27,10 +27,7 @@ ROUNDING = 1e-14
 
 
 class Update(NamedTuple):
-    """A belief given a measurement, and the log-density of this; `left` is as of `gaussian.Update`.
-
-    `lower` is the root of the measurement's predictive covariance; NaN where that is indefinite.
-    """
+    """As of `gaussian.Update`; `lower` is the root of S, NaN where that is indefinite."""
 
     mean: Array
     cov: Array

@@ -76,8 +76,7 @@ def square_within(probability: float, dimension: Integers) -> Array:
 def squares(residual: Array, cov: Array) -> Array:
     """The value νᵀ S⁻¹ ν of stacked innovations ν (k, d, *batch), S (k, d, d, *batch).
 
-    Components are eliminated one after another, all of the stack at once. One that those before it
-    determine adds nothing.
+    Components are eliminated one after another, all of the stack at once.
     """
     size = residual.shape[1]
     if size == 1:

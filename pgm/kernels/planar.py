@@ -94,6 +94,17 @@ def between(poses: Array) -> Array:
     return np.column_stack([turned(away[:, :2], -poses[:-1, 2]), wrap(away[:, 2])])
 
 
+def inverse(motions: Array) -> tuple[Array, Array]:
+    """The motions (n, 3) back, and their derivatives by those there, (n, 3, 3)."""
+    ahead, left = turned(-motions[:, :2], -motions[:, 2]).T
+    slope = np.zeros((len(motions), 3, 3))
+    slope[:, 0, 0] = slope[:, 1, 1] = -np.cos(motions[:, 2])
+    slope[:, 1, 0] = np.sin(motions[:, 2])
+    slope[:, 0, 1] = -slope[:, 1, 0]
+    slope[:, 0, 2], slope[:, 1, 2], slope[:, 2, 2] = left, -ahead, -1.0
+    return np.column_stack([ahead, left, -motions[:, 2]]), slope
+
+
 def _sinc(angle: Array) -> Array:
     found: Array = np.sinc(angle / np.pi)
     return found

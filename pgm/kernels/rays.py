@@ -106,9 +106,8 @@ def _between(low: Array, place: Array, edge: Array) -> Array:
 def entered(points: Array, ends: Array, width: int) -> Integers:
     """The cells that segments enter, those of their beginnings too, as flat indices.
 
-    Each line of the grid that a segment crosses leads into one cell, whatever the others do: all
-    crossings of all segments are found at once. Points and ends are (2, n), x and y in cells, none
-    negative, of a grid so wide.
+    All crossings of lines of the grid are found at once, each leading into one cell. Points and
+    ends are (2, n), x and y in cells, none negative, of a grid so wide.
     """
     first, last = np.floor(points).astype(np.intp), np.floor(ends).astype(np.intp)
     count = np.abs(last - first)
@@ -151,8 +150,8 @@ def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask)
     """The sums over the beams of each pose, (m,).
 
     The table (rows, columns) is contiguous; ends beyond its edge count as in the cell on the edge.
-    Poses (m, 3) are column, row and heading; units (2, beams) directions in their frame; ranges (m,
-    beams), or (1, beams) where all poses share one scan, are in cells.
+    Poses (m, 3) are column, row and heading; units (2, beams) directions in their frame; ranges (m
+    or 1, beams) are in cells, and of one scan where all poses share it.
     """
     shared = len(ranges) == 1
     if shared:

@@ -22,9 +22,9 @@ def regress(
     """The line through values (..., N, d) at points s (..., N, n) of N(0, I).
 
     Returns the slope J (..., d, n), the line's value at s = 0, (..., d), and the covariance of what
-    the line leaves, (..., d, d). Components of s that a root L does not use have no part in it: x
-    does not vary with them, whatever a sample says. The mean and covariance of s are those of the
-    sample, or, where they are `known`, 0 and I; what is left may then be indefinite.
+    the line leaves, (..., d, d). Components of s that a root L does not use have no part in it. The
+    mean and covariance of s are those of the sample, or, where `known`, 0 and I; what is left may
+    then be indefinite.
     """
     value_mean, s_mean = mean_weights @ values, mean_weights @ s
     deviation, ds = values - value_mean[..., None, :], s - s_mean[..., None, :]
@@ -48,13 +48,8 @@ def regress(
 class Fit(NamedTuple):
     """The regression on points that do not change: linear in the values, but for a square.
 
-    Attributes
-    ----------
-    rows : ndarray
-        (N, N): of N values Y the product has the line's value at s = 0, its slope in n rows, and
-        N − n − 1 rows R: what the line leaves has the covariance Rᵀ diag(signs) R.
-    signs : ndarray or None
-        (N − n − 1,); None where all are one.
+    `rows` (N, N) times N values Y has the line's value at s = 0, its slope in n rows, and N − n − 1
+    rows R: what the line leaves has the covariance Rᵀ diag(signs) R. Signs None are all one.
     """
 
     rows: Array

@@ -34,8 +34,8 @@ _VISIBLE = 1e-12
 def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIBLE) -> Array:
     """The lower triangular root of stacked matrices; NaN where one is indefinite or not finite.
 
-    A pivot below the `negligible` part of the scale, (..., n), is rounding. The scale is the
-    diagonal; a matrix that came out of a difference of larger ones has rounding of their size.
+    A pivot below the `negligible` part of the scale, (..., n), is rounding: of the diagonal, or of
+    larger matrices of which this is a difference.
     """
     diagonal = variances(matrix) if scale is None else scale
     if by_runs(matrix):

@@ -39,10 +39,9 @@ class Eliminated(NamedTuple):
     """A factor over (x, s) as a conditional of x given s, times a factor over s.
 
     x = gain s + offset + n, n ~ N(0, noise). `rest`, over s, has s rows, triangular; `log_scale`
-    (..., N) is g of it, less that of the factor; `contradiction` tells where exact relations
-    contradict one another. `largest` is of the entries of rows after exact relations were put into
-    them, and of reciprocals of what these were divided by; infinite where it is not certain which
-    of them are independent.
+    (..., N) is g of it, less that of the factor. `contradiction` tells where exact relations
+    contradict one another; `largest` is of rows' entries after these were put in, and of
+    reciprocals of their divisors, infinite where it is not certain which are independent.
     """
 
     gain: Array
@@ -62,10 +61,7 @@ def eliminate(factor: Rows, count: int) -> Eliminated:
 
 
 def triangular(matrix: Array, right: Array) -> Array:
-    """The triangular factor of [A | r], of at least as many rows as A has columns.
-
-    Rows are sorted by size: that keeps the digits of small ones beside large ones.
-    """
+    """The triangular factor of [A | r], of A's columns or more; rows sorted by size keep digits."""
     rows, size = matrix.shape[-2:]
     if rows < size:
         spare = [(0, 0)] * (matrix.ndim - 2) + [(0, size - rows), (0, 0)]
@@ -77,10 +73,7 @@ def triangular(matrix: Array, right: Array) -> Array:
 
 
 def largest_first(correlation: Array) -> Integers:
-    """The order of components, (..., n), in which each varies most of those left.
-
-    A root in this order tells small pivots from rounding.
-    """
+    """The order of components, (..., n), in which each varies most of those left."""
     left = correlation
     order = np.empty(left.shape[:-1], dtype=np.intp)
     taken = np.zeros(left.shape[:-1], dtype=bool)
@@ -192,9 +185,8 @@ def _independent(
 def _solved(matrix: Array, right: Array) -> tuple[Array, Array, Array, Array, float]:
     """Relations solved for directions: matrix x = right is rows x = solved, and left = 0.
 
-    Returns orthonormal rows, and rows of zeros; `solved`; `left`; the sum of logarithms of the
-    values divided by, (...); and the reciprocal of the least used, infinite where one left out may
-    be no rounding.
+    Returns orthonormal rows, and rows of zeros; `solved`; `left`; the sum of logarithms of
+    divisors, (...); and the reciprocal of the least, infinite if one left out may be no rounding.
     """
     u, values, vt = _svd(matrix)
     count = values.shape[-1]

@@ -1,9 +1,4 @@
-"""Linear maps of probabilities: dense, sparse, and products of maps of single axes.
-
-A map has the matrix p(child | parent). `forward` sums over the parent, `backward` over the child,
-along one axis of an array; both also of logarithms, in a semiring, the only way that forms the
-pairs of parent and child.
-"""
+"""Linear maps of probabilities: dense, sparse, and products of maps of single axes."""
 
 from __future__ import annotations
 

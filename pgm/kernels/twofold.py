@@ -114,8 +114,8 @@ def eliminated(
     """The factors of symmetric A = U D Uᵀ, U lower with 1 on its diagonal, D diagonal.
 
     A pivot below the `negligible` share of its diagonal entry is rounding: D and what is below it
-    in U are zero there. With `rounding` (..., n), what it may have changed diagonal entries by,
-    shares are of that, and of what elimination makes of it.
+    in U are zero there. With `rounding` (..., n) of diagonal entries, shares are of that, and of
+    what elimination makes of it.
     """
     left = _twofold(matrix).copy()
     size = left.shape[-1]

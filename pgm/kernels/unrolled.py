@@ -1,7 +1,7 @@
 """A small Gaussian predicted and updated number by number, in straight lines of Python.
 
-Calls of NumPy and LAPACK, and loops in Python, would take several times as long as the arithmetic:
-this module writes the lines, once for each size. Covariances are exactly symmetric.
+They are written once for each size, and take a fraction of the time of calls of NumPy and LAPACK.
+Covariances are exactly symmetric.
 """
 
 from __future__ import annotations
@@ -27,10 +27,7 @@ Check = Callable[[Array, Array, Array], bool]
 
 @lru_cache(maxsize=64)
 def updating(size: int, height: int, least: float) -> Update | None:
-    """The update of n components by d measurements; None if too large.
-
-    The update is None where S has a pivot below `least` of its diagonal entry.
-    """
+    """The update of n components by d measurements, None of a pivot below `least`; or too large."""
     if not 0 < size * height * (size + height) <= MOST:
         return None
     names = {"least": least, "constant": 0.5 * height * LOG_2PI}

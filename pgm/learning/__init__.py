@@ -1,7 +1,6 @@
 """Learning: parameters of a dynamic network, by expectation-maximisation."""
 
-from pgm.learning.declared import Coefficients, Covariance, Offset, Parameter, Table
 from pgm.learning.fitting import fit
-from pgm.learning.result import Fit, FitStatus
+from pgm.learning.values import Coefficients, Covariance, Fit, FitStatus, Offset, Parameter, Table
 
 __all__ = ["Coefficients", "Covariance", "Fit", "FitStatus", "Offset", "Parameter", "Table", "fit"]

@@ -10,7 +10,7 @@ from pgm.cpds import ConditionalGaussian, Noise
 from pgm.display import called, number
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array, symmetric
-from pgm.learning.declared import Covariance
+from pgm.learning.values import Covariance
 
 # Smaller parts of the largest variance are none of a singular covariance.
 _NONE = 1e-14
@@ -34,15 +34,8 @@ class CovarianceStep:
     """The M step of one covariance, and its unbounded coordinates.
 
     These are roots: of the factor, of variances, or the Cholesky factor of the covariance on its
-    range. Where the likeliest variance is zero the log-evidence is smooth in its root, while a
-    logarithm would have no end. A covariance that is singular at the start stays on its range, as
-    EM itself keeps it.
-
-    Parameters
-    ----------
-    cpd : ConditionalGaussian
-        As it was at the start.
-    declared : Covariance
+    range, where it stays as EM itself keeps it. Where the likeliest variance is zero the
+    log-evidence is smooth in its root, while a logarithm would have no end.
     """
 
     def __init__(self, cpd: ConditionalGaussian, declared: Covariance) -> None:
@@ -127,7 +120,7 @@ class CovarianceStep:
         """The covariance that makes sums E[r rᵀ] of so many residuals likeliest, within bounds.
 
         −½ (N ln |Q| + tr Q⁻¹ S) is largest at S/N, of which variances, the factor, or eigenvalues
-        are moved to the nearest bound: the function of each falls on both sides of its maximum.
+        are moved to the nearest bound.
         """
         declared, mean = self.declared, symmetric(own) / count
         if declared.kind == "scaled":

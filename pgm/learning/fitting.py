@@ -10,11 +10,10 @@ from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence
 from pgm.inference import Smoothing
-from pgm.inference.checks import require_lineariser
-from pgm.learning.declared import Learn
+from pgm.inference.options import require_lineariser
 from pgm.learning.model import Learner
-from pgm.learning.result import Fit
 from pgm.learning.search import Search
+from pgm.learning.values import Fit, Learn
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.progress import Progress, reporting
@@ -43,7 +42,7 @@ def fit(
     .. math:: \theta_{k+1} = \arg\max_\theta E[\ln p(x, z \mid \theta) \mid z, \theta_k],
 
     which never lowers the log-evidence ln p(z | θ): it is closed for affine CPDs and tables, with
-    expectations by the lineariser for others. `QuasiNewton` steps, by the gradient that the same
+    expectations by the lineariser for others. Quasi-Newton steps, by the gradient that the same
     beliefs give, are taken where they raise the log-evidence; else the plain one. A plain step
     that does not, as of nonlinear models it may, is halved five times, and then refused. Where a
     noise vanishes and the log-evidence rises without end the search stops, and its status says so.
@@ -73,10 +72,6 @@ def fit(
     progress : bool or callable
         As for `infer`.
 
-    Returns
-    -------
-    Fit
-
     Raises
     ------
     ModelError
@@ -89,12 +84,12 @@ def fit(
     References
     ----------
     Shumway & Stoffer, An approach to time series smoothing and forecasting using the EM algorithm,
-    1982. Kokkala, Solin & Särkkä, Sigma-point filtering and smoothing based parameter estimation in
-    nonlinear dynamic systems, 2015.
+    1982. Jamshidian & Jennrich, Acceleration of the EM algorithm by using quasi-Newton methods,
+    1997, method QN2. Kokkala, Solin & Särkkä, Sigma-point filtering and smoothing based parameter
+    estimation in nonlinear dynamic systems, 2015.
 
     Examples
     --------
-    >>> import pgm
     >>> from pgm.examples import walk, x, z
     >>> from pgm.learning import Coefficients, Covariance
     >>> recording = walk.sample(steps=500, rng=1).evidence

@@ -14,8 +14,8 @@ from pgm.factors.scope import Scope, listed
 from pgm.inference.chain.families import FamilyBelief
 from pgm.kernels.arrays import Array, Mask, transpose
 from pgm.learning.covariances import CovarianceStep
-from pgm.learning.declared import Coefficients, Covariance, Offset
 from pgm.learning.residuals import Known, Residuals, residuals
+from pgm.learning.values import Coefficients, Covariance, Offset
 
 # Coordinate ascent over coefficients and noise, where neither alone has a closed form.
 _ROUNDS = 200
@@ -27,14 +27,8 @@ _LEAST = 1e-300
 class Weighted:
     """Sums that rows enter by the inverses of their own noises.
 
-    Attributes
-    ----------
-    normal, said : ndarray
-        The normal equations of the free entries.
-    moments : list of tuple
-        By recording E[r rᵀ], E[r gᵀ], E[g gᵀ] and the inverse noise of each row.
-    ranks : int
-        The sum of the noises' ranks.
+    The normal equations of the free entries; by recording E[r rᵀ], E[r gᵀ], E[g gᵀ] and the inverse
+    noise of each row; the sum of the noises' ranks.
     """
 
     normal: Array
@@ -45,20 +39,11 @@ class Weighted:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Expected second moments of a CPD's residuals.
+    """Expected second moments of the residuals of a CPD as it is, of N rows.
 
-    Attributes
-    ----------
-    cpd : ConditionalGaussian
-        As it is.
-    own, cross, gram : ndarray
-        Sums of E[r rᵀ], E[r gᵀ], E[g gᵀ], the regressors counted from the reference.
-    count : int
-        N.
-    reference : ndarray
-        (k,): near the regressors' mean where an offset is free, so that sums keep their digits.
-    weighted : Weighted or None
-        In place of the sums, where the noise is a function of evidence.
+    They are sums of E[r rᵀ], E[r gᵀ], E[g gᵀ], regressors being counted from the reference (k,),
+    near their mean where an offset is free, so that sums keep their digits; `weighted` in their
+    place, where the noise is a function of evidence.
     """
 
     cpd: Any
@@ -81,16 +66,8 @@ class GaussianStep:
     """The M step of one Gaussian CPD, closed for affine ones.
 
     Where all rows of the matrix have the same free entries, or the noise is diagonal, the
-    coefficients are those of a least-squares regression whatever the noise; else noise and
-    coefficients are found in turn, until they settle.
-
-    Parameters
-    ----------
-    cpd : ConditionalGaussian
-        As it is at the start.
-    hidden : tuple of Variable
-        Its hidden parents.
-    parts : sequence of Covariance, Coefficients or Offset
+    coefficients are those of a least-squares regression; else noise and coefficients are found in
+    turn, until they settle.
     """
 
     def __init__(self, cpd: ConditionalGaussian, hidden: Scope, parts: Sequence[Any]) -> None:

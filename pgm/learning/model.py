@@ -18,19 +18,19 @@ from pgm.inference.chain.families import family_beliefs
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.markov.counts import expected_counts
 from pgm.kernels.arrays import Array
-from pgm.learning.declared import (
+from pgm.learning.gaussian import GaussianStep
+from pgm.learning.steps import ParameterStep, TableStep
+from pgm.learning.values import (
     PARTS,
     Coefficients,
     Covariance,
+    Fit,
+    FitStatus,
     Learn,
     Offset,
     Parameter,
     Table,
 )
-from pgm.learning.gaussian import GaussianStep
-from pgm.learning.parameters import ParameterStep
-from pgm.learning.result import Fit, FitStatus
-from pgm.learning.tables import TableStep
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -40,14 +40,7 @@ ROLES = ("prior", "transition", "observation")
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A value of all that is learnt.
-
-    Attributes
-    ----------
-    model : DynamicBayesianNetwork
-    parameters : dict of Variable to ndarray
-        Of parents with a constant value.
-    """
+    """A value of all that is learnt: the model, and parents with a constant value."""
 
     model: DynamicBayesianNetwork
     parameters: dict[Variable, Array]
@@ -64,21 +57,7 @@ class Expected:
 
 
 class Learner:
-    """The parts of a model that are learnt, and the recordings.
-
-    Parameters
-    ----------
-    model : DynamicBayesianNetwork
-    recordings : sequence of Evidence
-    learn : mapping
-        As of `fit`.
-    lineariser : Lineariser
-    schedule : Smoothing
-    steps : sequence of int or None
-        T of each recording.
-    single : bool
-        Whether the result is of the one recording, rather than of a sequence.
-    """
+    """The parts of a model that are learnt, as of `fit`, and the recordings, of steps T each."""
 
     def __init__(
         self,

@@ -10,11 +10,8 @@ error ε has the covariance Ω. The sums over rows of
 g being the parents and a one, are all that M steps need. Of a measurement with missing components
 these are expected too, given those that are there.
 
-References
-----------
-Kokkala, Solin & Särkkä, Sigma-point filtering and smoothing based parameter estimation in nonlinear
-dynamic systems, 2015, of whose expectations over the joint these are the equal, where integrals are
-exact, over the parents alone (Stein's lemma).
+Kokkala, Solin & Särkkä (2015) have expectations over the joint, which are equal where integrals are
+exact: these are over the parents alone (Stein's lemma).
 """
 
 from __future__ import annotations
@@ -39,22 +36,9 @@ Known = Mapping[Variable, Array]
 class Residuals:
     """The residuals of a CPD at rows and runs that have a measurement, N in all, flattened.
 
-    Attributes
-    ----------
-    mean : ndarray
-        (N, d): e.
-    line : ndarray
-        (1 or N, d, n): A.
-    cov : ndarray
-        (N, n, n): C.
-    error : ndarray
-        (1 or N, d, d): Ω, and what missing components add.
-    regressors : ndarray
-        (N, k): ḡ, hidden parents first.
-    noise : ndarray
-        (1 or N, d, d): the CPD's own.
-    hidden : int
-        Components of the hidden parents, which stand first.
+    The mean e (N, d), the line A (1 or N, d, n), the covariance C (N, n, n), the error Ω with what
+    missing components add (1 or N, d, d), the regressors ḡ (N, k), of which the components of
+    `hidden` parents stand first, and the CPD's own noise (1 or N, d, d).
     """
 
     mean: Array
@@ -180,8 +164,7 @@ def _flat(array: Array, rows: int, runs: int) -> Array:
 def _expected(found: Residuals, taken: Mask) -> Residuals:
     """The residuals of measurements of which some components are missing.
 
-    A missing residual is, given those that are there, K r + n with K = R_mo R_oo⁻¹ and n of
-    covariance R_mm − K R_om.
+    A missing one is, given those there, K r + n, K = R_mo R_oo⁻¹, n of covariance R_mm − K R_om.
     """
     there: Mask = np.asarray(taken.any(axis=-1))
     if not there.all():

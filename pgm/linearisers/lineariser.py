@@ -15,6 +15,7 @@ import numpy as np
 from pgm.display import InCode
 from pgm.errors import LinearisationError
 from pgm.factors import AffineGaussian, Gaussian
+from pgm.factors.arrays import is_symmetric, symmetrised
 from pgm.kernels.arrays import (
     Array,
     block_diagonal,
@@ -22,7 +23,6 @@ from pgm.kernels.arrays import (
     components_last,
     times,
 )
-from pgm.kernels.checks import is_symmetric, symmetrised
 from pgm.linearisers.function import BoundFunction, FunctionTemplate, sealed
 
 

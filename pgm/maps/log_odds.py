@@ -77,10 +77,6 @@ def log_odds_map(
     shape : (int, int), optional
         Rows and columns; without, as many as hold the beams. What lies outside is left out.
 
-    Returns
-    -------
-    OccupancyMap
-
     Raises
     ------
     ModelError

@@ -278,10 +278,6 @@ class OccupancyMap(InCode, CellGrid):
         mask : array_like of bool, optional
             (rows, columns): which of the free cells are taken, as `connected` tells; all without.
 
-        Returns
-        -------
-        UniformPose
-
         Raises
         ------
         ModelError

@@ -130,22 +130,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         self._set(**values)
 
     def replace(self, **changes: Iterable[CPD]) -> DynamicBayesianNetwork:
-        """A variant with another prior, transition or observation.
-
-        Parameters
-        ----------
-        **changes : iterable of CPD
-            ``prior=``, ``transition=``, ``observation=``: all CPDs of that part.
-
-        Returns
-        -------
-        DynamicBayesianNetwork
-
-        Raises
-        ------
-        ModelError
-            If a keyword is none of these, or the variant is no network.
-        """
+        """A variant with all CPDs of a part, ``prior=``, ``transition=``, ``observation=``, new."""
         parts: dict[str, Any] = {
             "prior": self.prior,
             "transition": self.transition,
@@ -190,7 +175,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         steps : int, optional
             T, where no plain array tells.
         runs : int or tuple of int
-            Leading axes of independent runs.
+            Leading axes of independent runs, which broadcast with the model's.
         rng : numpy.random.Generator or int
             The generator of draws, or its seed.
 
@@ -199,15 +184,6 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         Sample
             ``sample[x]`` is (*runs, T+1, d) for a state, (*runs, T, d) for a control;
             ``sample.evidence`` are the inputs and the measurements, ready for `infer`.
-
-        Raises
-        ------
-        ModelError
-            If `runs` is no number of draws, does not broadcast with the model's runs or would not
-            fit into memory, or `rng` is neither a generator nor a seed.
-        EvidenceError
-            If the inputs are not those of the model, or T is not told, no whole number from 0 or
-            too large for memory.
 
         Examples
         --------
@@ -227,19 +203,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         tables without time does not have, get equal probabilities of their states: given their
         evidence, marginals are the same, and the log-evidence of each step less by their ln(size).
 
-        Parameters
-        ----------
-        steps : int
-            T, 0 or more.
-
-        Returns
-        -------
-        BayesianNetwork
-
-        Raises
-        ------
-        ModelError
-            If the number of steps is no such number, or the network would not fit into memory.
+        For T = `steps`, 0 or more.
 
         Examples
         --------
@@ -259,21 +223,8 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     def to_networkx(self, steps: int = 1) -> nx.DiGraph:
         """The network unrolled to slices 0..steps, for pictures and questions of structure.
 
-        Parameters
-        ----------
-        steps : int
-            T, 0 or more.
-
-        Returns
-        -------
-        networkx.DiGraph
-            Nodes are variables at steps, with the attributes ``kind`` (state, control, sensor or
-            input) and ``step``; edges go from parents to children.
-
-        Raises
-        ------
-        ModelError
-            If the number of steps is no such number, or the network would not fit into memory.
+        Nodes are variables at steps, with the attributes ``kind`` (state, control, sensor or input)
+        and ``step``; edges go from parents to children.
         """
         import networkx as nx  # here, since it is slow to import
 
@@ -307,20 +258,8 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     def cpds_at(self, step: int) -> tuple[CPD, ...]:
         """The CPDs that hold at a step, as templates.
 
-        Parameters
-        ----------
-        step : int
-
-        Returns
-        -------
-        tuple of CPD
-            At step 0 the prior and the sensors whose parents exist there; later the transition
-            and all sensors.
-
-        Raises
-        ------
-        ModelError
-            If it is no whole number from 0.
+        At step 0 they are the prior and the sensors whose parents exist there; later the transition
+        and all sensors.
         """
         if not is_whole(step) or step < 0:
             raise ModelError(f"steps are counted from 0 on; there is no step {step!r}")

@@ -16,7 +16,7 @@ from pgm.cpds.values import Known, Values
 from pgm.display import Listing, NoArray, Shown, Summary, vector
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, bind_values, sightings
-from pgm.evidence.arrays import no_evidence_for
+from pgm.evidence.rows import no_evidence_for
 from pgm.factors.scope import listed, unknown_name
 from pgm.immutable import Immutable
 from pgm.sizes import require_memory
@@ -101,13 +101,7 @@ class Sample(Shown, NoArray, Immutable):
     _arrays: ClassVar[str] = "values by variable, sample[x]"
 
     def __getitem__(self, variable: Variable) -> Values:
-        """The values of a variable, of the shape said above.
-
-        Raises
-        ------
-        ModelError
-            If the sample does not have the variable.
-        """
+        """The values of a variable, of the shape said above."""
         if variable not in self.values:
             raise ModelError(
                 f"no values of {variable!r}, {unknown_name(variable, self.values, 'the sample')}",

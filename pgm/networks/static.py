@@ -125,21 +125,7 @@ class BayesianNetwork(Drawn, Immutable):
         return checks.runs(self.cpds)
 
     def cpd(self, variable: Variable) -> CPD:
-        """The CPD of a variable.
-
-        Parameters
-        ----------
-        variable : Variable
-
-        Returns
-        -------
-        CPD
-
-        Raises
-        ------
-        ModelError
-            If the network does not have the variable, or it is an input.
-        """
+        """The CPD of a variable that is no input."""
         if not isinstance(variable, Variable) or variable not in self._by_child:
             if variable in self.inputs:
                 why = "since it is an input, which no CPD explains"
@@ -149,22 +135,7 @@ class BayesianNetwork(Drawn, Immutable):
         return self._by_child[variable]
 
     def replace(self, *cpds: CPD) -> BayesianNetwork:
-        """A variant with other CPDs of some variables.
-
-        Parameters
-        ----------
-        *cpds : CPD
-            Each in place of the one of its child.
-
-        Returns
-        -------
-        BayesianNetwork
-
-        Raises
-        ------
-        ModelError
-            If a child has no CPD that could be replaced, or the variant is no network.
-        """
+        """A variant with other CPDs, each in place of the one of its child."""
         new = checks.as_cpds(cpds, "replace")
         checks.one_cpd_each(new)
         for cpd in new:
@@ -197,14 +168,6 @@ class BayesianNetwork(Drawn, Immutable):
             Of each variable with a CPD: (*n, d) values, or (*n,) indices of states of a discrete
             one; both can be given as evidence.
 
-        Raises
-        ------
-        ModelError
-            If `n` is no number of draws, does not broadcast with the model's runs or would not fit
-            into memory, or `rng` is neither a generator nor a seed.
-        EvidenceError
-            If the inputs are not those of the network.
-
         Examples
         --------
         >>> from pgm.examples import coin, side
@@ -218,11 +181,8 @@ class BayesianNetwork(Drawn, Immutable):
     def to_networkx(self) -> nx.DiGraph:
         """The network as a graph, for pictures and questions of structure.
 
-        Returns
-        -------
-        networkx.DiGraph
-            Nodes are variables with the attribute ``kind`` (variable or input); edges go from
-            parents to children.
+        Nodes are variables with the attribute ``kind`` (variable or input); edges go from parents
+        to children.
         """
         import networkx as nx  # here, since it is slow to import
 
@@ -244,19 +204,7 @@ class BayesianNetwork(Drawn, Immutable):
         (``→ g →``, ``← g →``) or a collision (``→ c ←``) without a given variable at or below it.
         Inputs are variables like others here: they belong into `given` where they have evidence.
 
-        Parameters
-        ----------
-        a, b, given : Variable or iterable of Variable
-            Disjoint sets.
-
-        Returns
-        -------
-        bool
-
-        Raises
-        ------
-        ModelError
-            If the sets overlap, or the network does not have a variable.
+        Sets must be disjoint.
 
         References
         ----------

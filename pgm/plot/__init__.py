@@ -1,20 +1,17 @@
 """Pictures of networks, cluster graphs and beliefs; those that draw take and return axes."""
 
 from pgm.plot.beliefs.animation import animate_beliefs
-from pgm.plot.beliefs.cells import belief_map
+from pgm.plot.beliefs.cells import belief_map, grid_map, occupancy_map
 from pgm.plot.beliefs.cloud import particles
-from pgm.plot.beliefs.grid_map import grid_map, occupancy_map
 from pgm.plot.beliefs.plane import ellipses, trajectory
 from pgm.plot.beliefs.stacks import beliefs_over_time
 from pgm.plot.diagrams.clusters import cluster_graph
 from pgm.plot.diagrams.graphviz import dot
-from pgm.plot.diagrams.markov import markov_network
-from pgm.plot.diagrams.networks import network
+from pgm.plot.diagrams.networks import markov_network, network
 from pgm.plot.moving.run import animate
-from pgm.plot.statistics.compared import comparison
+from pgm.plot.statistics.compared import comparison, ranking
 from pgm.plot.statistics.consistency import coverage, nees, nis, whiteness
 from pgm.plot.statistics.over_time import errors, kl, rmse
-from pgm.plot.statistics.ranked import ranking
 from pgm.plot.statistics.records import convergence
 
 __all__ = [

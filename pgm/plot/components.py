@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.consistency.checks import check_gaussian
+from pgm.consistency.errors import check_gaussian
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian

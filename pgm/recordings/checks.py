@@ -10,10 +10,10 @@ import numpy as np
 from pgm.boundary import as_floats, as_mapping
 from pgm.display import titled
 from pgm.errors import EvidenceError
+from pgm.factors.arrays import covariance_fault
 from pgm.factors.scope import listed
 from pgm.io.stamped import as_stamps
 from pgm.kernels.arrays import Array, frozen
-from pgm.kernels.checks import covariance_fault
 from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
 

@@ -10,6 +10,7 @@ import numpy as np
 from pgm.display import NoArray, Shown, Summary, count
 from pgm.errors import EvidenceError
 from pgm.immutable import Immutable
+from pgm.kernels import planar
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.recordings.dropped import Dropped
 from pgm.recordings.motion import PLANAR
@@ -135,13 +136,14 @@ class PoseGraph(Shown, NoArray, Immutable):
 
     @property
     def loops(self) -> Integers:
-        """The edges that lead to no next pose: loop closures."""
-        return np.flatnonzero(self.edges.second - self.edges.first != 1)
+        """The edges between no neighbours: loop closures."""
+        return np.flatnonzero(np.abs(self.edges.second - self.edges.first) != 1)
 
     def recording(self) -> Recording:
         """The chain of edges from each pose to the next, as a drive of a step a second.
 
-        Loop closures stay here, `loops`. Of several edges between two poses the first one counts.
+        An edge that is told from the later pose is turned round. Loop closures stay here, `loops`.
+        Of several edges between two poses the first one counts.
         Sightings of landmarks are the sensor ``landmark``, (forward, left), at the steps.
 
         Raises
@@ -151,7 +153,8 @@ class PoseGraph(Shown, NoArray, Immutable):
         """
         edges, steps = self.edges, len(self.poses) - 1
         chain = np.setdiff1d(np.arange(len(edges)), self.loops)
-        begun, row = np.unique(edges.first[chain], return_index=True)
+        ends = edges.first[chain], edges.second[chain]
+        begun, row = np.unique(np.minimum(*ends), return_index=True)
         if begun.tolist() != list(range(steps)):
             lost = np.setdiff1d(np.arange(steps), begun)
             raise EvidenceError(
@@ -163,7 +166,11 @@ class PoseGraph(Shown, NoArray, Immutable):
             rest = np.setdiff1d(chain, chosen)
             told.append(Dropped("odometry", "a second edge to the next pose", rest))
             assert rest.size == again
-        spread = np.diagonal(edges.covariances[chosen], axis1=1, axis2=2) if steps else None
+        motions, cov = edges.motions[chosen], edges.covariances[chosen]
+        back = edges.second[chosen] < edges.first[chosen]
+        motions[back], slope = planar.inverse(motions[back])
+        cov[back] = slope @ cov[back] @ slope.swapaxes(1, 2)
+        spread = np.diagonal(cov, axis1=1, axis2=2) if steps else None
         seen = self.sightings
         stamps = np.arange(1.0, steps + 1)
         sensor = Stream(
@@ -174,7 +181,7 @@ class PoseGraph(Shown, NoArray, Immutable):
             variances=np.diagonal(seen.covariances, axis1=1, axis2=2) if len(seen) else None,
         )
         return Recording(
-            odometry=Stream(stamps, edges.motions[chosen], PLANAR, variances=spread, begin=0.0),
+            odometry=Stream(stamps, motions, PLANAR, variances=spread, begin=0.0),
             sightings={"landmark": sensor} if len(seen) else None,
             scans=None if self.scans is None else {"laser": self.scans},
             dropped=told,

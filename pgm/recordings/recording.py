@@ -16,8 +16,7 @@ from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.io.poses import Poses
 from pgm.io.stamped import SAME
-from pgm.io.states import joined
-from pgm.io.timeline import Timeline
+from pgm.io.timeline import Timeline, joined
 from pgm.kernels import planar
 from pgm.kernels.arrays import Array
 from pgm.recordings import checks, handing, mending, motion, reference, summaries
@@ -184,7 +183,7 @@ class Recording(Shown, NoArray, Immutable):
     def between(self, first: float, last: float) -> Recording:
         """The part from one time to another, both included; motion is cut there, along its arc.
 
-        Odometry that is cut has no variances.
+        Odometry that is cut has no variances. Truth is `truth_at` there, where it reaches so far.
         """
         if not (is_number(first) and is_number(last) and first < last):
             raise EvidenceError(f"between takes two times, the later one last; not {first}, {last}")
@@ -194,9 +193,8 @@ class Recording(Shown, NoArray, Immutable):
                 return None
             return stream.take((stream.stamps >= first) & (stream.stamps <= last))
 
-        changes: dict[str, Any] = {
-            name: cut(getattr(self, name)) for name in ("truth", "imu", "fixes")
-        }
+        changes: dict[str, Any] = {name: cut(getattr(self, name)) for name in ("imu", "fixes")}
+        changes["truth"] = self.truth and reference.cut(self.truth, first, last)
         changes["sightings"] = {name: cut(stream) for name, stream in self.sightings.items()}
         changes["scans"] = {name: each.between(first, last) for name, each in self.scans.items()}
         if self.odometry is not None:

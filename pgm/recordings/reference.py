@@ -7,9 +7,22 @@ import numpy.typing as npt
 
 from pgm.errors import EvidenceError
 from pgm.io.stamped import SAME, as_stamps, clock
+from pgm.recordings.motion import joined
 from pgm.recordings.stream import Stream
 
 HEADING = "heading"
+
+
+def cut(truth: Stream, first: float, last: float) -> Stream:
+    """The rows from one time to another; and at these times, of variances that are unknown."""
+    known = truth.stamps
+    rows = truth.take((known >= first) & (known <= last))
+    edges = [t for t in (first, last) if len(known) and known[0] < t < known[-1] and t not in known]
+    if not edges:
+        return rows
+    ends = at(truth, edges, None)
+    both = joined(rows, ends.replace(variances=np.full(ends.values.shape, np.nan)))
+    return both.take(np.argsort(both.stamps, kind="stable"))
 
 
 def at(truth: Stream, times: npt.ArrayLike, longest: float | None) -> Stream:

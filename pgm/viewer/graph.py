@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
-from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.cluster import Edge
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian, Table
@@ -18,9 +18,8 @@ from pgm.inference.discrete.posterior import DiscretePosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.variables import Variable
 from pgm.viewer.limits import Limits, Run
-from pgm.viewer.numbers import SHOWN, Numbers, lower
+from pgm.viewer.numbers import SHOWN, Numbers, cpd, listed, lower, number, variable, went
 from pgm.viewer.placing import place
-from pgm.viewer.words import cpd, listed, number, variable, went
 
 # Letters of a label: names that do not fit are counted.
 _MOST = 26

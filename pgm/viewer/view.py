@@ -25,7 +25,7 @@ from pgm.inference import (
     StatePosterior,
 )
 from pgm.inference.chain.balanced import BalancedPosterior
-from pgm.viewer import chain, graph, points, states
+from pgm.viewer import chain, graph, states
 from pgm.viewer.limits import CELL, FILE, Limits, Run, chosen_runs, chosen_steps
 from pgm.viewer.numbers import Numbers
 from pgm.viewer.scripts import script
@@ -111,7 +111,7 @@ def _content(
         if isinstance(posterior, ChainPosterior):
             make: Any = chain.page
         else:
-            make = states.page if isinstance(posterior, StatePosterior) else points.page
+            make = states.page if isinstance(posterior, StatePosterior) else states.marginal_page
         found = make(posterior, numbers, runs, span, limits)
     elif steps is not None:
         raise GraphError("steps=(first, last) cuts a chain; this graph has no steps: leave it out")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.clustergraph.checks import check_families, check_running_intersection
+from pgm.clustergraph.cluster import check_families, check_running_intersection
 
 A, B, C, D, E, F = pgm.variables("a b c d e f")
 

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pgm
-from pgm.clustergraph.assignment import spanning_tree
-from pgm.clustergraph.checks import check_running_intersection, is_forest
+from pgm.clustergraph.cluster import check_running_intersection, is_forest, spanning_tree
 
 VARIABLES = pgm.variables("a b c d e")
 

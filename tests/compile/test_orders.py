@@ -12,9 +12,8 @@ from hypothesis import given
 
 import pgm
 from pgm.compile import StochasticMinFill
-from pgm.compile.elimination import Filling, clique_tree, moral
+from pgm.compile.elimination import Core, Filling, Search, cheapest, clique_tree, moral
 from pgm.compile.orders import dissect
-from pgm.compile.search import Core, Search, cheapest
 
 ORDERS = {
     "min-fill": pgm.MinFill(),

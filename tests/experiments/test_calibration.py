@@ -10,7 +10,7 @@ from experiments import calibration as experiment
 from experiments.calibration.learnt import WAYS, fitted, learnt, parametric, recorded, residual
 from experiments.calibration.static_states import columns, found, variants
 from experiments.plaza import log as plaza_log
-from experiments.recordings.drives import SETTINGS
+from experiments.recordings.settings import SETTINGS
 from models.networks import calibration, distance
 from pgm import EvidenceError
 
@@ -102,7 +102,7 @@ def test_noise_of_a_step_is_that_of_its_duration():
     """At the tuned values a covariance for all steps is as likely as one that grows, nearly."""
     drive = recorded("plaza2", file("plaza2"))
     setting, given = SETTINGS["plaza2"], {calibration: pgm.constant(np.array(FITTED["plaza2"]))}
-    model = parametric(drive, setting.sensor_std[0], setting.rates)
+    model = parametric(drive, setting.sensors[0].std[0], setting.rates)
     one = pgm.filter(model, {**drive.evidence, **given}).log_evidence
     grown = model.replace(transition=drive.network().transition)
     other = pgm.filter(grown, {**drive.evidence, **given}).log_evidence

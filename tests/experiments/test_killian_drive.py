@@ -12,6 +12,7 @@ import pgm
 from experiments import killian
 from experiments.killian import drive, graph, localise, log, made_up
 from experiments.killian.log import Log
+from models import motion
 from pgm.errors import FileError
 from pgm.maps import log_odds_map
 from pgm.recordings import Edges
@@ -48,7 +49,7 @@ def small(rng):
     turns = np.linspace(0.0, 2.0 * np.pi, 7, endpoint=False)
     poses = np.stack([2.0 * np.cos(turns), 2.0 * np.sin(turns), turns + 2.5], axis=1)
     first, second = np.array([0, 1, 2, 3, 4, 5, 0, 6, 2]), np.array([1, 2, 3, 4, 5, 6, 3, 0, 5])
-    motions = graph.seen_from(poses[first], poses[second])
+    motions = motion.relative(poses[first], poses[second])
     motions = motions + rng.normal(scale=0.05, size=motions.shape)
     roots = rng.normal(size=(len(first), 3, 3))
     information = 100.0 * (np.eye(3) + 0.2 * roots @ roots.swapaxes(1, 2))
@@ -111,8 +112,8 @@ def test_a_made_up_drive_survives_its_file(simulated, tmp_path):
         lines.append(" ".join([head, *map(repr, ranges), *["0"] * 15]))
     edges = simulated.edges
     upper = edges.information[:, *np.triu_indices(3)]
-    for i, j, motion, each in zip(edges.first, edges.second, edges.motions, upper, strict=True):
-        lines.append(" ".join(map(str, ("EDGE_SE2", i, j, *motion.tolist(), *each.tolist()))))
+    for i, j, told, each in zip(edges.first, edges.second, edges.motions, upper, strict=True):
+        lines.append(" ".join(map(str, ("EDGE_SE2", i, j, *told.tolist(), *each.tolist()))))
     path = tmp_path / "made_up.g2o"
     path.write_text("\n".join(lines))
     found = log.load(path)

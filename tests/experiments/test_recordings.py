@@ -6,9 +6,10 @@ import pytest
 import pgm
 from experiments import recordings, wide_start
 from experiments.recordings import drives, methods
+from experiments.recordings.settings import SETTINGS
 from experiments.wide_start import cases
 from experiments.wide_start.experiment import judged
-from models.networks import pose
+from models.networks import distance, pose
 from pgm import consistency
 
 # RMSE [m] of dead reckoning, of an extended Kalman filter, and of its RTS smoother.
@@ -21,9 +22,9 @@ PLANE = ("east", "north")
 
 
 def drive(name):
-    path = drives.SETTINGS[name].find()
+    path = SETTINGS[name].find()
     if path is None:
-        pytest.skip(f"{name} is not here: {drives.SETTINGS[name].needs}")
+        pytest.skip(f"{name} is not here: {SETTINGS[name].needs}")
     return drives.load(name, path)
 
 
@@ -40,24 +41,24 @@ def test_errors_are_those_of_the_textbooks(name):
 
 def test_a_robust_smoother_of_labyrinth_is_near_a_batch_of_gtsam():
     found = drive("labyrinth")
-    posterior = methods.METHODS["robust smoother"](found, pgm.Taylor())
+    posterior = methods.methods(found.setting.ways)["robust smoother"](found, pgm.Taylor())
     assert posterior.status.converged.all()
     assert consistency.rmse(posterior[pose], found.truth, PLANE) <= 0.031
 
 
 def test_sightings_are_labelled_by_their_landmarks():
     found = drive("labyrinth")
-    assert set(found.labels) == {"105", "107", "108", "109"}
+    assert set(found.labels[distance]) == {"105", "107", "108", "109"}
     ranked = consistency.ranking(
         pgm.filter(found.network(), found.evidence).innovations,
-        by={found.sensor: found.labels},
+        by=found.labels,
     )
     assert ranked[0].group == "107"  # whose ranges are the skewed ones
     assert ranked[0].probability < 1e-6
 
 
 def test_states_at_every_stamp_move_no_reading():
-    path = drives.SETTINGS["plaza2"].find()
+    path = SETTINGS["plaza2"].find()
     if path is None:
         pytest.skip("plaza2 is not here")
     found = drives.load("plaza2", path, every_stamp=True)

@@ -16,8 +16,8 @@ from robots import LANDMARKS, P0, SENSORS, controls, drive_along, drive_cpd, m, 
 
 import pgm
 from models import discrete
-from pgm.inference.executors import memory
 from pgm.inference.parts import split as parts
+from pgm.inference.parts.parcels import idle_blocks
 
 RUNS, T = 23, 8
 SIGHT = SENSORS["range_bearing"]
@@ -222,10 +222,10 @@ def test_memory_is_used_again(workers):
     pool = workers["processes"]
     for _ in range(3):
         pgm.filter(network(SIGHT.cpd()), recording(), executor=pool)
-    idle = {block.number for block in memory.idle_blocks(pool)}
+    idle = {block.number for block in idle_blocks(pool)}
     for _ in range(5):
         pgm.filter(network(SIGHT.cpd()), recording(), executor=pool)
-    assert {block.number for block in memory.idle_blocks(pool)} == idle
+    assert {block.number for block in idle_blocks(pool)} == idle
 
 
 def test_the_threads_are_there(monkeypatch):

@@ -242,3 +242,14 @@ def test_truncated_noise_that_leaves_everything_out_is_lost(gate):
         for k in range(1, 81):
             belief = robot.update(robot.predict(belief), {z: values[0, k - 1]})
             assert belief.lost == due.at[k]
+
+
+def test_a_watched_belief_is_a_value():
+    robot = pgm.OnlineFilter(MODEL, watch=True)
+    belief = robot.predict(robot.initial())
+    before = dict(belief.__dict__)
+    other = belief.judged((), None)
+    assert other is not belief
+    assert other.watch is None
+    assert belief.__dict__ == before
+    assert belief.watch is before["watch"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.inference.loopy_schedules import Loopy
+from pgm.inference.schedule import Loopy
 
 LOOPY = (pgm.Flooding, pgm.Sequential, pgm.Residual)
 TREES = (pgm.Calibration, pgm.Smoothing, pgm.Filtering)

@@ -10,7 +10,7 @@ import pytest
 
 import pgm
 from models.discrete import sprinkler
-from pgm.io.whole import whole
+from pgm.io.sources import whole
 
 WRITERS = {"bif": pgm.write_bif, "xmlbif": pgm.write_xmlbif, "bif.gz": pgm.write_bif}
 
@@ -53,7 +53,7 @@ def test_a_process_that_is_killed_leaves_the_file_before(tmp_path):
     target.write_text("good")
     code = (
         "import os, sys\n"
-        "from pgm.io.whole import whole\n"
+        "from pgm.io.sources import whole\n"
         "with whole(sys.argv[1]) as path:\n"
         "    path.write_text('ha')\n"
         "    os.kill(os.getpid(), 9)\n"

@@ -18,6 +18,7 @@ MODELS = {
     "Velocity": (DRIVE, DRIVE.by_state, DRIVE.by_control),
     "arc": (motion.arc, motion.arc_by_state, motion.arc_by_control),
     "increment": (motion.increment, motion.increment_by_state, motion.increment_by_control),
+    "retreat": (motion.retreat, motion.retreat_by_state, motion.retreat_by_control),
     "travelled": (motion.travelled, motion.travelled_by_state, motion.travelled_by_control),
     "odometry": (motion.odometry, motion.odometry_by_state, motion.odometry_by_control),
     "turn_after_move": (

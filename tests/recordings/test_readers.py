@@ -238,6 +238,27 @@ def test_a_pose_graph(tmp_path):
     assert_allclose(drive.odometry.variances[1], [0.1, 0.05, 1 / 30])
 
 
+def test_edges_told_from_the_later_pose():
+    """A drive told backwards ends where it does forwards, as surely."""
+    c, s = np.cos(0.6), np.sin(0.6)
+    there = np.array([2.0, 0.3, 0.6])
+    back = np.array([-(c * 2.0 + s * 0.3), s * 2.0 - c * 0.3, -0.6])
+    poses = "VERTEX_SE2 4 0 0 0\nVERTEX_SE2 5 0 0 0\n"
+    edge = "EDGE_SE2 5 4 {} {} {} 40 3 1 50 -2 60\n".format(*back)
+    graph = read_pose_graph(io.StringIO(poses + edge))
+    assert graph.loops.size == 0
+    odometry = graph.recording().odometry
+    assert_allclose(odometry.values, [there], atol=1e-12)
+    # By drawing: motions back with that noise, each turned round.
+    cov = np.linalg.inv([[40.0, 3, 1], [3, 50, -2], [1, -2, 60]]) * 1e-6
+    drawn = np.random.default_rng(0).multivariate_normal(back, cov, 200_000)
+    c, s = np.cos(drawn[:, 2]), np.sin(drawn[:, 2])
+    forward = -(c * drawn[:, 0] + s * drawn[:, 1])
+    left = s * drawn[:, 0] - c * drawn[:, 1]
+    due = 1e6 * np.var([forward, left, -drawn[:, 2]], axis=1)
+    assert_allclose(odometry.variances[0], due, rtol=0.02)
+
+
 def test_a_pose_graph_in_space():
     half = np.sin(0.25), np.cos(0.25)
     information = np.diag(np.arange(1.0, 7.0))

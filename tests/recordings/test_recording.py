@@ -113,3 +113,24 @@ def test_periods_of_no_step_and_of_countless_ones_are_refused(period):
     drive = Recording(odometry=Stream([0.0, 1.0], [[0.0, 0.0], [1.0, 0.0]], ARC))
     with pytest.raises(pgm.EvidenceError, match=r"period=.*1 to 1e.08 were due"):
         drive.resampled(period=period)
+
+
+def test_the_truth_is_cut_between_its_rows():
+    truth = Stream(
+        [0.0, 1.0, 2.0, 4.0],
+        [[0.0, 0.0, 3.0], [1.0, 0.0, -3.0], [2.0, 2.0, -3.0], [4.0, 0.0, -3.0]],
+        ("east", "north", "heading"),
+        variances=np.ones((4, 3)),
+    )
+    drive = Recording(odometry=Stream([5.0], [[1.0, 0.0]], ARC, begin=0.0), truth=truth)
+    part = drive.between(0.5, 3.0).truth
+    assert_allclose(part.stamps, [0.5, 1.0, 2.0, 3.0])
+    assert_allclose(part.values[:, :2], [[0.5, 0.0], [1.0, 0.0], [2.0, 2.0], [3.0, 1.0]])
+    assert_allclose(np.cos(part["heading"]), np.cos([np.pi, 3.0, 3.0, 3.0]), atol=1e-12)
+    assert np.isnan(part.variances[[0, 3]]).all()
+    assert_allclose(part.variances[1:3], 1.0)
+    assert drive.between(0.5, 3.0).dropped == ()
+    assert_allclose(drive.between(1.0, 2.0).truth.stamps, [1.0, 2.0])
+    assert_allclose(drive.between(2.5, 4.5).truth.stamps, [2.5, 4.0])
+    assert_allclose(drive.between(2.5, 3.5).truth_at([2.5, 3.0]).values[:, 0], [2.5, 3.0])
+    assert drive.replace(truth=None).between(1.0, 2.0).truth is None

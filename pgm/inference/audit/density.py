@@ -12,7 +12,7 @@ import numpy as np
 from pgm.cpds import RobustNoise
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
-from pgm.inference.audit import proposal
+from pgm.inference.audit.draws import Afresh, log_ratio, stretch
 from pgm.inference.family import Family
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference, nearest_branch
@@ -21,18 +21,8 @@ from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, independent, inne
 Stack = TypeVar("Stack", Array, Mask)
 
 
-class Afresh(NamedTuple):
-    """Defensive draws that a CPD draws itself, where (runs, S) says so."""
-
-    where: Mask
-    rng: np.random.Generator
-
-
 class Drawn(NamedTuple):
-    """A child (runs, S, d), and over (runs, S) its log-density, with Student's tails, and losses.
-
-    Lost are draws at whose parents the function is not finite.
-    """
+    """A child (runs, S, d), its log-densities (runs, S), and draws where the CPD is not finite."""
 
     values: Array
     log_density: Array
@@ -44,13 +34,9 @@ class Drawn(NamedTuple):
 class Term:
     """The density of a CPD at draws of its family.
 
-    own: (rows or 1, runs or 1, d, d): the root of the CPD's own noise.
-    relative: Whether densities are divided by those of the linearised CPD, which leaves nothing of
-        an affine one.
-    linearised: (rows, runs, d, d): the root of the noise of the linearised CPD, where it is divided
-        by.
-    taken: (rows, runs or 1, d): of a sensor, which components were read, where some were not. These
-        have unit variance in the roots.
+    `own` (rows or 1, runs or 1, d, d) is the root of its noise, `linearised` that of the linearised
+    CPD, by which `relative` densities are divided: nothing is left of an affine one. Where some
+    components of a sensor were read, `taken` (rows, runs or 1, d), the others have unit variance.
     """
 
     family: Family
@@ -98,14 +84,9 @@ class Term:
     def child(
         self, row: int, parents: Array, proposed: Array, afresh: Afresh | None = None
     ) -> Drawn:
-        """The child, for free components as proposed, or drawn by the CPD itself.
+        """The child (runs, S, d) of parents (runs, S, n): free components as proposed or drawn.
 
-        The others follow from the parents and the noise that the free ones imply, as the model has
-        it.
-
-        parents: (runs, S, n).
-        proposed: (runs, S, d).
-        afresh: Of defensive draws: which of them the CPD draws.
+        The others follow from the parents and the noise that the free ones imply.
         """
         value, lost = self._value(row, parents, on_chart=True, strict=afresh is None)
         own = _at(self.own, row)
@@ -122,7 +103,7 @@ class Term:
         return Drawn(
             proposed,
             self._relative(row, parents, proposed, log_density),
-            log_density + proposal.log_ratio(size, squared),
+            log_density + log_ratio(size, squared),
             lost,
         )
 
@@ -130,18 +111,16 @@ class Term:
         places = afresh.where
         white: Array = np.zeros(proposed.shape)
         white[places] = afresh.rng.standard_normal((int(places.sum()), self.family.shape[2]))
-        proposal.stretch(white, places, afresh.rng)
+        stretch(white, places, afresh.rng)
         return np.where(places[..., None], value + white @ transpose(own), proposed)
 
     def readings(
         self, rows: slice, parents: Array, values: Array, moved: Array, *, strict: bool = True
     ) -> Array:
-        """The log-density of measurements, (runs, S), their sum over rows; NaN where it is lost.
+        """The log-density of measurements, (runs, S), summed over k rows; NaN where it is lost.
 
-        parents: (k, runs, S, n).
-        values, moved: (k, runs or 1, d): as given, and with angles on the branch of the
-            linearisation, where an affine CPD takes them.
-        strict: Whether a function that is not finite is an error, or loses the draw.
+        Parents are (k, runs, S, n); values, and moved to the linearisation's branch of angles for
+        affine CPDs, (k, runs or 1, d). If `strict`, a function that is not finite is an error.
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
@@ -212,11 +191,8 @@ class Term:
     ) -> tuple[Array, Mask]:
         """The CPD's mean at draws of its parents, (..., S, d), and where that is lost, (..., S).
 
-        There it is the linearised mean, if that is no error.
-
-        The branch of an angle is a matter of the parents alone, so that the density of the child
-        on the unwrapped chart integrates to one: that of the linearisation, where the function may
-        have wrapped.
+        There it is the linearised mean. The branch of an angle is that of the linearisation, a
+        matter of the parents alone, so that the child's density on the unwrapped chart is one.
         """
         family = self.family
         if family.exact:

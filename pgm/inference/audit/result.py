@@ -11,8 +11,7 @@ import numpy as np
 from pgm.display import Listing, Shown, Summary, number
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable
-from pgm.inference.audit.corrected import Compared
-from pgm.inference.audit.mixture import Mixture
+from pgm.inference.audit.estimates import Compared, Mixture
 from pgm.inference.chain.innovations import Innovations, autocorrelation, whitened
 from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Mask, frozen
@@ -27,13 +26,13 @@ class InnovationCheck(Shown):
     """The innovations of one sensor beside those of a right model, whose filter is exact.
 
     nis: (...): the normalised innovation squared for each component read, its mean over the steps
-        of a run; 1 is right. Above, measurements are further off than the model says: outliers, too
-        small a noise, a wrong motion. NaN where nothing was read.
+        of a run; 1 is right, more where measurements are further off than the model says: outliers,
+        too small a noise, a wrong motion. NaN where nothing was read.
     overall: The same of all runs.
-    band: How far from 1 `overall` is with a probability of 99 % if the model is right.
     autocorrelation: Of whitened innovations one measurement apart; 0 is right. NaN without two
         measurements of a run.
-    autocorrelation_band: How far from 0 it is with a probability of 99 % if the model is right.
+    band, autocorrelation_band: How far `overall` and `autocorrelation` are from that with a
+        probability of 99 % if the model is right.
     """
 
     sensor: Variable
@@ -89,13 +88,9 @@ def checks(innovations: Mapping[Variable, Innovations]) -> dict[Variable, Innova
 
 # Above this shape of the weights' tail no estimate made of them is to be trusted.
 UNTRUSTED = 0.7
-# A belief whose moments are further than this from the exact ones, in nats, is suspect, and a
-# log-evidence that is as far off.
-SUSPECT = 0.5
-# How many standard errors the log-evidence is off beyond that, to be suspect.
-ERRORS = 3.0
-# Effective draws that an estimate to be trusted is made of.
-ENOUGH = 10.0
+# Nats that moments are from the exact ones, or log-evidence is off by beyond so many standard
+# errors, to be suspect; and effective draws that an estimate to be trusted is made of.
+SUSPECT, ERRORS, ENOUGH = 0.5, 3.0, 10.0
 
 
 class Audit(Shown, Immutable):
@@ -158,7 +153,8 @@ class Audit(Shown, Immutable):
 
     References
     ----------
-    Owen, Monte Carlo theory, methods and examples, 2013, chapter 9; Owen & Zhou, Safe and effective
+    Owen, Monte Carlo theory, methods and examples, 2013, chapter 9; Hesterberg, Weighted average
+    importance sampling and defensive mixture distributions, 1995; Owen & Zhou, Safe and effective
     importance sampling, 2000; Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance
     sampling, 2024.
 

@@ -9,12 +9,10 @@ import numpy as np
 
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
-from pgm.inference.audit.chain import ChainDraws
-from pgm.inference.audit.corrected import Compared, Sums
 from pgm.inference.audit.draws import Draws
-from pgm.inference.audit.mixture import Mixture, weigh
+from pgm.inference.audit.estimates import Compared, Mixture, Sums, weigh
+from pgm.inference.audit.joints import ChainDraws, TreeDraws
 from pgm.inference.audit.result import Audit, checks
-from pgm.inference.audit.tree import TreeDraws
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
@@ -76,10 +74,6 @@ def audit(
     progress : bool or callable
         As for `infer`, of batches of draws.
 
-    Returns
-    -------
-    Audit
-        Log-evidence, divergence and effective sample size, (*runs), and log-weights, (*runs, S).
 
     Raises
     ------
@@ -96,10 +90,8 @@ def audit(
 
     References
     ----------
-    Hesterberg, Weighted average importance sampling and defensive mixture distributions, 1995; Owen
-    & Zhou, Safe and effective importance sampling, 2000; Owen, Monte Carlo theory, methods and
-    examples, 2013, chapter 9; Särkkä & Svensson, Bayesian
-    Filtering and Smoothing, 2nd edition, 2023, chapter 11.
+    As of `Audit`; Särkkä & Svensson, Bayesian Filtering and Smoothing, 2nd edition, 2023, chapter
+    11.
 
     Examples
     --------

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import BoundEvidence, Reading
-from pgm.evidence.unidentified import JOINT, SUM
+from pgm.evidence.values import JOINT, SUM
 from pgm.inference.associations import Associations, collected
 from pgm.inference.chain import certificate, joint_compatibility
 from pgm.inference.chain.gate import Asked

@@ -20,9 +20,10 @@ from pgm.inference.chain.readings import Moments, Room
 from pgm.inference.iteration import Anchor
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
-from pgm.kernels import along_runs, memory
+from pgm.kernels import along_runs
 from pgm.kernels.arrays import Array, stacked
 from pgm.progress import counted
+from pgm.sizes import retain
 
 # From this many runs on, only the beliefs of a filter are kept until something else is asked for.
 MANY = 8
@@ -143,7 +144,7 @@ class _Record:
     @contextmanager
     def refusing(self, schedule: Filtering | None) -> Iterator[None]:
         """Refuse the first step of a sweep that fails, or leaves a number that is not finite."""
-        memory.retain()
+        retain()
         try:
             yield
         except PgmError:

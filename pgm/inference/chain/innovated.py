@@ -8,12 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from pgm.inference.associations import Found
+from pgm.inference.associations import Found, Rejections, RejectionsBySensor
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.innovations import BySensor, Innovations, by_step, innovations
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.lost import Lost, Read
-from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.kernels.arrays import quiet
 from pgm.variables import Variable
 

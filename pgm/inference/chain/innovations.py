@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.display import NoArray, Shown, Summary, number, stacked
-from pgm.inference.by_sensor import EachSensor
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import stacks
+from pgm.inference.posterior import EachSensor
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, sandwich
 

@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 
 from pgm.compile import DynamicGraph, SliceLayout
-from pgm.compile.layout import Place
+from pgm.compile.dynamic import Place
 from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
 from pgm.inference.chain.sensor import Sensor
-from pgm.inference.checks import require_plain
 from pgm.inference.family import Family
+from pgm.inference.options import require_plain
 from pgm.kernels.arrays import (
     Array,
     Index,

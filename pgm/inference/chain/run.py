@@ -11,7 +11,7 @@ from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
-from pgm.evidence.arrays import as_rows, require_finite
+from pgm.evidence.rows import as_rows, require_finite
 from pgm.factors.scope import positions
 from pgm.inference.chain import certificate, gate
 from pgm.inference.chain.forward import Filtered
@@ -19,8 +19,8 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
 from pgm.inference.chain.solvers import FilterSolver, LagSolver, SmootherSolver, Solver
+from pgm.inference.options import Start, over_runs, require_hidden
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
-from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork

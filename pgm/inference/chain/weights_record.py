@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.display import Summary, number
-from pgm.inference.by_sensor import EachSensor
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.weights import shown
+from pgm.inference.posterior import EachSensor
 from pgm.kernels.arrays import Array
 
 # Below this share of a Gaussian's information a sighting is counted as one hardly used.

@@ -14,9 +14,9 @@ from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference import limits
 from pgm.inference.discrete.evidence import enter_everywhere
-from pgm.inference.discrete.impossible import contradicted
 from pgm.inference.discrete.place import positions, steps
 from pgm.inference.discrete.storage import Storage, contiguous
+from pgm.inference.discrete.tree_passes import contradicted
 from pgm.inference.loopy import Directed
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.semirings import exp, log_sum

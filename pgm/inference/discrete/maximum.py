@@ -21,16 +21,15 @@ from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.discrete.evidence import Distinct, some_runs, tree_pieces
-from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.place import steps
-from pgm.inference.discrete.tree_passes import collect, enter
+from pgm.inference.discrete.tree_passes import collect, enter, require_possible
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
-from pgm.inference.executors import Workers
 from pgm.inference.limits import Room, require_runs
 from pgm.inference.markov.chain import require_chain
-from pgm.inference.markov.path import most_probable_path
+from pgm.inference.markov.marginals import most_probable_path
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.run import require_beliefs
+from pgm.inference.parts.workers import Workers
 from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Integers, frozen
@@ -166,10 +165,6 @@ def most_probable(
         To whose workers parts of the sets of evidence are handed, as by `infer`.
     progress : bool or callable
         As for `infer`.
-
-    Returns
-    -------
-    MostProbable
 
     Raises
     ------

@@ -15,8 +15,7 @@ from pgm.inference.discrete.posterior import DiscretePosterior
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
 from pgm.inference.limits import Room
 from pgm.inference.loopy import run_loopy
-from pgm.inference.loopy_schedules import Loopy
-from pgm.inference.schedule import Schedule
+from pgm.inference.schedule import Loopy, Schedule
 from pgm.inference.status import Status
 
 

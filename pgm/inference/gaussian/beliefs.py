@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.gaussian.layout import Layout
+from pgm.inference.gaussian.layout import Layout, Stack
 from pgm.inference.gaussian.model import Frame, Model
-from pgm.inference.gaussian.rounds import Stack
 from pgm.kernels.arrays import Array, Integers, Mask
 
 
@@ -106,11 +105,7 @@ class Beliefs:
         self.cov[:, self.places.covs(*at)] = cov
 
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
-        """Means (runs, ..., n) and covariances (V, ..., n, n) as the user knows them.
-
-        where, entries: (..., n) and (..., n, n): of the means and covariances.
-        places: (..., n): the components.
-        """
+        """Means (runs, ..., n) and covariances (V, ..., n, n) as the user knows them, by places."""
         scale = self.frame.scale[places]
         mean = self.frame.mean[:, places] + scale * runs_first(self.mean[:, where])
         return mean, self.cov[:, entries] * (scale[..., :, None] * scale[..., None, :])

@@ -1,19 +1,17 @@
 """Inference on a small network in as many digits as its numbers need, where float64 loses them.
 
-The CPDs, linearised, are the conditionals of a dense joint; see `dense`. Their parameters and the
-evidence are taken as they are, to all digits, so that only the rounding of a lineariser is lost: of
-a value F μ + b the last places of its summands. Where these go, to first order, says how many
-digits of a posterior mean they leave.
+The linearised CPDs are conditionals of a dense joint (`dense`), taken to all digits, so that only
+the rounding of a lineariser is lost: of F μ + b the last places of its summands. Where these go, to
+first order, says how many digits of a posterior mean they leave.
 
-How far apart the deviations of a tree lie tells whether float64 keeps digits enough. Rows are
-divided by their noise and multiplied by the prior's deviations, so that the size a of a row's
-entries says by how much a CPD or measurement is sharper than the prior. A factorisation moves each
-row by some 10⁻¹⁶ a, and a mean by as many of its own deviations, times the distance of the mean
-from the prior's in deviations of the prior. A covariance is pushed down the tree as it is and keeps
-what is small to 10⁻¹⁶ of the prior's, 10⁻¹⁶ a² of itself. What relations without noise put into
-rows counts as they do, and so do the reciprocals of what they are divided by; where it is not
-certain how many of them are independent, no digits are. Last, residuals are differences of numbers:
-these are compared with the noise, or with the prior where there is none.
+Whether float64 keeps digits enough is told by how far apart the deviations of a tree lie. Rows are
+divided by their noise and multiplied by the prior's deviations: the size a of their entries is by
+how much a CPD or measurement is sharper than the prior. A factorisation moves each row by some
+10⁻¹⁶ a, and a mean by as many of its deviations, times its distance from the prior's mean in
+deviations of the prior. A covariance pushed down the tree keeps what is small to 10⁻¹⁶ of the
+prior's, 10⁻¹⁶ a² of itself. What relations without noise put into rows counts as they do, and the
+reciprocals of what they are divided by; where it is not certain how many of them are independent,
+no digits are. Residuals, being differences, are compared with the noise, or else the prior.
 """
 
 from __future__ import annotations
@@ -25,9 +23,9 @@ import numpy as np
 
 from pgm.inference.family import Family
 from pgm.inference.gaussian.beliefs import Beliefs
-from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.dense import Conditional, Conditionals, Joint, Root
 from pgm.inference.gaussian.layout import Layout
+from pgm.inference.gaussian.messages import Buffer
 from pgm.inference.gaussian.model import SHARE, Frame, Model, contradiction
 from pgm.inference.gaussian.tree import TreePlan
 from pgm.kernels import decimals, differences
@@ -37,8 +35,7 @@ from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
 
 # How far a measurement that a model without noise determines may miss it: in parts of the numbers
-# that it is a sum of, and of deviations of the prior. That much float64 leaves of a user's
-# arithmetic.
+# that it is a sum of, and of deviations of the prior, as float64 leaves of a user's arithmetic.
 CONTRADICTION = Decimal("1e-12")
 # The same in parts of what rounding of linearised values comes to at most.
 OF_ROUNDING = 10
@@ -62,10 +59,7 @@ def work(layout: Layout, runs: int, shared: bool) -> int:
 
 
 class DenseBeliefs(Beliefs):
-    """Moments of all components together, (runs, size) and (V, size, size), of any cluster's read.
-
-    They are the user's own, not about a frame, so that nothing is rounded again.
-    """
+    """Moments of all components together, (runs, size) and (V, size, size), not about a frame."""
 
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
         """Means (runs, ..., n) and covariances (V, ..., n, n) of components of one cluster each."""

@@ -27,17 +27,15 @@ from pgm.kernels import decimals, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
 
-# F is known to half a unit in its last place. What cancels to less than this share of its summands'
-# deviations is rounding of F: with no noise, y is determined.
+# What cancels to less than this share of its summands' deviations is rounding of F, which is known
+# to half a unit in its last place: with no noise, y is determined.
 ROUNDED = Decimal(2) ** -51
 
 
 class Read(NamedTuple):
-    """The outcome of conditioning on a component.
+    """Conditioning on a component: ln p of its values and where they contradict the model, (V, N').
 
-    log_density: ln p of its values, (V, N').
-    contradiction: (V, N'): where they contradict the model.
-    moved: (V,): by how much the columns beyond N' together may move ln p.
+    `moved` (V,) is by how much the columns beyond N' together may move ln p.
     """
 
     log_density: Array
@@ -49,11 +47,9 @@ class Read(NamedTuple):
 class Joint:
     """The joint of components so far: V runs with a covariance each, or V = 1 for all runs.
 
-    mean: (V, size, N): columns that go through everything as a mean does.
-    cov: (V, size, size).
-    edge: (V, size): deviations of the prior, all summands taken as positive.
-    nothing: The share of a variance of such a deviation below which a number is rounding of the
-        digits.
+    Columns of `mean` (V, size, N) go through everything as a mean does; `edge` (V, size) are the
+    prior's deviations, all summands taken as positive; a number below the share `nothing` of a
+    variance of such a deviation is rounding of the digits.
     """
 
     mean: Decimals
@@ -100,10 +96,7 @@ class Joint:
         self.edge[:, places] = decimals.sqrt(prior * prior + variance)
 
     def read(self, place: int, value: Decimals, allowed: Decimals) -> Read:
-        """Condition on a component's values (V, N'), of the first columns.
-
-        One that is determined may differ from them by what is allowed, (V, N').
-        """
+        """Condition on a component's values (V, N'), of the first columns, allowed to be off."""
         count = value.shape[1]
         variance, edge = self.cov[:, place, place], self.edge[:, place]
         open_ = np.asarray(variance > self.nothing * edge * edge, dtype=bool)

@@ -28,14 +28,10 @@ SHARE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Coordinates ξ with x = mean + scale ξ, in which factors are kept.
+    """Coordinates ξ with x = mean + scale ξ, in which factors are kept: (runs, size) and (size,).
 
     About the prior predictive means, in its standard deviations, large coordinates cost no digits
-    and units do not matter.
-
-    mean: (runs, size).
-    scale: (size,).
-    certain: (size,): which have no variance at all, so that ξ is zero.
+    and units do not matter. Those `certain`, (size,), have no variance at all: ξ is zero.
     """
 
     mean: Array
@@ -52,13 +48,8 @@ def prior_predictive(
 ) -> Frame:
     """Push moments through the CPDs in topological order, linearising on the way.
 
-    The joint covariance of just those variables is kept that later CPDs need.
-
-    families: One a group; nonlinear ones are linearised here, unless there is a start, at which
-        they are already.
-    shared: Whether all runs have one covariance.
-    start: (runs, size): the means of the frame, in place of the prior predictive ones; those of NaN
-        follow from their parents.
+    Families are one a group. The joint covariance of just those variables is kept that later CPDs
+    need. At a start, (runs, size), CPDs are linearised already; its NaN follow from the parents.
     """
     mean = np.empty((runs, layout.size)) if start is None else start.copy()
     variance = np.zeros((1 if shared else runs, layout.size))
@@ -134,18 +125,12 @@ Kind = TypeVar("Kind", np.float64, np.bool_)
 class Model:
     """The CPDs of a network, linearised, and the evidence of its observed children.
 
-    families: One a group of the layout; a row is a CPD.
-    readings: For each group with observed children their values, (CPDs, runs or 1, d).
-    moved: The same, (CPDs, runs, d), with angles on the branch nearest the CPD's value at the point
-        of linearisation.
-    taken: For each group the components of these that are not missing, (CPDs, runs or 1, d); None
-        where none is missing.
-    shared: Whether all runs have the same matrices and covariances, and the same components
-        observed.
-    points: For each group, where its CPDs were linearised last: the means and deviations of their
-        hidden parents, (CPDs, runs, n).
-    first: Whether that was at the prior's moments or at a start, which may be far from the
-        posterior.
+    Lists are by group; a row is a CPD. `readings` are values of observed children, (CPDs, runs or
+    1, d), `moved` the same with angles on the branch nearest the CPD's value where it was
+    linearised, `taken` which components are not missing, None for all. `shared` says whether all
+    runs have the same matrices, covariances and components observed. `points` are the means and
+    deviations, (CPDs, runs, n), of hidden parents where CPDs were linearised last: if `first`, at
+    the prior's moments or a start, which may be far from the posterior.
     """
 
     layout: Layout
@@ -168,11 +153,7 @@ class Model:
         start: Array | None,
         predictive: Predictive = prior_predictive,
     ) -> Model:
-        """Bind evidence, and linearise at the prior predictive moments or at a start.
-
-        start: (runs, size): means of all hidden parents.
-        predictive: How the prior's moments are found, where there is no start.
-        """
+        """Bind evidence, and linearise at the prior predictive moments or a start, (runs, size)."""
         for group in layout.groups:
             for cpd in group.cpds:
                 cpd.require_proper("only chains, of pgm.DynamicBayesianNetwork, take flat priors")
@@ -229,12 +210,10 @@ class Model:
         parents: Sequence[tuple[Array, Array] | None],
         active: Mask,
     ) -> None:
-        """Linearise every nonlinear CPD at a belief, one call a group.
+        """Linearise every nonlinear CPD at a belief, one call a group, for runs that are active.
 
-        mean: (runs, size): of all hidden components; angles of evidence move to their branch.
-        parents: For each group with nonlinear CPDs the mean (CPDs, runs, n) and covariance of their
-            hidden parents.
-        active: (runs,): which runs take the new linearisation.
+        The mean is (runs, size), to whose branches angles of evidence move; parents' moments are
+        (CPDs, runs, ...) for each group with nonlinear CPDs.
         """
         for g, (family, at) in enumerate(zip(self.families, parents, strict=True)):
             if at is not None:

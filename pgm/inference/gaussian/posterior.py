@@ -13,9 +13,8 @@ from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, runs_first
-from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.careful import DenseBeliefs
-from pgm.inference.gaussian.messages import RowMessages
+from pgm.inference.gaussian.messages import Buffer, RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.tree import TreeBeliefs, TreePlan
 from pgm.inference.limits import require_runs
@@ -32,9 +31,8 @@ from pgm.variables import Variable
 class GaussianPosterior(Posterior):
     """The beliefs of a Gaussian network; leading axes are runs.
 
-    ``posterior[x]`` and ``posterior.joint(x, y)`` are a `Gaussian`. Of a tree they are exact for
-    the (linearised) network; of a graph with loops the means are, where the messages have
-    converged, and variances are approximate: too small or too large.
+    Of a tree they are exact for the (linearised) network; of a graph with loops the means are,
+    where the messages have converged, and variances are approximate: too small or too large.
     """
 
     graph: ClusterGraph
@@ -195,13 +193,8 @@ class GaussianPosterior(Posterior):
         """The value ln p(evidence), (...); see `log_evidence_kind`.
 
         Exact measurements that repeat one another have no joint density; what is then given is that
-        of those that do not, in a unit that depends on the graph.
-
-        Raises
-        ------
-        NumericalError
-            If it is beyond the range of float64: measurements some 10¹⁵⁰ deviations from the
-            model's.
+        of those that do not, in a unit that depends on the graph. Beyond the range of float64, some
+        10¹⁵⁰ deviations from the model, it is a NumericalError.
         """
         value = self._done.log_evidence
         if not np.isfinite(value).all():
@@ -291,8 +284,7 @@ def _gain(
 ) -> Array:
     """The regression of a cluster's other components on those of the sepset with its parent.
 
-    `inside` is the cluster's covariance, the sepset's components first. A calibrated tree knows
-    the gain, even where the covariance is singular.
+    `inside` is the cluster's covariance, the sepset first. A calibrated tree knows the gain.
     """
     if not isinstance(beliefs, TreeBeliefs) or not shared:
         count = len(shared)

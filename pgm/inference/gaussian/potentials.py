@@ -52,14 +52,10 @@ class Flat(NamedTuple):
 class Potentials:
     """The factors of all CPDs, one after the other in the order of the groups.
 
-    The first axis are runs, V of them, and the last right sides, N: where all runs share their
-    matrices V is 1 and each run is a right side; else each run has a matrix and N is 1.
-
-    exact: Rows without noise in the same places; None where there are none.
-    log_scale: (V, CPDs, N).
-    coarse: The largest of the numbers that residuals are differences of, over the noise's
-        deviations or over a relation's size; infinite where a component may be certain by rounding
-        alone.
+    Where all runs share their matrices, V is 1 and each of N runs is a right side; else each of V
+    runs has a matrix, and N is 1. `exact` rows have no noise; log-scales are (V, CPDs, N). `coarse`
+    is the largest of the numbers that residuals are differences of, over the noise's deviations or
+    a relation's size; infinite where a component may be certain by rounding alone.
     """
 
     proper: Flat
@@ -93,13 +89,10 @@ def make_potentials(model: Model) -> Potentials:
 class _Linearised(NamedTuple):
     """CPDs of one shape, about a frame: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ); CPDs first.
 
-    matrix: [s_y, −F s_p], (CPDs, V, d, w); without s_y where the children are observed.
-    residual, noise: e (CPDs, runs, d) and Σ (CPDs, V, d, d).
-    known: Which columns are of certain parents, (CPDs, w).
-    size: Of the numbers that the residuals are sums of, (CPDs, runs, d).
-    missing: Components of evidence that are missing, and say nothing with unit variance, (CPDs, V).
-    doubtful: Whether a child is certain though a parent is not: what cancels may not do so exactly,
-        (CPDs,).
+    `matrix` is [s_y, −F s_p], (CPDs, V, d, w), without s_y where children are observed; `residual`
+    e, and `size` the numbers it is a sum of, (CPDs, runs, d); `known` columns are of certain
+    parents. Missing components, counted (CPDs, V), have unit variance. Where a child is certain
+    though a parent is not, it is `doubtful` whether what cancels does so exactly.
     """
 
     matrix: Array

@@ -14,9 +14,8 @@ import numpy as np
 
 from pgm.inference.forest import Forest
 from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, Places
-from pgm.inference.gaussian.buffer import Buffer
-from pgm.inference.gaussian.layout import Layout
-from pgm.inference.gaussian.rounds import Rounds, Stack
+from pgm.inference.gaussian.layout import Layout, Rounds, Stack
+from pgm.inference.gaussian.messages import Buffer
 from pgm.kernels.arrays import Array, Integers, frozen, transpose
 from pgm.kernels.rows import Eliminated
 from pgm.progress import counted
@@ -94,10 +93,7 @@ class TreePlan:
 
 @dataclass(frozen=True, eq=False)
 class TreeBeliefs(Beliefs):
-    """Moments of a tree's clusters, and how each follows from its parent's.
-
-    gains: For each stack of the plan's levels but the last, (V, B, r, s).
-    """
+    """Moments of a tree's clusters, and their gains from their parents', (V, B, r, s) by stack."""
 
     gains: list[list[Array]]
 

@@ -14,10 +14,9 @@ from pgm.boundary import as_generator, as_lengths, is_whole
 from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.factors.frames import Framed
-from pgm.factors.scope import Scope
+from pgm.factors.listing import Framed
+from pgm.factors.scope import Scope, places_of, whole_variables
 from pgm.immutable import Immutable
-from pgm.inference.components import places_of, whole_variables
 from pgm.inference.grid.lattice import Axis
 from pgm.inference.summaries import moments_of
 from pgm.kernels.angles import wrap
@@ -40,7 +39,7 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
     Attributes
     ----------
     components : tuple of str
-        The components, in the order of the axes of cells.
+        In the order of the axes of cells.
     centres : tuple of ndarray
         (cells,) of each axis; those of an angle go round the circle from −π on.
     values : ndarray
@@ -125,8 +124,11 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
         """The centre of the likeliest cell, (..., n)."""
         flat = self.values.reshape(*self.lead, -1).argmax(axis=-1)
         places = np.unravel_index(flat, self.values.shape[len(self.lead) :])
+        return _frozen(self._at(places))
+
+    def _at(self, places: Sequence[Integers]) -> Array:
         each = [centres[place] for centres, place in zip(self.centres, places, strict=True)]
-        return _frozen(np.stack(each, axis=-1))
+        return np.stack(each, axis=-1)
 
     def marginal(self, *components: str) -> GridBelief:
         """The belief over some components alone.
@@ -136,16 +138,14 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
         *components : str
             By name, in the order wanted.
 
-        Returns
-        -------
-        GridBelief
-
         Raises
         ------
         ModelError
             If one is no component, or named twice, or none is named.
         """
-        places = places_of(self._axes, components, "a marginal")
+        return self._over(places_of(self._axes, components, "a marginal"))
+
+    def _over(self, places: tuple[int, ...]) -> GridBelief:
         axes = [self._axes[k] for k in places]
         return GridBelief(axes, self._marginal(places), self.steps)
 
@@ -179,17 +179,10 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
             # Below one, so that no cell of probability zero is drawn.
             level = generator.random(count) * total[-1]
             drawn[:, k] = np.minimum(np.searchsorted(total, level, side="right"), len(total) - 1)
-        places = np.unravel_index(drawn.reshape(*extra, *self.lead), cells)
-        each = [centres[place] for centres, place in zip(self.centres, places, strict=True)]
-        return np.stack(each, axis=-1)
+        return self._at(np.unravel_index(drawn.reshape(*extra, *self.lead), cells))
 
     def gaussian(self) -> Gaussian:
-        """The normal density of the same mean and covariance.
-
-        Returns
-        -------
-        Gaussian
-            Over the variables whose components these are.
+        """The normal density of the same mean and covariance, over the variables of the components.
 
         Raises
         ------
@@ -206,10 +199,6 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
         ----------
         index : int, slice or tuple of them
             As of an array of the shape of the leading axes.
-
-        Returns
-        -------
-        GridBelief
 
         Raises
         ------
@@ -259,14 +248,12 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
         for k, axis in enumerate(self._axes):
             marginal = self._marginal((k,))
             marginal = marginal / marginal.sum(axis=-1, keepdims=True)
-            about = np.zeros(self.lead)
-            offsets = np.broadcast_to(axis.offsets, (*self.lead, axis.cells))
             if axis.angle:
                 about = np.arctan2(marginal @ np.sin(axis.offsets), marginal @ np.cos(axis.offsets))
-                offsets = wrap(offsets - about[..., None])
+                offsets = wrap(axis.offsets - about[..., None])
             else:
                 about = marginal @ axis.offsets
-                offsets = offsets - about[..., None]
+                offsets = axis.offsets - about[..., None]
             found.append((about, offsets, np.einsum("...a,...a->...", marginal, offsets)))
         return found
 

@@ -32,18 +32,18 @@ class Cut(NamedTuple):
 class Tails:
     """The share of a belief beyond either end of each axis' cells in use, as evidence goes on.
 
-    What was cut is taken to become as much likelier as the last cells within. If the model is true
-    these gains are a martingale: that they make a share of ε of one of 10⁻³ has a probability of
-    10³ε at the most (Ville's inequality).
+    The cut part is taken to become as much likelier as the last cells within. If the model is true
+    these gains are a martingale: a share of ε becomes one of 10⁻³ with a probability of 10³ε at the
+    most (Ville's inequality).
     """
 
     def __init__(self, lattice: Lattice) -> None:
         self.lattice = lattice
-        self._share = np.full((len(lattice.axes), 2), TINY)
-        self._cells = np.zeros((len(lattice.axes), 2), dtype=np.intp)
-        self._open = np.zeros((len(lattice.axes), 2), dtype=bool)
-        self._before = np.ones((len(lattice.axes), 2))
-        self._taken = np.ones((len(lattice.axes), 2))
+        ends = len(lattice.axes), 2
+        self._share = np.full(ends, TINY)
+        self._cells = np.zeros(ends, dtype=np.intp)
+        self._open = np.zeros(ends, dtype=bool)
+        self._before = self._taken = np.ones(ends)
 
     def predicted(self, marginals: list[Array]) -> None:
         """Look at a predicted belief, by its marginals along the axes of the lattice."""
@@ -81,7 +81,7 @@ class Tails:
 
 
 def doubtful(log_density: float, ceiling: float, components: int) -> bool:
-    """Whether evidence is so unlikely that what was cut might explain it better.
+    """Whether evidence is so unlikely that the part cut off might explain it better.
 
     log_density: ln p(measurements of a step | those before).
     ceiling: The logarithm of the density of residuals that are all zero.

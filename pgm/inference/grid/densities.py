@@ -2,11 +2,12 @@
 
 The weight of a centre is the density there times the volume of a cell. Sums over centres are not
 integrals: by how much is found by shifting the centres by parts of a cell. Within that, weights are
-normalised over the lattice, gone on beyond the bounds; what is missing besides has left them.
+normalised over the lattice, continued beyond the bounds; what is missing besides has left them.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,18 +15,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.cpds import CPD
+from pgm.cpds import CPD, GaussianCPD
 from pgm.errors import ModelError
-from pgm.inference.grid.groups import Members
+from pgm.inference.grid.groups import Group, Members
 from pgm.inference.grid.lattice import Window
 from pgm.inference.grid.values import (
     at_a_time,
+    covariance_of,
     gaussian_parts,
     log_density_at,
+    mean_at,
     require_noise,
     settled,
 )
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import LOG_2PI, Array, Integers
 from pgm.kernels.lattice import Span
 from pgm.sizes import require_memory
 from pgm.variables import Variable
@@ -48,7 +52,7 @@ _UNEVEN = 0.5
 class Uneven(NamedTuple):
     """The density whose sums over centres differ the most with where between centres it stands.
 
-    share: By how much they differ: of one.
+    share: By how much of one they differ.
     """
 
     share: float
@@ -88,7 +92,7 @@ class Dense:
         return self._whole(np.broadcast_to(lines, (*lines.shape[:2], count)), self.source)
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance that the lattice adds, of which nothing is known here."""
+        """Nothing is known here of the variance that the lattice adds."""
         return {}
 
     @property
@@ -209,7 +213,7 @@ class _Maker:
         return Dense(group.axes, self.by, weights, window, tuple(target), uneven)
 
     def _places(self, shift: float = 0.0, beyond: bool = False) -> list[Array]:
-        """The places of centres along each axis that is moved, shifted by a part of a cell.
+        """The centres along each axis that is moved, shifted by a part of a cell.
 
         Beyond the bounds too, by half of what they cover on either side.
         """
@@ -275,25 +279,17 @@ class _Maker:
         if (off > 0.0).any():
             self._shift(np.argsort(-off)[:_SHIFTED], whole, near, _MANY)
         if self.share > _UNEVEN:
-            raise ModelError(
-                f"{self._named} is too narrow for the cells at step {self.step}, run {self.run}: "
-                f"its sum over their centres differs by {self.share:.2g} with where between "
+            raise self._error(
+                "is too narrow for the cells",
+                f": its sum over their centres differs by {self.share:.2g} with where between "
                 "centres it stands; take narrower cells, or a Gaussian CPD, or a mixture of such, "
                 "which is moved by displacements",
-                variable=self.group.states[0].child,
-                cpd=self.group.states[0],
-                step=self.step,
-                run=self.run,
             )
         if (whole - 1.0 > self._allowed).any():
-            raise ModelError(
-                f"{self._named} has an integral of {whole.max():.6g} at step {self.step}, run "
-                f"{self.run}, as the sum over the centres of cells: it is no density; let "
-                "log_density= be the logarithm of one whose integral over the child is one",
-                variable=self.group.states[0].child,
-                cpd=self.group.states[0],
-                step=self.step,
-                run=self.run,
+            raise self._error(
+                f"has an integral of {whole.max():.6g}",
+                ", as the sum over the centres of cells: it is no density; let log_density= be "
+                "the logarithm of one whose integral over the child is one",
             )
         # What is missing by more than sums differ has left the bounds, and is not made up for.
         weights /= np.where(np.abs(whole - 1.0) <= self._allowed, whole, 1.0)[:, None]
@@ -302,9 +298,16 @@ class _Maker:
     def _allowed(self) -> float:
         return 2.0 * self.share + _ROUNDING
 
-    @property
-    def _named(self) -> str:
-        return " and ".join(f"the density of {cpd!r}" for cpd in self.group.states)
+    def _error(self, found: str, reason: str) -> ModelError:
+        states = self.group.states
+        named = " and ".join(f"the density of {cpd!r}" for cpd in states)
+        return ModelError(
+            f"{named} {found} at step {self.step}, run {self.run}{reason}",
+            variable=states[0].child,
+            cpd=states[0],
+            step=self.step,
+            run=self.run,
+        )
 
     def _near_bounds(self, weights: Array) -> Array:
         shape = [self.lattice.shape[k] for k in self.group.axes]
@@ -327,3 +330,55 @@ class _Maker:
                 shifted = (self._sums(some, part, beyond) for part in parts.tolist())
                 every = np.stack([whole[some], *shifted])
                 self.share = max(self.share, float(np.ptp(every, axis=0).max()))
+
+
+# From this many cells on, of the deviation of each component given the others, the density at
+# centres is a normal on the lattice: its sum and moments are right to e^(−2π²s²).
+_WIDE = 1.3
+
+
+def wide(group: Group, run: int, window: Window) -> Dense | None:
+    """The correlated density of a state without parents, where it is wide; None of others."""
+    cpd, lattice = group.states[0], group.lattice
+    if len(group.states) > 1 or not isinstance(cpd, GaussianCPD):
+        return None
+    cov = covariance_of(cpd, {}, 0, run)
+    if not np.isfinite(cov).all() or np.array_equal(cov, np.diag(np.diagonal(cov))):
+        return None
+    widths = group.widths
+    scaled = cov / np.multiply.outer(widths, widths)
+    values = np.linalg.eigvalsh(scaled)
+    if not values[0] > 1e-12 * values[-1]:
+        return None
+    precision = np.linalg.inv(scaled)
+    if not (np.diagonal(precision) <= _WIDE**-2).all():
+        return None
+    mean = mean_at(cpd, {}, {}, 0, run)[0]
+    total = np.zeros((1,) * len(lattice.axes))
+    # A wide angle goes round the circle.
+    turns = []
+    for k, axis in enumerate(group.axes):
+        far = int(np.ceil(9.0 * np.sqrt(cov[k, k]) / TURN)) if lattice.axes[axis].angle else 0
+        turns.append(range(-far, far + 1))
+    centre = list(mean)
+    for k, axis in enumerate(group.axes):
+        if lattice.axes[axis].angle:
+            centre[k] = mean[k] - TURN * np.rint(mean[k] / TURN)
+    for shift in itertools.product(*turns):
+        exponent = np.zeros((1,) * len(lattice.axes))
+        offsets = []
+        for k, axis in enumerate(group.axes):
+            own = lattice.axes[axis]
+            offset = own.offsets + (own.reference - centre[k]) + TURN * shift[k]
+            shape = [1] * len(lattice.axes)
+            shape[axis] = own.cells
+            offsets.append((offset / own.width).reshape(shape))
+        for i, j in itertools.product(range(len(offsets)), repeat=2):
+            exponent = exponent - 0.5 * precision[i, j] * offsets[i] * offsets[j]
+        total = total + np.exp(exponent)
+    log_scale = -0.5 * (np.linalg.slogdet(scaled)[1] + len(mean) * LOG_2PI)
+    target, order = list(window), [k for k in range(len(window)) if k not in group.axes]
+    for axis in group.axes:
+        target[axis] = Span(0, lattice.axes[axis].cells)
+    weights = (total * np.exp(log_scale)).transpose(*group.axes, *order).reshape(1, 1, -1)
+    return Dense(group.axes, (), weights, window, tuple(target), EVEN)

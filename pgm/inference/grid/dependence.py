@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Set
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,8 +13,8 @@ from pgm.kernels.arrays import Array, Integers, Mask
 
 # Places at which every call is tested; all centres are, when something is first depended on.
 PROBES = 128
-# Cells of the belief's window at which what is known of a motion is tried in each step, and what is
-# known of a sensor with each measurement.
+# Cells of the belief's window at which a known dependence is tried: of a motion in each step, and
+# of a sensor with each measurement.
 MOVED = 4096
 MEASURED = 512
 # Centres that a user's function is handed at a time where all are tested.
@@ -125,7 +125,7 @@ class Dependence:
                     self.after = [set(later) for _ in self.after]
             self._sure = True
 
-    def reduced(self, cells: Integers, depended: set[int]) -> Integers:
+    def reduced(self, cells: Integers, depended: Set[int]) -> Integers:
         """Cells whose places along all other axes are those of the middle."""
         middle = np.array(self.lattice.shape) // 2
         keep = np.array([k in depended for k in range(len(middle))])
@@ -195,12 +195,10 @@ class Dependence:
                 if before in tables:
                     few = tables[before].at(here)
                 else:
-                    base = centres(lattice, self.reduced(here, set(before)))
-                    few = values(base, centres(lattice, self.reduced(other, set(after))))
-                of = [
-                    (frozenset(a), frozenset(b)) == (before, after)
-                    for a, b in zip(self.before, self.after, strict=True)
-                ]
+                    base = centres(lattice, self.reduced(here, before))
+                    few = values(base, centres(lattice, self.reduced(other, after)))
+                own = set(before), set(after)
+                of = [pair == own for pair in zip(self.before, self.after, strict=True)]
                 if differ(few, found)[..., of].any():
                     return False
         return True

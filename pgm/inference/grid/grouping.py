@@ -34,7 +34,7 @@ class Step:
 
     @property
     def uneven(self) -> Uneven:
-        """The density that is the least even, by its share in all."""
+        """The least even density, by its share in all."""
         each = [
             operator.uneven._replace(share=weight * operator.uneven.share)
             for weight, operator in self.leaves()
@@ -52,9 +52,9 @@ class Step:
                 yield 1.0, operator
 
     def forward(self, array: Array) -> tuple[Array, Array]:
-        """The probabilities in the target window from those in the source.
+        """The probabilities in the target window, and the variance added by the lattice.
 
-        With them the variance that the lattice has added along each of its axes, in cells.
+        That is along each of its axes, in cells.
         """
         added = np.zeros(len(self.source))
         for operator in self.operators:

@@ -22,7 +22,7 @@ from pgm.variables import Variable
 class Axis:
     """One axis: a component of a state.
 
-    angle: Whether it is a circle, from −π on; its first centre is there.
+    angle: Whether it is a circle, whose first centre is at −π.
     """
 
     variable: Variable
@@ -42,9 +42,8 @@ class Axis:
     @cached_property
     def reference(self) -> float:
         """The middle of the axis, from which offsets count; of a circle it is 0, or near."""
-        if self.angle:
-            return -math.pi + self.cells // 2 * self.width
-        return self.low + 0.5 * self.cells * self.width
+        half = self.cells // 2 if self.angle else 0.5 * self.cells
+        return self.low + half * self.width
 
     @cached_property
     def centres(self) -> Array:

@@ -141,7 +141,7 @@ class Joint(NamedTuple):
     whiten: Array
 
     def squared(self, first: slice) -> Array:
-        """Half the squares of the whitened residuals, of some places along the first axis."""
+        """Half the squares of the whitened residuals."""
         white = _some(self.residual, first) @ self.whiten.T
         found: Array = 0.5 * np.einsum("...i,...i->...", white, white)
         return found
@@ -154,7 +154,7 @@ class Level(NamedTuple):
     highest: float
 
     def squared(self, first: slice) -> Array:
-        """How far it is below the highest, of some places along the first axis."""
+        """How far it is below the highest."""
         return self.highest - _some(self.values, first)
 
 

@@ -1,6 +1,6 @@
 """The motion of a grid: the transition of a step as operators along the axes.
 
-Of each axis the displacement is found at the centres, and with it the axes on which it depends.
+The displacement along each axis is found at the centres, and with it the axes on which it depends.
 Where they can be put in an order, each axis being moved before those on which it depends, a step is
 products of matrices along one axis after another: of one matrix, where the displacement is the same
 everywhere; of one a heading, where it depends on the heading alone. Else every cell is split on its
@@ -17,13 +17,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgm.errors import ModelError
-from pgm.inference.grid.densities import DensityGroup
+from pgm.inference.grid.densities import DensityGroup, wide
 from pgm.inference.grid.dependence import MOVED, Dependence, within
 from pgm.inference.grid.grouping import Kept, Mixed, MixedGroup, Step, joined
 from pgm.inference.grid.groups import Group, Members, Spread, quadrature
 from pgm.inference.grid.lattice import Axis, Lattice, Window
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
-from pgm.inference.grid.wide import wide
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import REACH, Span, kernels, reached, tap_count
 from pgm.sizes import require_memory
@@ -115,7 +114,7 @@ class Motion:
         return found
 
     def _ordered(self, step: int, run: int, source: Window) -> list[Members]:
-        """The groups in an order in which each finds the axes that it depends on as it needs them.
+        """The groups in an order in which the axes on which each depends are as it needs them.
 
         Groups that have no order among themselves are joined.
         """

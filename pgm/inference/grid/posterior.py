@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.compile import DynamicGraph
-from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
@@ -25,8 +25,7 @@ from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.grid.values import at_a_time, known_at
 from pgm.inference.kind import FILTERED, Kind
-from pgm.inference.labelled import Labelled
-from pgm.inference.posterior import Viewed, require_variable
+from pgm.inference.posterior import Labelled, Viewed, require_variable
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.cpds import CPD, ConditionalGaussian
-from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.errors import EvidenceError
 from pgm.inference.grid.dependence import MEASURED, Reduced, blocks, centres, within
 from pgm.inference.grid.lattice import Window

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from pgm.cpds import ConditionalGaussian
+from pgm.cpds.mixture import by_run
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
-from pgm.inference.checks import require_density
 from pgm.inference.grid.cut import TINY, Cut, Tails, bound, doubtful
 from pgm.inference.grid.densities import EVEN, Uneven
 from pgm.inference.grid.dependence import Dependence
@@ -23,7 +23,7 @@ from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.measured import MeasuredSensor, Shape, Sharpness
 from pgm.inference.grid.motion import Motion
 from pgm.inference.grid.sensors import DensitySensor, GridSensor, likelihood
-from pgm.inference.runs import by_run
+from pgm.inference.options import require_density
 from pgm.kernels.arrays import Array
 from pgm.kernels.lattice import Span
 from pgm.networks import DynamicBayesianNetwork

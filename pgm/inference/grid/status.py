@@ -170,10 +170,6 @@ class GridStatus(Shown, Immutable):
         ----------
         refinements : sequence of Refinement
         converged : bool
-
-        Returns
-        -------
-        GridStatus
         """
         found = self.outside_by_step, self.added, self.sharpest, self.narrowest
         return GridStatus(*found, self.cut, self.split, refinements, converged, self.uneven)

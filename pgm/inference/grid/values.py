@@ -9,12 +9,12 @@ import numpy as np
 
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, GaussianCPD, MixtureCPD, Noise
 from pgm.cpds import values as cpd_values
-from pgm.cpds.noise import evaluate
+from pgm.cpds.conditional import evaluate
 from pgm.errors import LinearisationError, ModelError, NumericalError
+from pgm.factors.arrays import IMPROPER
 from pgm.kernels import roots
 from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import Array, Mask
-from pgm.kernels.checks import IMPROPER
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 

@@ -15,7 +15,7 @@ from pgm.display import NoArray, Shown, Summary, titled
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
-from pgm.inference.associations import NONE, Found
+from pgm.inference.associations import NONE, Found, Rejections, RejectionsBySensor
 from pgm.inference.chain import certificate
 from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.gate import Asked
@@ -26,7 +26,6 @@ from pgm.inference.lost import PageTest
 from pgm.inference.online.judged import Decided, Watch
 from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
-from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.inference.schedule import Filtering, FixedLag
 from pgm.inference.status import Status, digits
 from pgm.inference.summaries import at_a_step
@@ -147,8 +146,9 @@ class OnlineBelief(Shown, NoArray, Immutable):
 
     def judged(self, gated: tuple[Decided, ...], watch: Watch | None) -> OnlineBelief:
         """The same belief, with what gates decided at its last update, and whether it is lost."""
-        self.__dict__.update(_gated=gated, watch=watch)  # which nobody else has seen yet
-        return self
+        found = object.__new__(type(self))  # as `copy`, in a fifth of the time
+        found.__dict__.update(self.__dict__, _gated=gated, watch=watch)
+        return found
 
     @property
     def rejected(self) -> Mapping[Variable, Rejections]:

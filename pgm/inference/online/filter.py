@@ -19,7 +19,6 @@ from pgm.inference.chain.gate import prepare as prepare_gates
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
-from pgm.inference.gates import Gate
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED
@@ -43,6 +42,7 @@ from pgm.inference.online.settings import require_neither, require_settings
 from pgm.inference.online.slid import slid
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.window import Passed, Sliding, Trail, look_again, trailing
+from pgm.inference.options import Gate
 from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.value import Particles
 from pgm.inference.points import PointMasses, online_points

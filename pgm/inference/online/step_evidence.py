@@ -15,9 +15,7 @@ import numpy as np
 from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
-from pgm.evidence.arrays import as_rows
-from pgm.evidence.rows import rows_of
-from pgm.evidence.static import as_weights
+from pgm.evidence.rows import as_rows, as_weights, rows_of
 from pgm.evidence.values import Soft, soft
 from pgm.factors.axes import as_indices
 from pgm.immutable import set_writeable

@@ -13,10 +13,9 @@ from pgm.boundary import as_generator, as_lengths
 from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.factors.frames import Framed
-from pgm.factors.scope import listed
+from pgm.factors.listing import Framed
+from pgm.factors.scope import listed, places_of, whole_variables
 from pgm.immutable import Immutable
-from pgm.inference.components import places_of, whole_variables
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.model import Part
 from pgm.inference.summaries import moments_of, spread
@@ -152,10 +151,6 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
         *components : str
             By name, in the order wanted.
 
-        Returns
-        -------
-        ParticleBelief
-
         Raises
         ------
         ModelError
@@ -251,10 +246,6 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
         ----------
         index : int, slice or tuple of them
             As of an array of the shape of the leading axes.
-
-        Returns
-        -------
-        ParticleBelief
 
         Raises
         ------

@@ -27,7 +27,7 @@ from pgm.evidence import BoundEvidence, Reading
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
-from pgm.inference.checks import require_gaussian, require_plain
+from pgm.inference.options import require_gaussian, require_plain
 from pgm.inference.particles.laws import Drawing, Some, States
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.schedule import Filtering

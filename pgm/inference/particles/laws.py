@@ -14,14 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise
-from pgm.cpds.noise import evaluate
+from pgm.cpds.conditional import evaluate
 from pgm.cpds.values import Known
 from pgm.errors import LinearisationError, ModelError, NumericalError
+from pgm.factors.arrays import IMPROPER
 from pgm.inference.particles.cloud import Block
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
-from pgm.kernels.checks import IMPROPER
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from pgm.compile import DynamicGraph
-from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors.scope import Scope, as_scope, listed
@@ -18,14 +18,13 @@ from pgm.immutable import Immutable
 from pgm.inference.associations import Found, collected
 from pgm.inference.grid.belief import require_step
 from pgm.inference.kind import FILTERED, Kind
-from pgm.inference.labelled import Labelled
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.laws import Some
 from pgm.inference.particles.model import ParticleModel, Sensor, parts
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
-from pgm.inference.posterior import Viewed, require_variable
+from pgm.inference.posterior import Labelled, Viewed, require_variable
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable

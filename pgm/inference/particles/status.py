@@ -91,10 +91,6 @@ class ParticleStatus(Shown, Immutable):
         Parameters
         ----------
         step : int
-
-        Returns
-        -------
-        ParticleStatus
         """
         names = "effective", "number", "resampled", "injected", "ignored", "restarted"
         return ParticleStatus(*(getattr(self, name)[..., step : step + 1] for name in names))

@@ -1,7 +1,4 @@
-"""Running a schedule on a chain: all runs at once, or in parts, of which little may be kept.
-
-A job is the work on a part, which an executor may do elsewhere.
-"""
+"""Running a schedule on a chain: all runs at once, or in parts, of which little may be kept."""
 
 from __future__ import annotations
 
@@ -21,13 +18,12 @@ from pgm.inference.chain.association import associated
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
-from pgm.inference.checks import require_gaussian
-from pgm.inference.executors import Shape, Workers, address
 from pgm.inference.kind import Kind
-from pgm.inference.parts.join import joined, one_status, swept_once
-from pgm.inference.parts.split import Part, split
+from pgm.inference.options import Start, require_gaussian
+from pgm.inference.parts.parcels import Shape, address
+from pgm.inference.parts.split import Part, joined, one_status, split, swept_once
+from pgm.inference.parts.workers import Workers
 from pgm.inference.schedule import Calibration, Filtering, Schedule
-from pgm.inference.start import Start
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
@@ -51,11 +47,7 @@ def run(
     keep: Keep | None,
     executor: Executor | None,
 ) -> ChainPosterior | KeptPosterior:
-    """Send the messages of a schedule.
-
-    graph, bound, schedule, lineariser, start: As `run` of a chain takes them.
-    keep: Whose marginals alone are kept, which bounds what is held at a time; None for everything.
-    """
+    """Send the messages of a schedule; of all but `keep` nothing is held, which bounds memory."""
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     if is_open(bound):
@@ -181,11 +173,7 @@ def _gaussians(
 
 @dataclass(frozen=True)
 class Share:
-    """The share of a posterior that is asked for: beliefs as arrays, or all of it.
-
-    kept: Whose marginals alone are.
-    beliefs: Whether the beliefs of all are enough, since a sweep finds all else from them.
-    """
+    """The part of a posterior that is asked for: marginals of `kept`, all beliefs, or all of it."""
 
     kept: Scope | None
     beliefs: bool
@@ -236,10 +224,7 @@ class Share:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """The work on a part of the runs.
-
-    room: Where the arrays asked for are written to; None, where the result has them.
-    """
+    """The work on a part of the runs, whose arrays go into the room or else the result."""
 
     part: Part
     schedule: Schedule | None
@@ -249,10 +234,7 @@ class Job:
 
 
 class Result(NamedTuple):
-    """The result of a part of the runs.
-
-    careful: Whether it took twice the digits; then nothing else is here, unless variables are kept.
-    """
+    """The result of a part of the runs; a `careful` one is empty, unless variables are kept."""
 
     status: Status
     kind: Kind

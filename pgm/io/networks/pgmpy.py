@@ -77,10 +77,6 @@ def to_pgmpy(network: BayesianNetwork) -> Any:
     network : BayesianNetwork
         Of discrete variables without steps.
 
-    Returns
-    -------
-    pgmpy.models.DiscreteBayesianNetwork
-
     Raises
     ------
     ModelError

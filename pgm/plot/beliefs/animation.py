@@ -17,9 +17,8 @@ from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.inference import GridBelief
 from pgm.plot.axes import Unit
-from pgm.plot.beliefs.cells import belief_map
-from pgm.plot.beliefs.chances import chances
-from pgm.plot.beliefs.grid_map import grid_map
+from pgm.plot.beliefs.cells import belief_map, grid_map
+from pgm.plot.beliefs.stacks import chances
 from pgm.plot.moving.movies import movie_writer, write_movie
 
 

@@ -67,10 +67,6 @@ def particles(
     **style
         Properties of `matplotlib.axes.Axes.scatter`, which win over the defaults.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError

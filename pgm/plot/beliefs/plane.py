@@ -21,10 +21,18 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import GridBelief, Kind, ParticleBelief
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import Unit, equal_aspect, given_or_new, name_axes, plain, unit_of, with_unit
+from pgm.plot.axes import (
+    Unit,
+    equal_aspect,
+    given_or_new,
+    name_axes,
+    plain,
+    unit_of,
+    useful_legend,
+    with_unit,
+)
 from pgm.plot.colours import DASHES, INK, look_of, next_colour
 from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
-from pgm.plot.legends import useful_legend
 
 # An ellipse smaller than this part of the picture is marked by a dot.
 _INVISIBLE = 1e-4
@@ -66,10 +74,6 @@ def ellipses(
         As of `trajectory`.
     **style
         Properties of `matplotlib.collections.EllipseCollection`, which win over the defaults.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------
@@ -197,10 +201,6 @@ def trajectory(
         that paths that lie one upon the other can be told apart.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's without.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

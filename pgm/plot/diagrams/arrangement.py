@@ -10,7 +10,7 @@ from typing import cast
 import networkx as nx
 import numpy as np
 
-from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.cluster import Edge
 from pgm.plot.diagrams.canvas import Size
 from pgm.plot.diagrams.layered import layered, rooted
 from pgm.plot.diagrams.layout import GAP, PAGE, Layout, Node, best, folded, gaps, packed

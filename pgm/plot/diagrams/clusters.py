@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Rectangle
 
 from pgm.clustergraph import Cluster, ClusterGraph
-from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.cluster import Edge
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
@@ -101,10 +101,6 @@ def cluster_graph(
         Whether to name the clusters, as C₁, and to draw the messages between them, as δ₁,₂.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's, as large as it needs, without.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

@@ -9,8 +9,7 @@ import numpy as np
 
 from pgm.boundary import is_whole
 from pgm.clustergraph import Cluster, ClusterGraph
-from pgm.clustergraph.checks import Edge
-from pgm.clustergraph.cluster import amount, is_discrete, size
+from pgm.clustergraph.cluster import Edge, amount, is_discrete, size
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence, bind

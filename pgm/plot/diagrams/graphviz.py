@@ -42,10 +42,6 @@ def dot(
     evidence : iterable or mapping of Variable, optional
         As for `network` and `cluster_graph`.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     ModelError, GraphError, EvidenceError

@@ -12,8 +12,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from pgm.clustergraph import ClusterGraph
-from pgm.clustergraph.checks import Edge
-from pgm.clustergraph.cluster import is_discrete, size
+from pgm.clustergraph.cluster import Edge, is_discrete, size
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope
 from pgm.plot.colours import INK, SCALE

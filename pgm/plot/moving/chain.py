@@ -16,7 +16,7 @@ from pgm.plot.diagrams.canvas import Box, Canvas, Size, open_canvas, readable, r
 from pgm.plot.diagrams.clusters import cluster_name, message_name
 from pgm.plot.diagrams.contents import contents
 from pgm.plot.diagrams.labels import scope_label
-from pgm.plot.moving.passes import Frame
+from pgm.plot.moving.paths import Frame
 
 _GAP, _AWAY, _APART = 8.0, 6.0, 3.0
 _ARROW, _HEAD = 26.0, 9.0

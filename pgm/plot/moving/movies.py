@@ -19,7 +19,7 @@ from PIL import Image
 
 from pgm.boundary import is_number
 from pgm.errors import ModelError
-from pgm.io.whole import whole
+from pgm.io.sources import whole
 from pgm.plot.colours import INK, MUTED
 from pgm.plot.colours import PALETTE as COLOURS
 

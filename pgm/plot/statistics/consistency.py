@@ -17,10 +17,17 @@ from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations, Kind
-from pgm.plot.axes import given_or_new, name_axes
-from pgm.plot.bands import along, band, line, name_time, right_band
+from pgm.plot.axes import (
+    along,
+    band,
+    given_or_new,
+    line,
+    name_axes,
+    name_time,
+    right_band,
+    useful_legend,
+)
 from pgm.plot.colours import INK, look_of
-from pgm.plot.legends import useful_legend
 
 _LEVELS = np.concatenate([[0.01], np.linspace(0.05, 0.95, 19), [0.99]])
 _DIAGONAL = np.array([[0.0, 0.0], [1.0, 1.0]])
@@ -61,10 +68,6 @@ def nees(
         (steps,), for the horizontal axis; the steps themselves without.
     label, colour, ax
         As of `trajectory`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------
@@ -119,10 +122,6 @@ def nis(
         (steps,), of steps 0 to T, for the horizontal axis; the steps themselves without.
     label, colour, ax
         As of `trajectory`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------
@@ -196,10 +195,6 @@ def coverage(
     label, colour, ax
         As of `trajectory`.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
@@ -253,10 +248,6 @@ def whiteness(
         Probability of the band, at each lag.
     label, colour, ax
         As of `trajectory`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

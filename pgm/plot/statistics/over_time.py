@@ -15,11 +15,20 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import Kind
 from pgm.kernels.angles import difference
-from pgm.plot.axes import Unit, check_axes, given_or_new, unit_of, with_unit
-from pgm.plot.bands import along, band, line, name_time
+from pgm.plot.axes import (
+    Unit,
+    along,
+    band,
+    check_axes,
+    given_or_new,
+    line,
+    name_time,
+    unit_of,
+    useful_legend,
+    with_unit,
+)
 from pgm.plot.colours import INK, look_of
 from pgm.plot.components import component_places, one_run, truth_columns
-from pgm.plot.legends import useful_legend
 
 
 def errors(
@@ -185,10 +194,6 @@ def rmse(
     unit, label, colour, ax
         As of `trajectory`.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
@@ -255,10 +260,6 @@ def kl(
         (steps,), for the horizontal axis; the steps themselves without.
     label, colour, ax
         As of `trajectory`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

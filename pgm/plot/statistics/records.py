@@ -13,10 +13,8 @@ from matplotlib.ticker import MaxNLocator
 from pgm.errors import ModelError
 from pgm.inference import Kind, Status
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import given_or_new, name_axes
-from pgm.plot.bands import band
+from pgm.plot.axes import band, given_or_new, name_axes, useful_legend
 from pgm.plot.colours import INK, Look, look_of
-from pgm.plot.legends import useful_legend
 
 # More runs than this are a band and a median.
 _LINES = 8
@@ -47,10 +45,6 @@ def convergence(
         That of the schedule, drawn as a dashed line.
     label, colour, ax
         As of `trajectory`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

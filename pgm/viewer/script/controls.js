@@ -184,7 +184,7 @@ const KEYS = [
 
 function helpDialog() {
   const rows = KEYS.map(([key, text]) => el("tr", {}, el("th", { scope: "row" }, el("kbd", {}, key)), el("td", {}, text)));
-  const close = el("button", { type: "button", autofocus: true }, "close");
+  const close = el("button", { type: "button" }, "close");
   const dialog = el("dialog", { "aria-labelledby": "help-title" }, el("h2", { id: "help-title" }, "Keys"), el("table", {}, el("tbody", {}, ...rows)),
     el("p", { class: "aside" }, "Click a cluster for its potential, belief and the messages it received; an edge for both its messages. Drag to move, turn the wheel to zoom. Numbers are shown to six digits; hold the pointer over one for all of them. Ellipses and bands hold 95 %."), close);
   close.addEventListener("click", () => dialog.close());

@@ -4,9 +4,17 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.inference.audit import proposal
-from pgm.inference.audit.chain import ChainDraws
-from pgm.inference.audit.draws import AFTER, BEFORE, END, PREDICTION, TAILS, Excursions
+from pgm.inference.audit.draws import (
+    AFTER,
+    BEFORE,
+    END,
+    FREEDOM,
+    PREDICTION,
+    TAILS,
+    Excursions,
+    log_ratio,
+)
+from pgm.inference.audit.joints import ChainDraws
 
 a, z = pgm.variables("a z")
 
@@ -75,9 +83,9 @@ def test_students_tails_are_those_of_scipy():
 
     white = np.random.default_rng(0).normal(size=(1, 50, 3)) * 4.0
     squared = (white**2).sum(-1)
-    due = multivariate_t(shape=np.eye(3), df=proposal.FREEDOM).logpdf(white[0])
+    due = multivariate_t(shape=np.eye(3), df=FREEDOM).logpdf(white[0])
     due = due - multivariate_normal(np.zeros(3)).logpdf(white[0])
-    np.testing.assert_allclose(proposal.log_ratio(np.array([[3]]), squared)[0], due, rtol=1e-10)
+    np.testing.assert_allclose(log_ratio(np.array([[3]]), squared)[0], due, rtol=1e-10)
 
 
 def chain(steps):

@@ -9,7 +9,7 @@ from textbooks import refusal
 import pgm
 from pgm import GraphError, LinearisationError, ModelError, NumericalError
 from pgm.inference.audit import run
-from pgm.inference.audit.mixture import Mixture, pareto_shape
+from pgm.inference.audit.estimates import Mixture, pareto_shape
 
 a, b, z, fix = pgm.variables("a b z fix")
 pair = pgm.Variable("pair", components=("p", "q"))

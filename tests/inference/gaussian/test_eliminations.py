@@ -5,7 +5,7 @@ import pytest
 from gaussian.draws import assert_dense, regular
 
 import pgm
-from pgm.inference.gaussian import buffer
+from pgm.inference.gaussian import messages
 from tests.dags import chain, star, tree
 
 
@@ -26,13 +26,13 @@ def scalar_network(parents):
 def shapes(monkeypatch):
     """The shapes of all matrices eliminated from."""
     found = []
-    original = buffer.eliminate
+    original = messages.eliminate
 
     def counted(factor, count):
         found.append(factor.matrix.shape)
         return original(factor, count)
 
-    monkeypatch.setattr(buffer, "eliminate", counted)
+    monkeypatch.setattr(messages, "eliminate", counted)
     return found
 
 

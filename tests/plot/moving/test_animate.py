@@ -19,8 +19,7 @@ from pgm.inference import Kind
 from pgm.plot.diagrams.canvas import LEGIBLE
 from pgm.plot.moving.chain import Chain
 from pgm.plot.moving.movies import BlittedCanvas
-from pgm.plot.moving.passes import Frame, frames
-from pgm.plot.moving.paths import FILTERED, REVISED, Paths
+from pgm.plot.moving.paths import FILTERED, REVISED, Frame, Paths, frames
 from tests.plot.diagrams.zoo import hub
 
 x = pgm.Variable("x", components=("east", "north"))

@@ -1,6 +1,0 @@
-"""Work handed to an executor: to threads, processes, or machines."""
-
-from pgm.inference.executors.memory import Shape, address
-from pgm.inference.executors.workers import Workers
-
-__all__ = ["Shape", "Workers", "address"]

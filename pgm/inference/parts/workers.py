@@ -1,0 +1,254 @@
+"""The workers of an executor: what goes to them, what is done there, and what comes back."""
+
+from __future__ import annotations
+
+import os
+import threading
+import traceback
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
+
+from pgm.boundary import is_whole
+from pgm.errors import ExecutorError, ModelError, PrecisionWarning
+from pgm.inference.parts.parcels import (
+    Block,
+    Name,
+    Parcel,
+    Room,
+    Shape,
+    borrow,
+    idle_blocks,
+    keep,
+    loads,
+    refuse,
+    seen,
+)
+from pgm.kernels.arrays import Array, vacant
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor, Future
+
+
+# Shares of the work for each processor, where an executor does not say how many workers it has.
+_SHARES = 4
+
+# Results whose arrays have a block each, which is an open file.
+_FILES = 100
+
+Job = TypeVar("Job")
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A job on its way: its future is of a `Done`, or of its pickle and its large arrays' bytes."""
+
+    runs: slice
+    future: Future[Any]
+    answer: Block | None
+
+    def done(self) -> Done:
+        """The worker's answer, once it is done."""
+        found = self.future.result()
+        if not isinstance(found, Done):
+            data, size = found
+            memory = self.answer.hold(size) if self.answer and size else None
+            return cast(Done, loads(data, memory))
+        return found
+
+    @property
+    def lost(self) -> bool:
+        """Whether nothing has come back."""
+        future = self.future
+        return not future.done() or future.cancelled() or future.exception() is not None
+
+
+class Workers:
+    """The workers of an executor, `count` of them, or the caller alone; some share a `room`."""
+
+    def __init__(self, executor: Any) -> None:
+        from concurrent.futures import Executor, ThreadPoolExecutor  # here, since few need them
+
+        if executor is not None and not isinstance(executor, Executor):
+            of_dask = "; a Dask client's is client.get_executor()"
+            raise ModelError(
+                "executor= takes a concurrent.futures.Executor, such as ProcessPoolExecutor(2), "
+                f"not {executor!r}{of_dask if hasattr(executor, 'get_executor') else ''}"
+            )
+        self._executor: Executor | None = executor
+        self.count = 1 if executor is None else _count(executor)
+        self._here = executor is None or isinstance(executor, ThreadPoolExecutor)
+        self._idle = None if executor is None else idle_blocks(executor)
+        self.shares = self._here or self._idle is not None
+        self._room: Room | None = None
+
+    def room(self, shapes: Sequence[Shape]) -> list[Array]:
+        """Arrays of some leading axes and own ones, as of `vacant`."""
+        if self._idle is None:
+            return [vacant(*shape) for shape in shapes]
+        self._room = Room(self._idle, shapes)
+        return self._room.arrays
+
+    def each(
+        self,
+        work: Callable[[Job], Any],
+        jobs: Sequence[Job],
+        runs: Sequence[slice],
+        *,
+        large: bool,
+        named: Sequence[Any] = (),
+    ) -> Iterator[Done]:
+        """The results of jobs, in their order; without an executor errors are raised at once.
+
+        `work` is a function of a module; of what is `named` one is named if it cannot be pickled.
+        """
+        if self._executor is None:
+            yield from (Done(work(job)) for job in jobs)
+            return
+        if self._here:
+            yield from self._gathered(runs, [(here, work, job) for job in jobs], [None] * len(jobs))
+            return
+        idle = self._idle
+        parcel = Parcel(apart=idle is not None, shared=True, room=self._room)
+        try:
+            pickles = [parcel.dumps((work, job)) for job in jobs]
+        except Exception as error:
+            raise refuse(named, error) from error
+        own = None if idle is None else borrow(idle, parcel.size)
+        memory = None if own is None else own.hold(parcel.size)
+        apart = large and own is not None and len(jobs) <= _FILES
+        answers = [Block() if apart else None for _ in jobs]
+
+        def calls() -> Iterator[Any]:
+            for pickle, answer in zip(pickles, answers, strict=True):
+                if memory is not None:
+                    pickle.fill(memory)
+                yield there, pickle.data, own and own.name, answer and answer.name
+
+        yield from self._gathered(runs, calls(), answers)
+        if idle is not None and own is not None:  # now that no worker uses them any more
+            keep(idle, own)
+            if self._room is not None:
+                self._room.done(idle)
+
+    def _gathered(
+        self, runs: Sequence[slice], calls: Iterable[Any], answers: Sequence[Block | None]
+    ) -> Iterator[Done]:
+        assert self._executor is not None
+        waiting: deque[Task] = deque()
+        try:
+            for part, call, answer in zip(runs, calls, answers, strict=True):
+                try:
+                    waiting.append(Task(part, self._executor.submit(*call), answer))
+                except Exception as error:
+                    left = [*(task.runs for task in waiting if task.lost), *runs[len(waiting) :]]
+                    raise self._lost(left, error) from error
+            while waiting:
+                try:
+                    done = waiting[0].done()
+                except Exception as error:
+                    left = [task.runs for task in waiting if task.lost]
+                    raise self._lost(left or [waiting[0].runs], error) from error
+                waiting.popleft()
+                yield done
+        finally:
+            for task in waiting:
+                task.future.cancel()
+
+    def _lost(self, runs: Sequence[slice], error: Exception) -> ExecutorError:
+        rows: list[tuple[int, int]] = []
+        for part in runs:
+            if rows and rows[-1][1] == part.start:
+                rows[-1] = (rows[-1][0], part.stop)
+            else:
+                rows.append((part.start, part.stop))
+        said = ", ".join(f"{first} to {stop - 1}" for first, stop in rows)
+        return ExecutorError(
+            f"{type(self._executor).__name__}: runs {said} were lost: {type(error).__name__}: "
+            f"{error}; a worker may have died, of a function of the model or of too little memory, "
+            "or the executor be shut down; other runs' results are lost with them",
+            runs=rows,
+            run=rows[0][0],
+        )
+
+
+def _count(executor: Executor) -> int:
+    told = getattr(executor, "_max_workers", None)
+    return told if is_whole(told) and told > 0 else _SHARES * (os.cpu_count() or 1)
+
+
+# The warnings of each file that workers have told of.
+_REGISTRIES: dict[str, dict[Any, Any]] = {}
+
+
+class RemoteTraceback(Exception):
+    """The traceback of an error of another process, as the cause of the error here."""
+
+
+class Done(NamedTuple):
+    """The answer of a worker, with the warnings there: message, category, file, line."""
+
+    value: Any
+    error: Exception | None = None
+    trace: str = ""
+    warned: Sequence[tuple[str, type[Warning], str, int]] = ()
+
+    def result(self) -> Any:
+        """The value; or the error is raised."""
+        for message, category, file, line in self.warned:
+            registry = _REGISTRIES.setdefault(file, {})  # so that a filter may show it once
+            warnings.warn_explicit(message, category, file, line, registry=registry)
+        if self.error is None:
+            return self.value
+        # A cause that has come through a pickle has no traceback any more.
+        raise self.error from (RemoteTraceback(self.trace) if self.trace else self.error.__cause__)
+
+
+def here(work: Callable[[Any], Any], job: Any) -> Done:
+    """Work done in this process, by a thread."""
+    try:
+        return Done(work(job))
+    except Exception as error:
+        return Done(None, error)
+
+
+def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
+    """Work done in another process: a `Done`, pickled, and the bytes of its large arrays."""
+    try:
+        work, job = loads(data, None if own is None else seen(own))
+    except Exception as error:
+        fault = ExecutorError(
+            f"a worker cannot read what it was handed: {type(error).__name__}: {error}; functions "
+            "and classes of a model must stand in modules that workers can import too"
+        )
+        return _packed(Done(None, fault, traceback.format_exc()), None)
+    if threading.current_thread() is threading.main_thread():
+        done = _watched(work, job)
+    else:  # warnings of threads cannot be told apart
+        done = here(work, job)
+    if done.error is not None:
+        done = done._replace(trace="".join(traceback.format_exception(done.error)))
+    return _packed(done, answer)
+
+
+def _watched(work: Callable[[Any], Any], job: Any) -> Done:
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        done = here(work, job)
+    told = tuple(
+        (str(each.message), each.category, each.filename, each.lineno)
+        for each in found
+        # Of lost digits the status tells, of all runs together.
+        if not issubclass(each.category, PrecisionWarning)
+    )
+    return done._replace(warned=told)
+
+
+def _packed(done: Done, answer: Name | None) -> tuple[bytes, int]:
+    parcel = Parcel(apart=answer is not None)
+    pickle = parcel.dumps(done)
+    if answer is not None and parcel.size:
+        pickle.fill(answer.open(parcel.size))
+    return pickle.data, parcel.size

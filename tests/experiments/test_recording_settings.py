@@ -1,0 +1,286 @@
+"""Recordings of every reader, with settings of the user's own: small files, written here."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pgm
+from experiments import recordings
+from experiments.recordings import drives, setting_file
+from experiments.recordings.setting_file import READERS, described
+from models import motion
+from models.networks import pose
+from pgm import consistency
+from tests.models.test_pose_graphs import written
+
+TURN = 0.3
+TRUE = np.zeros((41, 3))
+for _k in range(40):
+    TRUE[_k + 1] = motion.increment(TRUE[_k], np.array([1.0, 0.0, TURN * (_k % 2)]))
+TIMES = 100.0 + 0.5 * np.arange(41)
+BEACONS = {"a": (0.0, 8.0), "b": (-6.0, 2.0), "c": (6.0, 2.0)}
+NOISE = """
+[motion]
+std = [0.1, 0.1, 0.05]
+"""
+
+
+def tum(path, times, poses):
+    rows = np.zeros((len(times), 8))
+    rows[:, 0], rows[:, 1:3] = times, poses[:, :2]
+    rows[:, 6], rows[:, 7] = np.sin(poses[:, 2] / 2), np.cos(poses[:, 2] / 2)
+    np.savetxt(path, rows, fmt="%.12f")
+
+
+def driven(seed=0):
+    """Poses by odometry that errs, from the true start."""
+    rng = np.random.default_rng(seed)
+    poses = TRUE.copy()
+    for k in range(40):
+        step = motion.relative(TRUE[k], TRUE[k + 1]) + rng.normal(0.0, [0.07, 0.07, 0.035])
+        poses[k + 1] = motion.increment(poses[k], step)
+    return poses
+
+
+def trajectories(folder, more=""):
+    """Odometry, truth from the fifth pose on, and poses that were read."""
+    away = np.array([20.0, -30.0, 1.0])  # odometry has a frame of its own
+    tum(folder / "odometry.txt", TIMES, motion.increment(np.tile(away, (41, 1)), driven()))
+    tum(folder / "truth.txt", TIMES[4:], TRUE[4:])
+    read = TRUE + np.random.default_rng(1).normal(0.0, [0.2, 0.2, 0.1], TRUE.shape)
+    tum(folder / "slam.txt", TIMES[::4], read[::4])
+    file = folder / "tum.toml"
+    file.write_text('path = "odometry.txt"\n[reader]\ntruth = "truth.txt"\n' + more + NOISE)
+    return file
+
+
+def table(folder, columns="", more=""):
+    """Odometry, ranges of beacons and truth, in one table."""
+    rng = np.random.default_rng(2)
+    lines = ["time,ahead,left,turn,beacon,range [cm],east,north,direction"]
+    odometry = driven(3)
+    for k, t in enumerate(TIMES):
+        if k:
+            step = motion.relative(odometry[k - 1], odometry[k])
+            lines.append(f"{t},{step[0]},{step[1]},{np.degrees(step[2])},,,,,")
+        name = "abc"[k % 3]
+        apart = np.hypot(*(TRUE[k, :2] - BEACONS[name])) + rng.normal(0.0, 0.1)
+        lines.append(f"{t},,,,{name},{100 * (1.1 * apart + 0.2)},,,")
+        east, north, heading = TRUE[k]
+        lines.append(f"{t},,,,,,{east},{north},{heading}")
+    (folder / "log.csv").write_text("\n".join(lines))
+    file = folder / "csv.toml"
+    marks = "".join(f"{name} = {list(place)}\n" for name, place in BEACONS.items())
+    file.write_text(
+        'path = "log.csv"\nname = "my_log"\n[reader]\nbegin = 100.0\n[reader.columns]\n'
+        'odometry = {t = "time", forward = "ahead", left = "left", turn = ["turn", "deg"]}\n'
+        'radio = {t = "time", subject = "beacon", range = ["range [cm]", "cm"]}\n'
+        'truth = {t = "time", east = "east", north = "north", heading = "direction"}\n'
+        f"{columns}[landmarks]\n{marks}[sensors.radio]\nreads = 'range'\nstd = 0.1\n"
+        f"scale = 1.1\noffset = 0.2\n{more}{NOISE}"
+    )
+    return file
+
+
+def results(out, data, file=None, **more):
+    recordings.run(data=data, settings=file, out=out, linearisers="Taylor", **more)
+    return json.loads((out / "summary.json").read_text())
+
+
+def test_dead_reckoning_of_one_trajectory_against_another(tmp_path):
+    file = trajectories(tmp_path)
+    found = results(tmp_path / "out", "tum", file)["results"]["odometry"]
+    assert list(found) == ["dead reckoning"]
+    # By hand: odometry put on the truth's first pose.
+    odometry = driven()[4:]
+    seen = motion.relative(np.tile(odometry[0], (37, 1)), odometry)
+    placed = motion.increment(np.tile(TRUE[4], (37, 1)), seen)
+    due = np.sqrt(np.mean(np.sum((placed - TRUE[4:])[:, :2] ** 2, axis=1)))
+    assert found["dead reckoning"][""]["rmse"] == pytest.approx(due, rel=1e-9)
+
+
+def test_a_trajectory_is_odometry_and_another_a_sensor(tmp_path):
+    more = 'poses = "slam.txt"\n[sensors.poses]\nreads = "pose"\nstd = [0.2, 0.2, 0.1]\n'
+    told = described(trajectories(tmp_path, more), "tum")
+    drive = drives.laid(told.name, told.setting, drives.read(told.setting, told.path))
+    assert drive.timeline.times[0] == TIMES[4]
+    assert set(np.concatenate(list(drive.labels.values()))) == {"poses"}
+    errors = [
+        consistency.rmse(pgm.smooth(drive.network(), e)[pose], drive.truth, ("east", "north"))
+        for e in (drive.motion, drive.evidence)
+    ]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_table_with_beacons(tmp_path):
+    more = "[methods]\nrobust = {StudentT = 4}\ngate = 0.99\nlag = 5\niterations = 3\n"
+    found = results(tmp_path / "out", "csv", table(tmp_path, more=more))
+    assert found["settings"]["reader"] == "csv"
+    errors = found["results"]["my_log"]
+    assert len(errors) == 8
+    rmse = {way: each.get("Taylor", each.get(""))["rmse"] for way, each in errors.items()}
+    assert rmse["smoother"] < 0.15 < rmse["dead reckoning"]
+    assert {row["landmark"] for row in found["ranking"]["my_log"]} == {"a", "b", "c"}
+    assert (tmp_path / "out" / "my_log_ranking.png").exists()
+
+
+def test_a_bag_with_fixes_and_a_laser(tmp_path, capsys):
+    bags = pytest.importorskip("tests.recordings.test_bags")
+    make = bags.Maker(2)
+    messages = []
+    for k, (t, at) in enumerate(zip(TIMES - 100.0, driven().tolist(), strict=True)):
+        messages.append(("/odom", make.odometry(t, *at)))
+        if k % 5 == 0:
+            east, north = TRUE[k, :2]
+            degree = 6378137.0 * np.pi / 180.0
+            messages.append(("/gps", make.fix(t, north / (0.99331 * degree), east / degree)))
+            messages.append(("/scan", make.scan(t, [1.0, 2.0, 3.0])))
+    bags.write(tmp_path / "drive", 2, messages)
+    file = tmp_path / "bag.toml"
+    file.write_text(
+        'path = "drive"\n[start]\nmean = [0, 0, 0]\n[reader]\ntopics = ["/odom", "/gps", "/scan"]'
+        "\n[sensors.fixes]\nreads = 'position'\nstd = [0.5, 0.5]\nmount = [0.1, 0, 0]\n" + NOISE
+    )
+    found = results(tmp_path / "out", "bag", file)
+    assert found["results"]["drive"]["filter"]["Taylor"]["log_evidence"] > -40.0
+    told = capsys.readouterr().out
+    assert "Scans are not taken: /scan" in told
+    assert "the recording's variances they are [1.0, 2.0]" in told
+
+
+@pytest.mark.parametrize("reader", sorted(set(READERS) - {"bag", "csv", "tum"}))
+def test_readers_of_known_recordings_take_settings(tmp_path, reader):
+    (tmp_path / "log").write_text("")
+    file = tmp_path / "own.toml"
+    file.write_text('path = "log"\n' + NOISE)
+    told = described(file, reader)
+    with pytest.raises(pgm.PgmError):
+        drives.read(told.setting, told.path)
+
+
+def examples():
+    """Settings on the guide's page, by reader."""
+    page = (Path(__file__).parents[2] / "docs" / "guide" / "recordings.md").read_text()
+    readers = ("csv", "bag", "tum", "plaza", "pose_graph")
+    return dict(zip(readers, re.findall(r"```toml\n(.*?)```", page, re.S), strict=True))
+
+
+@pytest.mark.parametrize("reader", sorted(set(examples()) - {"pose_graph"}))
+def test_the_guides_settings_are_taken(tmp_path, reader):
+    file = tmp_path / "own.toml"
+    file.write_text(examples()[reader])
+    for name in ("log.csv", "drive.bag", "odometry.txt", "groundtruth.txt", "slam.txt"):
+        (tmp_path / name).write_text("")
+    shutil.copy(Path(__file__).parents[2] / "docs" / "log.csv", tmp_path)
+    (tmp_path / "Plaza1_.mat").write_text("")
+    told = described(file, reader)
+    assert told.setting.sensors
+    if reader == "csv":
+        drive = drives.laid("log", told.setting, drives.read(told.setting, told.path))
+        last = pgm.smooth(drive.network(), drive.evidence)[pose].mean[-1]
+        assert np.linalg.norm(last[:2] - [-1.03, 7.61]) < 0.1  # as the page has it
+
+
+def test_a_pose_graph_with_the_guides_settings(tmp_path):
+    (tmp_path / "killian-small.toro").write_text(written())
+    file = tmp_path / "own.toml"
+    file.write_text(examples()["pose_graph"])
+    found = results(tmp_path / "out", "pose_graph", file)["results"]["killian-small"]
+    ends = [found["solved"][start]["Taylor"] for start in found["solved"]]
+    assert ends[0]["error"] == pytest.approx(ends[1]["error"])
+    assert ends[0]["error"] < 0.2 * min(found["before"].values())
+    assert all(each["converged"] for each in ends)
+    file.write_text(file.read_text() + "gate = 0.9\n")
+    with pytest.raises(
+        pgm.errors.FileError, match=r"methods.gate is unknown; known are iterations"
+    ):
+        results(tmp_path / "out", "pose_graph", file)
+
+
+WRONG = {
+    "[motion]\nstd = [0.1, 0.1]": r"own.toml: motion.std is \[0.1, 0.1\]; of one second, 3 numbers",
+    "[motion]\nstd = [0.1, 0.1, -1]": r"motion.std is .*\(forward, left, turn\), was due",
+    "[motion]\nspeed = 1": r"motion.std is missing",
+    "[landmarks]\na = [1, 2]": r"own.toml: motion is missing; a table, \[motion\], was due",
+    NOISE + "period = 0": r"motion.period is 0; a positive number of seconds was due",
+    NOISE + "[sensors.radio]\nreads = 'sonar'": r"sensors.radio.reads is 'sonar'; one of range, be",
+    NOISE + "[sensors.radio]\nreads = 'range'": r"sensors.radio.std is missing; above zero, a num",
+    NOISE + "[sensors.radio]\nreads = 'pose'\nstd = 1": r"radio.std is 1; above zero, 3 numbers",
+    NOISE + "[sensors.r]\nreads = 'heading'\nstd = 1\nscale = 2": r"sensors.r.scale is unknown; kn",
+    NOISE + "[landmarks]\na = [1, 2, 3]": r"landmarks.a is \[1, 2, 3\]; a place, 2 numbers",
+    NOISE + "[start]\nmean = 3": r"start.mean is 3; 3 numbers, \(east, north, heading\), was due",
+    NOISE + "[methods]\ngate = 2": r"methods.gate is 2; a probability below 1 was due",
+    NOISE + "[methods]\nrobust = {Tukey = 1}": r"methods.robust is .*like \{Cauchy = 1.0\}",
+    NOISE + "[methods]\nrobust = {Huber = -1}": r"methods.robust: Huber: threshold is a positive",
+    NOISE + "[methods]\nlag = 1.5": r"methods.lag is 1.5; a whole number, 1 or more, was due",
+    NOISE + "[reader]\nbegin = 1": r"reader.columns is missing; a table of columns",
+    NOISE + "[sensor]\n": r"reader.columns is missing",
+    NOISE + "[reader.columns.radio]\nx = 'a'\n[sensor]": r"own.toml: sensor is unknown; known are ",
+    "std = ": r"own.toml: it is no TOML: .*line 2",
+    NOISE + "[truth]\nheading_shift = 'pi'": r"truth.heading_shift is 'pi'; a number of radians",
+}
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_a_wrong_setting_is_refused_by_file_and_key(tmp_path, text):
+    (tmp_path / "log.csv").write_text("time\n")
+    file = tmp_path / "own.toml"
+    own = (
+        "" if "[reader" in text or "columns is missing" in WRONG[text] else "\n[reader.columns.a]\n"
+    )
+    file.write_text('path = "log.csv"\n' + text + own)
+    with pytest.raises(pgm.errors.FileError, match=WRONG[text]) as refused:
+        described(file, "csv")
+    assert refused.value.path == str(file)
+
+
+def test_what_a_recording_lacks_is_refused(tmp_path):
+    for more, message in (
+        ("[sensors.sonar]\nreads = 'range'\nstd = 1\n", "no sensor 'sonar'; it has radio"),
+        ("", "radio has the components range; to read position it lacks east, north"),
+    ):
+        file = table(tmp_path, more=more)
+        if not more:
+            text = file.read_text().replace("reads = 'range'\nstd = 0.1", "reads = 'position'")
+            file.write_text(text.replace("scale = 1.1\noffset = 0.2", "std = [1, 1]"))
+        told = described(file, "csv")
+        with pytest.raises(pgm.EvidenceError, match=message):
+            drives.read(told.setting, told.path)
+    file = table(tmp_path, 'bad = {x = "time"}\n')
+    told = described(file, "csv")
+    with pytest.raises(pgm.errors.FileError, match=r"csv.toml: reader: columns\['bad'\] names a"):
+        drives.read(told.setting, told.path)
+
+
+def test_clocks_that_differ_are_refused(tmp_path):
+    file = trajectories(tmp_path)
+    tum(tmp_path / "truth.txt", TIMES + 1e6, TRUE)
+    told = described(file, "tum")
+    with pytest.raises(pgm.EvidenceError, match="no time in common: are their clocks the same"):
+        drives.laid("odometry", told.setting, drives.read(told.setting, told.path))
+    tum(tmp_path / "odometry.txt", TIMES[:1], TRUE[:1])
+    with pytest.raises(pgm.errors.FileError, match="it has 1 poses, which is no motion"):
+        drives.read(told.setting, told.path)
+    file.write_text('path = "odometry.txt"\n[reader]\ntruth = "moon.txt"\n' + NOISE)
+    with pytest.raises(pgm.errors.FileError, match=r"reader.truth is 'moon.txt', where there is"):
+        described(file, "tum")
+    file.write_text('path = "moon.txt"\n' + NOISE)
+    with pytest.raises(pgm.errors.FileError, match=r"path is .*moon.txt', where there is nothing"):
+        described(file, "tum")
+
+
+def test_refusals(tmp_path):
+    with pytest.raises(pgm.EvidenceError, match="recordings csv needs --settings FILE"):
+        recordings.run(data="csv")
+    with pytest.raises(pgm.EvidenceError, match="plaza1 has settings of its own; with --settings"):
+        recordings.run(data="plaza1", settings=tmp_path / "own.toml")
+    with pytest.raises(pgm.EvidenceError, match="--settings is of one recording"):
+        recordings.run(settings=tmp_path / "own.toml")
+    with pytest.raises(pgm.EvidenceError, match="pose_graph needs --path"):
+        recordings.run(data="pose_graph")
+    with pytest.raises(pgm.errors.FileError, match=r"none.toml: it cannot be read \(No such file"):
+        setting_file.described(tmp_path / "none.toml", "csv")

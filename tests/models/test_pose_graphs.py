@@ -1,0 +1,141 @@
+"""Pose graphs as networks, beside least squares by SciPy over the same edges."""
+
+from io import StringIO
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
+
+import pgm
+from models import motion
+from models.pose_graphs import pose_graph_network, squared_errors
+from pgm.recordings import read_pose_graph
+from tests.models.test_motion import central_jacobian
+
+CALIBRATION = pgm.Calibration(iterations=30, tolerance=1e-9)
+
+
+def written(fixed=(), lost=()):
+    """A square driven twice, some edges told backwards, a landmark seen three times."""
+    rng = np.random.default_rng(3)
+    turn = np.pi / 2
+    true = [np.array([0.3, -0.2, 2.9])]
+    for _ in range(8):
+        true.append(motion.increment(true[-1], np.array([2.0, 0.1, turn])))
+    true, mark = np.array(true), np.array([1.0, 1.5])
+    lines = []
+    for k, pose in enumerate(true):
+        east, north, heading = pose + rng.normal(0.0, 0.2, 3)
+        heading = (heading + np.pi) % (2.0 * np.pi) - np.pi
+        lines.append(f"VERTEX_SE2 {10 * k} {east} {north} {heading}")
+    lines.append(f"VERTEX_XY 7 {mark[0]} {mark[1]}")
+    ends = [(k, k + 1) if k != 3 else (4, 3) for k in range(8)] + [(0, 4), (5, 1), (8, 0), (2, 6)]
+    for one, other in ends:
+        if (one, other) in lost:
+            continue
+        told = motion.relative(true[one], true[other]) + rng.normal(0.0, [0.1, 0.1, 0.05])
+        told[2] = (told[2] + np.pi) % (2.0 * np.pi) - np.pi
+        numbers = " ".join(map(str, told))
+        lines.append(f"EDGE_SE2 {10 * one} {10 * other} {numbers} 120 30 5 60 -8 400")
+    for k in (1, 2, 6):
+        forward, left = motion.relative(true[k], mark) + rng.normal(0.0, 0.1, 2)
+        lines.append(f"EDGE_SE2_XY {10 * k} 7 {forward} {left} 100 20 50")
+    lines += [f"FIX {10 * k}" for k in fixed]
+    return "\n".join(lines) + "\n"
+
+
+def residuals(graph, poses, landmarks):
+    """Weighted residuals of g2o: what is measured, and from there what is true."""
+    found = []
+    for edges, ends in ((graph.edges, poses), (graph.sightings, landmarks)):
+        for one, other, told, information in zip(
+            edges.first, edges.second, edges.motions, edges.information, strict=True
+        ):
+            c, s = np.cos(poses[one, 2]), np.sin(poses[one, 2])
+            back = np.array([[c, s], [-s, c]])
+            away = back @ (ends[other, :2] - poses[one, :2]) - told[:2]
+            if len(told) == 3:
+                c, s = np.cos(told[2]), np.sin(told[2])
+                turn = ends[other, 2] - poses[one, 2] - told[2]
+                turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
+                away = np.append(np.array([[c, s], [-s, c]]) @ away, turn)
+            found.append(np.linalg.cholesky(information).T @ away)
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize("fixed", [(), (3, 7)])
+@pytest.mark.parametrize("begin", ["file", "tree"])
+def test_the_mode_is_that_of_least_squares(fixed, begin):
+    graph = read_pose_graph(StringIO(written(fixed)))
+    made = pose_graph_network(graph)
+    held = list(fixed) or [0]
+    free = np.setdiff1d(np.arange(9), held)
+
+    def placed(v):
+        poses = graph.poses.copy()
+        poses[free] = v[:-2].reshape(-1, 3)
+        return poses, v[None, -2:]
+
+    first = np.append(graph.poses[free].ravel(), graph.landmarks[0])
+    due = least_squares(lambda v: residuals(graph, *placed(v)), first, xtol=1e-15, ftol=1e-15)
+    at = (graph.poses, graph.landmarks) if begin == "file" else made.reckoned()
+    posterior = pgm.infer(
+        pgm.compile(made.network), made.evidence, schedule=CALIBRATION, start=made.start(*at)
+    )
+    assert posterior.status.converged.all()
+    poses, landmarks = made.means(posterior)
+    away = poses - placed(due.x)[0]
+    away[:, 2] = (away[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    assert_allclose(away, 0.0, atol=1e-7)
+    assert_allclose(landmarks, placed(due.x)[1], atol=1e-7)
+    errors = squared_errors(graph, poses, landmarks)
+    assert errors.size == len(graph.edges) + 3
+    assert errors.sum() == pytest.approx(2.0 * due.cost, rel=1e-9)
+    # Linearised at the mode, the posterior has the inverse of the normal matrix there.
+    cov = np.linalg.inv(due.jac.T @ due.jac)
+    for k, row in enumerate(free):
+        own = cov[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
+        assert_allclose(posterior[made.poses[row]].cov, own, rtol=1e-4, atol=1e-8)
+    assert_allclose(posterior[made.landmarks[0]].cov, cov[-2:, -2:], rtol=1e-4)
+    assert_allclose(posterior[made.poses[held[0]]].cov, 0.0, atol=0.0)
+
+
+def test_a_tree_is_followed_without_a_residual():
+    tree = "\n".join(
+        line for line in written().split("\n") if not line.endswith("400") or "EDGE" not in line
+    )
+    steps = [f"EDGE_SE2 {10 * k + 10} {10 * k} 1 2 0.3 9 0 0 9 0 9" for k in range(8)]
+    graph = read_pose_graph(StringIO("\n".join([tree, *steps])))
+    made = pose_graph_network(graph)
+    errors = squared_errors(graph, *made.reckoned())
+    assert_allclose(errors[:8], 0.0, atol=1e-18)
+
+
+@pytest.mark.parametrize(
+    ("name", "other", "size"),
+    [("relative", "other", 2), ("relative", "other", 3), ("place", "sight", 2)],
+)
+def test_derivatives_of_sights(name, other, size):
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(5, 3)), rng.normal(size=(5, size))
+    function = getattr(motion, name)
+    by_state, by_other = (getattr(motion, f"{name}_by_{of}") for of in ("state", other))
+    assert_allclose(by_state(x, y), central_jacobian(lambda s: function(s, y), x), atol=1e-9)
+    assert_allclose(by_other(x, y), central_jacobian(lambda p: function(x, p), y), atol=1e-9)
+
+
+def test_motions_there_and_back():
+    x, u = np.random.default_rng(0).normal(size=(2, 5, 3))
+    assert_allclose(motion.retreat(motion.increment(x, u), u), x, atol=1e-12)
+    assert_allclose(motion.increment(x, motion.relative(x, u)), u, atol=1e-12)
+
+
+def test_refusals():
+    with pytest.raises(pgm.EvidenceError, match="hang on no edge that leads to a pose that is h"):
+        pose_graph_network(read_pose_graph(StringIO("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n")))
+    two = "VERTEX_SE2 4 0 0 0\nVERTEX_SE2 5 1 0 0\nEDGE_SE2 4 5 1 0 0 9 0 0 9 0 "
+    with pytest.raises(pgm.EvidenceError, match=r"edge from 4 to 5 has .* not positive definite"):
+        pose_graph_network(read_pose_graph(StringIO(two + "0\n")))
+    with pytest.raises(pgm.EvidenceError, match="landmark 8 is seen from no pose"):
+        pose_graph_network(read_pose_graph(StringIO(two + "9\nVERTEX_XY 8 1 1\n")))
