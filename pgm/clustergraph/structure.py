@@ -1,13 +1,17 @@
-"""Cluster graphs as structure: what a schedule sends messages on."""
+"""Cluster graphs as structure, which schedules send messages on; trees of clusters, rooted."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, repeat
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from pgm.boundary import as_tuple, is_whole
 from pgm.clustergraph.cluster import (
@@ -30,6 +34,7 @@ from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed
 from pgm.immutable import Immutable
+from pgm.kernels.arrays import Integers
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
@@ -61,10 +66,7 @@ class ClusterGraph(Drawn, Immutable):
     ------
     GraphError
         If a family is in no cluster (family preservation), or a variable's clusters and the
-        sepsets that carry it form no tree (running intersection), naming variable and clusters;
-        if a cluster is empty, a variable is not the network's, or an edge joins no two clusters.
-    ModelError
-        If a cluster or sepset holds what is no variable, or one twice.
+        sepsets that carry it form no tree (running intersection), naming variable and clusters.
 
     Examples
     --------
@@ -225,9 +227,9 @@ class ClusterGraph(Drawn, Immutable):
     def cost(self) -> int:
         """About what a pass of messages takes, over all clusters, if nothing is observed.
 
-        Entries of tables, if discrete; else the cubes of the components, which is what
-        eliminating from a Gaussian takes. Compare it where one network is compiled by several
-        methods or elimination orders: they differ by powers of ten.
+        Entries of tables, or the cubes of the components, as eliminating from a Gaussian takes.
+        Compare it where a network is compiled by several methods or elimination orders: they differ
+        by powers of ten.
         """
         return sum(work(cluster.scope) * count for cluster, count in self._alike)
 
@@ -264,9 +266,9 @@ class ClusterGraph(Drawn, Immutable):
     def check(self, *, jacobians: bool = False) -> None:
         """Prove family preservation and running intersection, or raise a `GraphError`.
 
-        It names the variable and the clusters concerned. With ``jacobians=True`` given Jacobians
-        are compared with their functions' derivatives, at drawn points about the prior's mean: a
-        `ModelError` names the CPD, and the entry that is wrong.
+        It names the variable and the clusters concerned. With `jacobians`, given Jacobians are
+        compared, too, with the derivatives of their functions' traces (differences, where there is
+        none), at the prior's mean and at drawn points: a `ModelError` names the wrong entry.
         """
         clusters = list(self.clusters)
         scopes = [cluster.scope for cluster in clusters]
@@ -324,3 +326,70 @@ class ClusterGraph(Drawn, Immutable):
 
     def _summary(self) -> Summary:
         return Summary(self._title, [neighbourhoods(self)])
+
+
+@dataclass(frozen=True, eq=False)
+class Forest:
+    """The trees of a cluster graph, each hung at its centre, so that few rounds reach all.
+
+    `parent` is −1 at a root; `levels` are the clusters at each depth, the roots first.
+    """
+
+    parent: Integers
+    depth: Integers
+    levels: list[Integers]
+
+    @classmethod
+    def of(cls, graph: ClusterGraph) -> Forest:
+        """Root the trees of a graph without loops."""
+        neighbours = [graph.neighbours(k) for k in range(len(graph))]
+        parent = np.full(len(graph), -1, dtype=np.intp)
+        depth = np.full(len(graph), -1, dtype=np.intp)
+        for first in range(len(graph)):
+            if depth[first] < 0:
+                root = _centre(neighbours, first)
+                depth[root] = 0
+                for source, target in _edges(neighbours, root):
+                    parent[target], depth[target] = source, depth[source] + 1
+        order = np.argsort(depth, kind="stable")
+        bounds = np.cumsum(np.bincount(depth))
+        return cls(parent, depth, np.split(order, bounds[:-1]))
+
+    @cached_property
+    def children(self) -> list[list[int]]:
+        """The clusters that hang on each."""
+        found: list[list[int]] = [[] for _ in self.parent]
+        for k, parent in enumerate(self.parent.tolist()):
+            if parent >= 0:
+                found[parent].append(k)
+        return found
+
+    @cached_property
+    def roots(self) -> Integers:
+        """The root of each cluster's tree, (clusters,)."""
+        found = np.arange(self.parent.size)
+        for level in self.levels[1:]:
+            found[level] = found[self.parent[level]]
+        return found
+
+
+def _edges(neighbours: list[tuple[int, ...]], root: int) -> list[tuple[int, int]]:
+    found, queue = [], deque([(root, -1)])
+    while queue:
+        at, before = queue.popleft()
+        for other in neighbours[at]:
+            if other != before:
+                found.append((at, other))
+                queue.append((other, at))
+    return found
+
+
+def _centre(neighbours: list[tuple[int, ...]], first: int) -> int:
+    """The middle of a longest path, which joins the two clusters farthest from one another."""
+    edges = _edges(neighbours, first)
+    end = edges[-1][1] if edges else first
+    before = {target: source for source, target in _edges(neighbours, end)}
+    path = [next(reversed(before), end)]
+    while path[-1] != end:
+        path.append(before[path[-1]])
+    return path[len(path) // 2]

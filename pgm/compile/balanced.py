@@ -2,7 +2,7 @@
 
 A *segment* is the states at the steps from a to b > a. Its middle is the multiple of the highest
 power of two between its ends: there it falls into two segments, these into theirs, down to single
-transitions. So what is joined to what is arithmetic on indices, and nothing has to be stored.
+transitions. So edges are arithmetic on indices, and nothing has to be stored.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Balanced(InCode):
     .. math:: \{x_a, x_m, x_b\}, \quad m = \text{the multiple of the highest } 2^k
               \text{ between } a \text{ and } b,
 
-    and the sepset between it and the segment above is :math:`\{x_a, x_b\}`. Leaves are the clusters
-    of the chain, with its CPDs.
+    whose sepset with the segment above is :math:`\{x_a, x_b\}`. Leaves are the clusters of the
+    chain, with its CPDs.
 
     References
     ----------
@@ -50,8 +50,7 @@ class Balanced(InCode):
 class BalancedGraph(DynamicGraph):
     """The balanced cluster tree of a dynamic network.
 
-    Clusters 0..T are its leaves and those of the chain of slices: 0 holds the prior and the sensors
-    at step 0, t the transition from t−1 to t and the sensors at t. Cluster T + m, for m in 1..T−1,
+    Clusters 0..T are its leaves, those of the chain of slices. Cluster T + m, for m in 1..T−1,
     holds the states at both ends of a segment and at m, its middle; no CPD is its own. Its children
     are the segments before and after m, and the sepset between a segment and its parent is the
     states at its ends. Cluster 0 hangs on the root.

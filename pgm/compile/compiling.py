@@ -57,22 +57,9 @@ def compile(
     method : Method or Balanced, optional
         Of a dynamic network: `Balanced()` makes a balanced tree; without, it is a chain of slices.
         Of a network without time: `JunctionTree()`, if not given, `Bethe()`, `LTRIP()`,
-        `JoinGraph(max_size)`, or a function from networks to cluster graphs. A graph made by hand
+        `JoinGraph(max_size)`, or a function from networks to their cluster graphs. One made by hand
         is a `ClusterGraph(network, clusters)`. Methods and elimination orders differ much in what
         their graphs cost: compare `graph.cost`.
-
-    Returns
-    -------
-    SliceGraph, BalancedGraph or ClusterGraph
-
-    Raises
-    ------
-    ModelError
-        If the model is no network.
-    GraphError
-        If the number of steps of a dynamic network is missing, negative or too large, steps are
-        given for a network without time, the method is none or not for this kind of network, or
-        its graph is of another network.
 
     Examples
     --------

@@ -12,6 +12,7 @@ import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.cluster import Edge
+from pgm.compile.machine import Compiled
 from pgm.cpds import CPD, NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import GraphError
@@ -47,6 +48,12 @@ class SliceLayout:
     """
 
     model: DynamicBayesianNetwork
+    compiled: Compiled | None = None
+
+    @cached_property
+    def functions(self) -> dict[FunctionTemplate, Any]:
+        """The functions that have been compiled, or why not."""
+        return {}
 
     @cached_property
     def slice(self) -> Scope:
@@ -139,17 +146,18 @@ class DynamicGraph(ClusterGraph, ABC):
     """A tree of clusters of a dynamic network, whose clusters 0..T hold its CPDs.
 
     Cluster 0 holds the states at step 0, the prior and the families of the sensors; cluster t
-    holds the states of steps t−1 and t and the other variables of the CPDs at t. What else there
-    is, and what is joined, is for the kinds of graphs to say. Clusters and sepsets are views,
-    made on request from one template.
+    holds the states of steps t−1 and t and the other variables of the CPDs at t. Clusters and
+    sepsets are views, made on request from one template.
     """
 
     model: DynamicBayesianNetwork
     steps: int
     layout: SliceLayout
 
-    def __init__(self, model: DynamicBayesianNetwork, steps: int) -> None:
-        self._set(model=model, steps=steps, layout=SliceLayout(model))
+    def __init__(
+        self, model: DynamicBayesianNetwork, steps: int, compiled: Compiled | None = None
+    ) -> None:
+        self._set(model=model, steps=steps, layout=SliceLayout(model, compiled))
 
     # A graph of slices is no graph of a network without time, whatever else it has in common.
     @property
@@ -272,10 +280,7 @@ class _Sepsets(InCode, Mapping[Edge, Scope]):
 
 
 class SliceGraph(DynamicGraph):
-    """The chain of clusters 0..T of a dynamic network; see `DynamicGraph`.
-
-    The sepset between t and t+1 is all states at t.
-    """
+    """The chain of clusters 0..T of a dynamic network, with all states at t between t and t+1."""
 
     def within(self, steps: int) -> range:
         """The clusters 0..steps."""

@@ -193,12 +193,11 @@ def clique_tree(adjacent: Adjacency, order: Sequence[int]) -> CliqueTree:
 
 # The fills of a vertex are multiplied by E**SPREAD, where E is exponential with mean one: so it is
 # the next with a probability in proportion to its fill to the power of −1/SPREAD. A narrow spread
-# finds a cheaper order in fewer tries, a wide one a still cheaper one in many.
+# finds a cheaper order in fewer tries, a wide one a still cheaper one in many: FEW are narrow.
 NARROW, WIDE = 0.1, 0.2
-# Tries with the narrow spread, before those with the wide one.
 FEW = 12
-# Table entries of the cheapest order, for each try and vertex that is left to choose. The search
-# then takes about as long as two first passes of messages over the tables.
+# Table entries of the cheapest order, for each try and vertex that is left to choose: the search
+# takes about as long as two first passes of messages over the tables.
 ENTRIES = 300
 # Vertices of a network, above which there are fewer tries, so that all of them take no longer.
 VERTICES = 160
@@ -210,9 +209,8 @@ def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -
     """The order of min-fill, or one that was drawn and whose cliques have fewer entries.
 
     Vertices without fill are eliminated first in all of them: that joins nothing. What is left is
-    drawn. There is a try for each `ENTRIES` entries and vertex left of the cheapest order so far,
-    but no more than `tries`, of large networks fewer, and none without hope.
-
+    drawn, with a try for each `ENTRIES` entries and vertex left of the cheapest order so far, but
+    no more than `tries`, of large networks fewer, and none without hope.
     """
     graph = Filling(adjacent, [1] * len(sizes))
     order: list[int] = []

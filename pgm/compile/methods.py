@@ -31,11 +31,6 @@ class JunctionTree(InCode):
         `NestedDissection()`, a function from networks to variables, or the variables themselves,
         each once. What it decides is what calibrating costs: compare `graph.cost`.
 
-    Raises
-    ------
-    GraphError
-        If the order is none.
-
     References
     ----------
     Lauritzen and Spiegelhalter (1988), Local computations with probabilities on graphical
@@ -87,10 +82,9 @@ class JoinGraph(InCode):
 
     Variables are eliminated in an order. All scopes that hold the next one, X, would make one
     clique; they are put into as many *mini-buckets* as it takes for none to be too large. Each
-    passes its scope without X on, joined to where that goes by a sepset of all of it, and those of
-    X are joined in a chain by sepsets of X alone. Where every clique is small enough, the graph is
-    the junction tree of the order, and inference is exact; the smaller the clusters, the less they
-    take and, as a rule, the worse they approximate.
+    passes its scope without X on, by a sepset of all of it, and those of X are joined in a chain by
+    sepsets of X alone. Where every clique is small enough, the graph is the junction tree of the
+    order, and inference is exact; smaller clusters take less and, as a rule, approximate worse.
 
     Parameters
     ----------
@@ -233,16 +227,7 @@ class Bethe(InCode):
     """
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
-        """Compile a network.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        ClusterGraph
-        """
+        """Compile a network."""
         families = maximal([cpd.scope for cpd in network.cpds])
         holders = holding(families)
         shared = [variable for variable in network.variables if len(holders[variable]) > 1]
@@ -274,11 +259,10 @@ class LTRIP(InCode):
     """Compile to a cluster for each family, joined by a spanning tree for each variable.
 
     For each variable, its clusters are joined by the tree of greatest weight, where an edge weighs
-    as many variables as its clusters share; laid on top of each other, the trees of all variables
-    make the sepsets. Of edges that weigh the same, the first are those of the cluster that shares
-    most with all others. That order is one for all variables, so that families which can be joined
-    to a junction tree are joined to one, and inference is exact. Families inside other families
-    have no cluster of their own.
+    as many variables as its clusters share; all trees together make the sepsets. Of edges that
+    weigh the same, the first are those of the cluster that shares most with all others: one order
+    for all variables, so that families which can be joined to a junction tree are joined to one,
+    and inference is exact. Families inside other families have no cluster of their own.
 
     Elsewhere the graph has loops, but fewer and shorter ways around them than `Bethe`: families
     that share two variables agree about both together, where they can.
@@ -296,16 +280,7 @@ class LTRIP(InCode):
     """
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
-        """Compile a network.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        ClusterGraph
-        """
+        """Compile a network."""
         clusters = maximal([cpd.scope for cpd in network.cpds])
         return ClusterGraph(network, clusters, _layers(clusters))
 

@@ -64,10 +64,6 @@ class WeightedMinFill(Rule):
     An edge weighs the product of its two variables' numbers of states, or of components if they
     are continuous. Better than `MinFill` where these differ much.
 
-    References
-    ----------
-    Koller and Friedman (2009), Probabilistic Graphical Models, section 9.4.3.
-
     Examples
     --------
     >>> from pgm.examples import chain

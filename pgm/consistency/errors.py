@@ -1,7 +1,5 @@
 """Errors against the truth, angles wrapped; measured by covariances; divergences of beliefs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,8 +13,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
 from pgm.inference import GridBelief, Innovations, ParticleBelief
 from pgm.kernels import roots
-from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner
+from pgm.kernels.arrays import Array, Integers, Mask, block, difference, independent, inner
 
 
 def check_gaussian(belief: Any) -> Gaussian:

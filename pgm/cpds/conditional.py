@@ -21,13 +21,13 @@ from pgm.factors.arrays import diagonal as on_diagonal
 from pgm.factors.runs import flat, unflat
 from pgm.factors.scope import Scope, as_scope, components, listed
 from pgm.kernels import normal, roots
-from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
     Integers,
     Mask,
     deviation,
+    difference,
     frozen,
     independent,
     inner,
@@ -63,24 +63,12 @@ def noise(
     ----------
     function : callable
         ``function(*given)``, from arrays (..., d), leading axes equal or none, to covariances
-        (..., n, n), with the same leading axes.
+        (..., n, n), with the same leading axes; checked where they are used.
     given : Variable or sequence of Variable
         The parents, which must have evidence, since a covariance cannot be linearised.
     diagonal : bool
-        Whether the function returns the variances of the components, (..., n), instead, which are
-        independent. It is said here since three rows of variances of three components and one
-        matrix have the same shape.
-
-    Returns
-    -------
-    Noise
-        For the `cov` of a CPD; its values are checked where they are used.
-
-    Raises
-    ------
-    ModelError
-        If the function cannot be called, the parents are no variables, repeat or are a set, or
-        `diagonal` is no bool.
+        Whether the function returns the variances of the components, (..., n), instead. It is said
+        here since three rows of variances of three components and one matrix have the same shape.
 
     Examples
     --------
@@ -135,10 +123,7 @@ def evaluate(
 
 
 class ConditionalGaussian(CPD):
-    """A CPD that is a function of the parents plus Gaussian noise.
-
-    Where `noise` is robust, `cov` is its scale matrix.
-    """
+    """A CPD of a function of the parents plus Gaussian noise, or robust, `cov` being its scale."""
 
     cov: Array | Noise
     noise: RobustNoise | None = None

@@ -78,11 +78,6 @@ class GaussianCPD(AffineCPD):
         infinite and its mean has no meaning; the log-evidence is the limit of ln p + ½ ln κ, a
         variance κ of each flat component that is determined growing without bound.
 
-    Raises
-    ------
-    ModelError
-        If shapes do not fit, an entry is NaN or infinite, or `cov` is not a covariance.
-
     Examples
     --------
     >>> x = Variable("x", components=("east", "north"))
@@ -142,11 +137,6 @@ class LinearGaussianCPD(AffineCPD):
         ``LinearGaussianCPD(m, given={m.previous: 1.0}, cov=0)``.
     noise : RobustNoise, optional
         As of `NonlinearGaussianCPD`.
-
-    Raises
-    ------
-    ModelError
-        If shapes do not fit, an entry is not finite, or `cov` is not a covariance.
 
     Examples
     --------

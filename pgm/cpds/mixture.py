@@ -20,7 +20,7 @@ from pgm.factors.runs import Shape, clash, unflat
 from pgm.factors.scope import Scope
 from pgm.kernels import normal, roots
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.kernels.semirings import log_sum
+from pgm.kernels.tables import log_sum
 from pgm.variables import Variable
 
 # Weights whose sum is this far from one are those of no mixture.
@@ -41,23 +41,11 @@ class MixtureCPD(CPD):
     Parameters
     ----------
     components : sequence of CPD
-        Of the same continuous child y: Gaussian ones, a `SampledCPD`, mixtures. Its parents are
-        all of theirs, in the order in which they come first.
+        Of the same continuous child y: Gaussian ones, without infinite variance, a `SampledCPD`,
+        mixtures; `parts` has them. Its parents are all of theirs, in the order in which they come
+        first.
     weights : array_like
         (K,): w_k, positive, of sum one.
-
-    Attributes
-    ----------
-    parts : tuple of CPD
-        The CPDs that are mixed, as given.
-    weights : ndarray
-        (K,).
-
-    Raises
-    ------
-    ModelError
-        If something is no continuous CPD, children differ, there is no weight for each, weights
-        are not positive or do not sum to one, or a variance is infinite.
 
     References
     ----------
@@ -256,7 +244,7 @@ class UnidentifiedCPD(CPD):
         return np.where(np.isnan(child).all(axis=-1), 0.0, found)
 
     def responsibilities(self, child: Values, known: Known) -> Array:
-        """The probability of each candidate, of a spurious sighting and of a new one, (k + 2, ...).
+        """The probability of each candidate, a spurious and a new sighting, (k + 2, ...).
 
         NaN where the sighting is impossible.
         """
@@ -265,10 +253,7 @@ class UnidentifiedCPD(CPD):
             return np.asarray(np.exp(terms - log_sum(terms, 0)))
 
     def terms(self, child: Values, known: Known) -> Array:
-        """The logarithms of the density's terms: candidates, spurious, new, (k + 2, ...).
-
-        Those beyond the gate are −∞.
-        """
+        """The logarithms of the density's terms, (k + 2, ...), −∞ beyond the gate."""
         lead = np.broadcast_shapes(child.shape[:-1], known.lead)
         found = np.empty((len(self.candidates) + 2, *lead))
         for k, candidate in enumerate(self.candidates):

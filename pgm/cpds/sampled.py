@@ -37,11 +37,6 @@ class SampledCPD(CPD):
         leading axes; −∞ where a value is impossible. Without, it cannot be a sensor, nor the
         transition of a smoother, nor stand on a grid.
 
-    Raises
-    ------
-    ModelError
-        If neither function is given, one cannot be called, or a variable is discrete.
-
     Examples
     --------
     >>> x = Variable("x")

@@ -36,11 +36,6 @@ class Kronecker(InCode, Immutable):
     factors : sequence of array_like, sparse matrix or Kronecker
         Of each axis the square matrix (size before, size after), whose rows sum to one.
 
-    Raises
-    ------
-    ModelError
-        If there is none, or one is no matrix of probabilities.
-
     Examples
     --------
     >>> east, north = np.eye(3), [[0.9, 0.1], [0.2, 0.8]]
@@ -97,11 +92,6 @@ def shifts(
     -------
     scipy.sparse.csr_array
         (cells, cells), rows before, columns after; for the ``table=`` of a `TableCPD`.
-
-    Raises
-    ------
-    ModelError
-        If the shape, a shift, a probability or an edge is none, or the table would not fit.
 
     Examples
     --------

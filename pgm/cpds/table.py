@@ -50,11 +50,6 @@ class TableCPD(CPD):
         Parents of which a table is a function, continuous or discrete: always observed, so that
         such a CPD is for dynamic networks.
 
-    Attributes
-    ----------
-    table : ndarray
-        The table with all its axes; of a structured one it is made when it is asked for.
-
     Raises
     ------
     ModelError
@@ -63,9 +58,7 @@ class TableCPD(CPD):
 
     Examples
     --------
-    >>> from pgm.variables import Discrete
-    >>> cloudy = Discrete("cloudy", states=("no", "yes"))
-    >>> rain = Discrete("rain", states=("no", "yes"))
+    >>> cloudy, rain = (pgm.Discrete(name, states=("no", "yes")) for name in ("cloudy", "rain"))
     >>> TableCPD(rain, given=(cloudy,), table=[[0.8, 0.2], [0.2, 0.8]])
     TableCPD(rain | cloudy)
     """
@@ -244,26 +237,9 @@ class TableCPD(CPD):
         *,
         step: int | None = None,
     ) -> Array:
-        """The table of a function at values of its inputs, checked.
+        """The table of a function at values (*lead, d) of its inputs, or states, checked.
 
-        Parameters
-        ----------
-        values : mapping of Variable to ndarray
-            (*lead, d) of each input, or indices of states (*lead).
-        lead : tuple of int
-            Leading axes of the values.
-        step : int, optional
-            The step of the values, for messages.
-
-        Returns
-        -------
-        ndarray
-            (*lead, size of each parent..., size of the child).
-
-        Raises
-        ------
-        ModelError
-            If the function fails, or returns no such table.
+        It is (*lead, size of each parent..., size of the child); the step is for messages.
         """
         assert self.function is not None
         at = _at(step)

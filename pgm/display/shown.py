@@ -169,11 +169,7 @@ def table(columns: Sequence[tuple[str, Any]], digits: int = DIGITS) -> Listing:
 
 
 class Shown:
-    """A value that is printed as its summary, as text and in HTML.
-
-    A class says once, in `_summary`, what it shows; `_title` is the first line of that, for
-    messages.
-    """
+    """A value that is printed as its `_summary`, in text and HTML; `_title` is its first line."""
 
     __slots__ = ()
 
@@ -206,9 +202,9 @@ class InCode:
 
 
 class NoArray:
-    """A value that NumPy would else put, whole, into an array of objects, without a word.
+    """A value that NumPy would else put into an array of objects, without a word.
 
-    Arrays of objects that are asked for, as columns of a data frame are, may hold it.
+    Those that are asked for, as columns of a data frame are, may hold it.
     """
 
     __slots__ = ()
@@ -285,9 +281,7 @@ def stacked(
 ) -> Listing:
     """Many beliefs: a row each of the first and the last, with means and deviations.
 
-    lead: The leading axes, runs and steps.
-    steps: The steps that the last of them stands for.
-    moments: The mean and covariance at a place of the leading axes; only those shown are asked for.
+    `lead` are runs and `steps`; the moments at a place of these are asked for of those shown alone.
     """
     shown = places(lead, most)
     found = {place: moments(place) for place in shown if place is not None}
@@ -364,11 +358,7 @@ def named_matrix(
     symbol: str,
     before: Sequence[tuple[str, npt.NDArray[Any]]] = (),
 ) -> Listing:
-    """A matrix with the names of its rows and columns.
-
-    symbol: The matrix's own, at the head of its first column.
-    before: Columns of numbers beside it, with their symbols.
-    """
+    """A matrix with the names of its rows and columns and its symbol, behind other columns."""
     shown = few(len(rows), ROWS)
     kept = [k for k in shown if k is not None]
     heads, cells = [""], [[rows[k] for k in kept]]

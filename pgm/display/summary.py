@@ -23,11 +23,7 @@ Row = Sequence[str] | None
 
 @dataclass(frozen=True)
 class Listing:
-    """A table of words and numbers.
-
-    rows: Cells; None stands for rows that are left out.
-    names: How many of the columns, from the left, are words.
-    """
+    """A table of cells, the first `names` columns being words; a row None stands for others."""
 
     heads: Sequence[str]
     rows: Sequence[Row]
@@ -76,10 +72,7 @@ class Listing:
 
 @dataclass(frozen=True)
 class Summary:
-    """A value in a few lines.
-
-    title: Its first line.
-    """
+    """A value in a few lines, the first of them its title."""
 
     title: str
     parts: Sequence[str | Listing] = ()
@@ -94,10 +87,7 @@ class Summary:
         return "\n".join(lines)
 
     def html(self, picture: str = "") -> str:
-        """The summary in HTML, for notebooks.
-
-        picture: Markup that stands below the title.
-        """
+        """The summary in HTML, for notebooks, with the markup of a picture below the title."""
         parts = [f"<p><b>{escape(one_line(self.title, TITLE))}</b></p>", picture]
         for part in self.parts:
             words = f"<p>{escape(one_line(part))}</p>" if isinstance(part, str) else part.html()

@@ -38,15 +38,11 @@ Kind = TypeVar("Kind", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """All measurements of one sensor, sorted by step.
+    """All measurements of one sensor, sorted by `step`, (M,), of rows `order` of the evidence.
 
-    step: (M,), ascending.
-    order: (M,): which row of the user's evidence each one was.
-    values: (M, runs or 1, d); zero where missing. Of a discrete sensor the index of its state, (M,
-        runs or 1, 1), or weights of its states, (M, runs or 1, size).
-    taken: (M, runs or 1, d): which components were; the others are missing.
-    inputs: Values of the sensor's observed parents, (M, runs or 1, d).
-    unknown: The parent of which nobody said what it is, and its candidates.
+    `values` are (M, runs or 1, d), zero where not `taken`; of a discrete sensor the index of its
+    state, d = 1, or weights of its states. `inputs` are values of observed parents, likewise;
+    `unknown` is the parent that is not known, with its candidates.
     """
 
     cpd: CPD
@@ -60,13 +56,10 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class BoundEvidence:
-    """Evidence laid out by step.
+    """Evidence laid out by step; inside, the leading axes, of runs, are flattened to one.
 
-    lead: The leading axes, of runs; inside, they are flattened to one.
-    transition: For each transition CPD the values of its observed parents, (T, runs or 1, d); row k
-        is that of step k + 1.
-    first_run: What the first run is called in messages: where these runs are a part of more, its
-        place.
+    Of each transition CPD it has the values of observed parents, (T, runs or 1, d), row k being of
+    step k + 1. Messages count runs from `first_run`, where these are a part of more.
     """
 
     steps: int
@@ -82,10 +75,7 @@ class BoundEvidence:
 
 
 def by_row(array: npt.NDArray[Kind], lead: tuple[int, ...]) -> npt.NDArray[Kind]:
-    """A copy of an array (..., rows, d) as (rows, runs or 1, d), as `stacked`: runs fastest.
-
-    Read-only, since functions of users see it.
-    """
+    """A read-only copy of an array (..., rows, d) as (rows, runs or 1, d), runs fastest."""
     memory = np.array(flat(array, lead, 2).transpose(1, 2, 0), order="C")
     rows = memory.transpose(0, 2, 1)
     rows.flags.writeable = False

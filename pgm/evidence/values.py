@@ -87,11 +87,6 @@ def constant(value: npt.ArrayLike) -> Constant:
     value : array_like
         (..., d); leading axes are runs.
 
-    Returns
-    -------
-    Constant
-        Evidence, checked where it is used.
-
     Examples
     --------
     >>> constant([0.5, 0.0])
@@ -112,11 +107,6 @@ def soft(weights: npt.ArrayLike) -> Soft:
         (..., size), one for each state, non-negative and not all zero; leading axes are runs.
         They need not sum to one: marginals depend on their ratios alone, and a common factor
         enters the log-evidence.
-
-    Returns
-    -------
-    Soft
-        Evidence, checked where it is used.
 
     References
     ----------
@@ -151,16 +141,6 @@ def sightings(
     given : mapping of Variable to array_like, optional
         The sensor's observed parents that differ from measurement to measurement, (..., M, d) each.
 
-    Returns
-    -------
-    Sightings
-        Evidence, whose shapes and steps are checked where it is used.
-
-    Raises
-    ------
-    EvidenceError
-        If `given` is no mapping.
-
     Examples
     --------
     >>> m = Variable("m", components=("east", "north"))
@@ -179,11 +159,10 @@ LIKELIHOOD, SUM, JOINT = "likelihood", "sum", "joint"
 
 
 class Unknown(InCode, Immutable):
-    """The candidates for a parent that is not known of any sighting; made by `unknown`.
+    """The candidates (k, d) for a parent that is not known of any sighting; made by `unknown`.
 
-    candidates: (k, d).
-    log_shares: (k + 2,): the logarithms of the prior probabilities of each candidate, of a spurious
-        sighting, and of a new thing.
+    `log_shares` (k + 2,) are the logarithms of the prior probabilities of each, of a spurious
+    sighting, and of a new thing.
     """
 
     candidates: Array
@@ -326,16 +305,6 @@ def unknown(
         point masses it is impossible.
     association : str
         ``"likelihood"``, ``"joint"`` or ``"sum"``.
-
-    Returns
-    -------
-    Unknown
-        A value of ``given=`` of `sightings`, which fits its variable where it is used.
-
-    Raises
-    ------
-    EvidenceError
-        If one of these is of a wrong kind or shape.
 
     References
     ----------

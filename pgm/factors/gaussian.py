@@ -46,8 +46,7 @@ from pgm.factors.scope import (
 )
 from pgm.immutable import Immutable
 from pgm.kernels import moments, normal, roots
-from pgm.kernels.angles import difference, wrap
-from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
+from pgm.kernels.arrays import Array, Integers, block, deviation, difference, frozen, wrap
 from pgm.sizes import require_memory
 from pgm.variables import Variable
 
@@ -55,14 +54,9 @@ from pgm.variables import Variable
 class Ellipse(NamedTuple):
     """The smallest region of a confidence of a two-dimensional Gaussian.
 
-    Attributes
-    ----------
-    centre : ndarray
-        (..., 2).
-    half_axes : ndarray
-        (..., 2), the longer one first: √(χ²₂(c) λᵢ), with χ²₂(c) = −2 ln(1 − c).
-    orientation : ndarray
-        (...), of the longer axis, atan2(v₁₂, v₁₁), radians in (−π/2, π/2]: it has no direction.
+    The centre is (..., 2); half-axes (..., 2), the longer one first, are √(χ²₂(c) λᵢ), with χ²₂(c)
+    = −2 ln(1 − c); the orientation (...) of the longer axis is atan2(v₁₂, v₁₁), in radians in
+    (−π/2, π/2]: it has no direction.
     """
 
     centre: Array

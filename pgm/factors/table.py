@@ -246,7 +246,7 @@ class Table(FramedTable, Shown, NoArray, Immutable):
     @property
     def log_total(self) -> Array:
         """The value ln Σ φ(x), (...); −∞ where the table is all zero."""
-        return kernel.log_sum(*self._rescaled, len(self.scope))
+        return kernel.log_total(*self._rescaled, len(self.scope))
 
     def normalised(self) -> Table:
         """The table divided by its sum, with the log-scale zero."""

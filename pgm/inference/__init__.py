@@ -13,7 +13,6 @@ from pgm.inference.grid.online import OnlineGrid, OnlineGridBelief
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
-from pgm.inference.kind import Kind
 from pgm.inference.lost import Lost
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
@@ -38,7 +37,7 @@ from pgm.inference.schedule import (
     Sequential,
     Smoothing,
 )
-from pgm.inference.status import Status
+from pgm.inference.status import Kind, Status
 
 __all__ = [
     "Associations",

@@ -140,8 +140,7 @@ def infer(
         others values (..., d) of continuous variables; of discrete ones the name or index of a
         state, an array of indices with −1 for "not observed in this run", or `soft` weights.
         Leading axes are runs. NaN is a component that was not observed, of a sensor's measurement
-        or of a variable on which no other depends. `records` makes such a mapping of a table, one
-        run a record.
+        or of a variable on which no other depends. `records` makes such a mapping of a table.
     schedule : Schedule, optional
         `Filtering`, `FixedLag` or `Smoothing` for a dynamic network, `Smoothing()` without;
         `Calibration()` for a tree; `Flooding`, `Sequential` or `Residual`, which a graph with loops
@@ -154,26 +153,24 @@ def infer(
         (..., T, d) of hidden controls. Without, a `Balanced` tree is linearised first at dead
         reckoning, where motion alone leads from the prior mean.
     keep : collection of Variable, optional
-        Of a dynamic network, the hidden variables of whose results the marginals at all steps are
-        kept, ``keep=[x]``, with log-evidence and status; without, everything is. The runs are then
+        Of a dynamic network, the hidden variables whose marginals at all steps are kept,
+        ``keep=[x]``, with log-evidence and status; without, everything is. The runs are then
         worked through in parts of some hundreds or thousands, of which no more is held at a time
         than are worked on, so that a study of 100,000 simulations fits. A rule that draws points
         afresh for each run takes all runs as one part.
     executor : concurrent.futures.Executor, optional
-        Of a dynamic network, to whose workers parts of the runs are handed, in their order, as
-        many parts for each: a process pool, a thread pool, a Dask client's `get_executor()`, an MPI
-        pool. Results are those of one process; so is an error, which is looked for once more in
-        this one. What a worker process is handed is pickled: the functions and classes that a
-        model is made of must stand in modules, by name. On Linux a `ProcessPoolExecutor` shares
-        memory with its caller, which is kept for the next call while the executor lives. Threads
-        gain little, since most calls are short, and need CPDs' functions that are thread-safe. The
-        threads of NumPy's linear algebra are other ones: with small states they only get in the
-        way (OMP_NUM_THREADS=1).
+        Of a dynamic network, whose workers are handed parts of the runs, as many for each: a
+        process pool, a thread pool, a Dask client's `get_executor()`, an MPI pool. Results are
+        those of one process; so is an error, which is looked for once more in this one. Functions
+        and classes of a model must stand in modules, by name, since they are pickled. On Linux a
+        `ProcessPoolExecutor` shares memory with its caller, kept for the next call while the
+        executor lives. Threads gain little, since most calls are short, and need functions that are
+        thread-safe. With small states the threads of NumPy's linear algebra only get in the way
+        (OMP_NUM_THREADS=1).
     memory : number, optional
         Of a discrete network and a graph without loops, how many bytes the tables of all runs may
-        take, besides what the compiled graph takes, the evidence, and what is asked for; 2²⁸
-        (256 MiB), if not given. The runs are worked through in parts that fit; the results are the
-        same.
+        take, besides the compiled graph, the evidence, and what is asked for; 2²⁸ (256 MiB), if not
+        given. The runs are worked through in parts that fit; the results are the same.
     belief : Grid or Particles, optional
         Of a dynamic network of continuous variables: its beliefs as probabilities of the cells of a
         grid, one run after another, or as weighted draws, in place of Gaussians. Nothing is
@@ -181,8 +178,7 @@ def infer(
     progress : bool or callable
         Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
         function, ``progress(done, total)``, called at the start of each stage and after each of its
-        items: steps, linearisations, rounds, runs or parts of them. An error that it raises ends
-        the call.
+        items: steps, linearisations, rounds, runs or parts. An error that it raises ends the call.
 
     Returns
     -------
@@ -195,11 +191,10 @@ def infer(
     EvidenceError
         If the evidence, `start` or `keep` does not fit the model, or the evidence is impossible.
     GraphError
-        If it is no cluster graph, a cluster is too large, `memory` is too small for a run, or an
-        argument is not for graphs of this kind.
+        If a cluster is too large, `memory` is too small for a run, or an argument is not for graphs
+        of this kind.
     ModelError
-        If the schedule, lineariser or executor is none, or the schedule is not for a dynamic
-        network; if a function returns a wrong shape, or cannot be pickled for a worker.
+        If a function returns a wrong shape, or cannot be pickled for a worker.
     LinearisationError, NumericalError
         If a number that is needed does not exist.
     ExecutorError

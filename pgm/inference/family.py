@@ -13,9 +13,7 @@ import numpy as np
 from pgm.cpds import AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, dimension
-from pgm.inference import faults
-from pgm.inference.rows import At, Rows, own_noise
-from pgm.kernels.angles import nearest_branch
+from pgm.inference.rows import At, Rows, failure, own_noise, require_finite
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -24,6 +22,7 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     cut,
+    nearest_branch,
     quiet,
     times,
     vacant,
@@ -142,9 +141,8 @@ class Family(Rows):
             part.noise = part.noise.copy("K")
         return part
 
-    def put(self, first: int, part: Family) -> None:
-        """Keep what some of the rows, from the first of them on, were linearised to."""
-        rows = slice(first, first + part.step.size)
+    def put(self, rows: slice | tuple[slice, slice], part: Family) -> None:
+        """Keep the linearisations of some of the rows, or of the rows and runs."""
         if not self.exact:
             self.matrix[rows], self.offset[rows] = part.matrix, part.offset
         if part.approximate:
@@ -198,10 +196,10 @@ class Family(Rows):
         try:
             return self.prepared(function, mean, cov)
         except Exception as error:
-            failure = faults.failure(self, function, mean, error)
-            if failure is error:
+            refusal = failure(self, function, mean, error)
+            if refusal is error:
                 raise
-            raise failure from (None if isinstance(error, Misfit) else error)
+            raise refusal from (None if isinstance(error, Misfit) else error)
 
     def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
         """Keep the linearisation of a step's rows; the noise where it includes an error."""
@@ -272,7 +270,7 @@ class Family(Rows):
             at = components_first(mean, 1)
             line = self.line(_unplaced(function), at, components_first(cov, 2))
             if finite:
-                faults.require_finite(self, function, at, line)
+                require_finite(self, function, at, line)
         return line
 
     def store(

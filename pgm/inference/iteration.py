@@ -124,18 +124,15 @@ class Controlled(Problem[Found], Protocol[Found]):
         """The cost of means with the covariances given, the noise as linearised, (runs,)."""
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means projected onto exact linear CPDs, off whose solutions no cost is finite.
-
-        Distances may be measured in the deviations of what was found.
-        """
+        """Means projected onto exact linear CPDs, off whose solutions no cost is finite."""
 
 
 @dataclass(frozen=True, eq=False)
 class Iterated(Generic[S]):
     """The result of an iteration, of the last linearisation.
 
-    `mean` (steps, runs, n) is the solution's, or that which the step control kept; `residuals`
-    (runs,) of each relinearisation tell how far the solution is from where it was linearised.
+    The means are the solution's, or those that the step control kept; residuals (runs,) of each
+    relinearisation tell how far the solution is from where it was linearised.
     """
 
     solution: S
@@ -151,10 +148,9 @@ def iterate(
     converged: Mask,
     first: Point | None = None,
 ) -> Iterated[S]:
-    """Relinearise from the first solution on, at most so often as the schedule says.
+    """Relinearise from the first solution on, made at `first` if at one point, as scheduled.
 
-    `problem` is as it was linearised for `solution`, at `first` if at one point; runs that have
-    `converged` stay.
+    Runs that have `converged` stay.
     """
     control = _Control(problem, schedule.damping, converged.size)
     residuals: list[Array] = []

@@ -56,11 +56,7 @@ class Room:
 
 
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
-    """Refuse a graph whose tables or covariances would not fit, before any is made.
-
-    `entries` are those of each cluster, `what` they are of. A table of more variables than an array
-    has axes for is refused too.
-    """
+    """Refuse a graph whose tables or covariances, of so many entries, or axes would not fit."""
     total = sum(entries)
     if total <= LIMIT:
         _require_axes(graph)

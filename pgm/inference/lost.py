@@ -14,8 +14,8 @@ a tenth and 1.
 
 Each is summed up by Page's test, C ← min(h, max(0, C + x)). The belief is lost where one of the two
 reaches h, and has recovered where both are at h − h' or below, from where they begin again at zero.
-Each test cries wrongly once in eʰ steps at the most often, on average (Lorden, 1971). No step
-weighs more than h/3, so that one outlier does not make a belief lost.
+Each cries wrongly once in eʰ steps at the most often, on average (Lorden, 1971). No step weighs
+more than h/3, so that one outlier does not make a belief lost.
 """
 
 from __future__ import annotations
@@ -53,9 +53,8 @@ def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
 class Read(NamedTuple):
     """The readings of steps in numbers, (..., runs): NIS, its components, and what gates did.
 
-    `rejected` are the sightings that gates rejected, of those `judged`; `strange` those that were
-    taken for none of their candidates, of the `open` ones, which had some (of a sensor with a gate
-    those alone, as it judges the others); `odds` is the weight of these.
+    Sightings were `rejected` of those `judged`, or `strange`, taken for no candidate, of the `open`
+    ones; of a sensor with a gate strange ones alone count. `odds` is the weight of these.
     """
 
     nis: Array
@@ -97,9 +96,8 @@ class Read(NamedTuple):
 class PageTest(NamedTuple):
     """The state of the tests of runs after a step.
 
-    `level` (2, runs) is C of each test, `onset` the step from which on it has been above zero. Of
-    the stretch that goes on, or the last one, (runs,): since when (`first`), from when on it was
-    said (`declared`), and which of the tests said so (`why`).
+    `level` (2, runs) is C of each test, `onset` since when it has been above zero. Of the latest
+    stretch, (runs,): since when (`first`), when it was said (`declared`), and by which test.
     """
 
     level: Array
@@ -141,21 +139,10 @@ class PageTest(NamedTuple):
 class Stretch:
     """Steps at which a belief was lost.
 
-    Attributes
-    ----------
-    run : tuple of int
-        Empty for one run.
-    first : int
-        The step at which it probably began.
-    declared : int
-        The step from which on it was lost by the measurements up to there.
-    last : int
-        The last step at which it was lost: the next has recovered, or there is none.
-    why : str
-        ``"innovations"`` too large, or ``"rejections"`` by a gate too many.
-    value : float
-        From `first` to `last`: the NIS of what was taken in, a component (right: 1); or the share
-        of the sightings that a gate or an association judged that was rejected.
+    `run` is empty for one run; it probably began at `first`, was known by the measurements up to
+    `declared`, and ended after `last`. The reason `why` is ``"innovations"`` too large, of which
+    `value` is the NIS of what was taken in, a component (right: 1), or ``"rejections"`` too many,
+    of which it is the share of the sightings judged by a gate or an association.
     """
 
     run: tuple[int, ...]
@@ -183,7 +170,8 @@ class Lost(Shown, Immutable):
         (..., T+1): whether it was lost at a step by the measurements up to it; leading axes are
         runs.
     stretches : tuple of Stretch
-        In the order of runs and steps.
+        In the order of runs and steps, each with its `run`, `first`, `declared` and `last` step,
+        `why`, and the NIS or the share of rejections as `value`.
 
     Notes
     -----
@@ -196,9 +184,9 @@ class Lost(Shown, Immutable):
     innovations of twice their variance; half of all sightings rejected, where a tenth may be
     outliers. Lost is where a C reaches h = ln 10⁶, in a consistent filter once in 10⁶ steps on
     average at the most often; recovered where both have fallen by ln 100. One step counts for h/3
-    at the most. A sighting that is taken for none of its candidates, `pgm.unknown`, is rejected,
-    too, and more of them are expected where more are declared spurious or new; so is one that
-    truncated least squares leave out.
+    at the most. A sighting that is taken for none of its candidates, `pgm.unknown`, or that
+    truncated least squares leave out, is rejected too; more of the former are expected where more
+    are declared spurious or new.
 
     Page, Continuous inspection schemes, 1954; Lorden, Procedures for reacting to a change in
     distribution, 1971.

@@ -95,10 +95,7 @@ def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
 
 
 def over_runs(variable: Variable, means: Array, lead: tuple[int, ...], axes: int) -> Array:
-    """The means of a variable for all runs, whose axes become one: (runs, ...).
-
-    `lead` are the evidence's axes of runs; the last `axes` of the means are none of runs.
-    """
+    """The means of a variable, (..., own axes), for all of the evidence's runs, (runs, ...)."""
     own, rest = means.shape[: means.ndim - axes], means.shape[means.ndim - axes :]
     try:
         wide = np.broadcast_to(means, (*lead, *rest))
@@ -183,15 +180,15 @@ class LevenbergMarquardt(InCode):
     linearisation, without the added measurement.
 
     It suits `Taylor`, and rules as exact as `GaussHermite`. With few points F is only nearly the
-    derivative of E[f(X)], so that close to a fixed point no step may lower the cost: the means then
-    stay, some hundredths of a deviation short of it, and `status` says not converged; a number as
+    derivative of E[f(X)], so that close to a fixed point no step may lower the cost: the means
+    stay some hundredths of a deviation short of it, and `status` says not converged; a number as
     damping gets there.
 
-    The first solution of a smoother is not controlled: it is the filter's linearisation. From a
-    start, or dead reckoning on a `Balanced` tree, the first step is controlled too: the cost of the
-    start is never exceeded. A start that does not obey the exact CPDs (linear, with singular noise)
-    has no cost, and is represented by its projection onto them; so is a filter's predicted belief
-    beside an exact measurement, by the belief given that alone.
+    The first solution of a smoother, the filter's linearisation, is not controlled. From a start,
+    or dead reckoning on a `Balanced` tree, the first step is: the cost of the start is never
+    exceeded. A start that does not obey the exact CPDs (linear, with singular noise) has no cost,
+    and is represented by its projection onto them; so is a filter's predicted belief beside an
+    exact measurement, by the belief given that alone.
 
     Parameters
     ----------

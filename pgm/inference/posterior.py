@@ -45,7 +45,6 @@ class Labelled:
 
         Examples
         --------
-        --------
         >>> from pgm.examples import drive
         >>> found = pgm.filter(drive, {}, steps=4).to_xarray()
         >>> float(found.cov.sel(step=4, component="north", other_component="north"))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
-from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.options import (
     Damping,
     Gate,
@@ -16,6 +15,7 @@ from pgm.inference.options import (
     require_damping,
     require_tolerance,
 )
+from pgm.inference.status import FILTERED, SMOOTHED, Kind
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,6 @@ class Smoothing(Calibration):
         As of `Filtering`; of all CPDs. The gate is decided in the first forward pass and kept, so
         that all iterations are of the same measurements; with a start, as everything is linearised
         there.
-        If one of them is no such number.
 
     References
     ----------

@@ -1,7 +1,5 @@
 """Stamped odometry and velocities, made into one control a step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -20,8 +18,7 @@ from pgm.io.stamped import (
     rows_text,
     sealed,
 )
-from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers, Mask, difference
 from pgm.variables import Variable
 
 Kind = Literal["odometry", "velocities"]

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.kernels.angles import TURN, wrap
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import TURN, Array, Integers, wrap
 
 
 def mounted(poses: Array, mount: Array) -> Array:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.kernels.angles import wrap
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, wrap
 
 # The cosine of a pitch at which roll and yaw are about one axis, but for rounding.
 _UPRIGHT = 1e-12

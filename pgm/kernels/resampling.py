@@ -19,8 +19,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import TURN, Array, Integers, Mask
 
 # Above one by more than rounding takes from a weight, and by less than anyone would miss.
 _SHORT = 1.0 + 2.0**-40

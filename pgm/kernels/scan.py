@@ -2,17 +2,20 @@
 
 Up a balanced tree, neighbours are composed; down again, a belief is pushed through every other
 segment, in 2 log₂ T rounds (Blelloch, 1990). Stacks are (T, R, ...), components first in memory, so
-that kernels go along rows of steps.
+that kernels go along rows of steps. Segments are affine Gaussian conditionals, which compose
+without any inverse, or maps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Integers, room
+from pgm.kernels import moments
+from pgm.kernels.arrays import Array, Integers, apply, multiply, room, sandwich, symmetric
+from pgm.kernels.moments import Conditional
 
 # Named tuples of stacks, and of None for what is left out.
 Segments = TypeVar("Segments", bound=tuple[Any, ...])
@@ -108,3 +111,47 @@ def _merge(first: Any, second: Any, steps: int, here: slice, there: slice) -> An
 
 def _made(like: Any, parts: Sequence[Any]) -> Any:
     return type(like)(*parts)
+
+
+class Moments(NamedTuple):
+    """Mean (..., n) and covariance (..., n, n)."""
+
+    mean: Array
+    cov: Array
+
+
+def compose(first: Conditional, then: Conditional) -> Conditional:
+    """The composition p(z|x) of p(y|x) and p(z|y)."""
+    return Conditional(
+        multiply(then.matrix, first.matrix),
+        apply(then.matrix, first.offset) + then.offset,
+        symmetric(sandwich(then.matrix, first.cov) + then.cov),
+    )
+
+
+def push(belief: Moments, conditional: Conditional) -> Moments:
+    """Moments of F x + b + n."""
+    return Moments(*moments.push(*belief, conditional))
+
+
+class Map(NamedTuple):
+    """The map F x + b."""
+
+    matrix: Array
+    offset: Array
+
+
+def after(first: Map, then: Map) -> Map:
+    """The second map of what the first makes."""
+    return Map(multiply(then.matrix, first.matrix), apply(then.matrix, first.offset) + then.offset)
+
+
+class Value(NamedTuple):
+    """A vector, (..., n)."""
+
+    value: Array
+
+
+def send(value: Value, through: Map) -> Value:
+    """The map of a vector."""
+    return Value(apply(through.matrix, value.value) + through.offset)

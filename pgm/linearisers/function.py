@@ -12,8 +12,6 @@ import numpy as np
 
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.immutable import set_writeable
-from pgm.kernels import differences
-from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     Array,
     Index,
@@ -21,8 +19,10 @@ from pgm.kernels.arrays import (
     Mask,
     components_first,
     components_last,
+    difference,
     quiet,
 )
+from pgm.kernels.slopes import jacobian as by_differences
 from pgm.linearisers.calls import Call
 from pgm.tracing import Program, Tracer
 from pgm.variables import Variable
@@ -384,7 +384,7 @@ class BoundFunction(NamedTuple):
 
     def _differences(self, x: Array, std: Array | None) -> Array:
         spread = np.zeros_like(x) if std is None else std
-        return differences.jacobian(self.__call__, x, spread, self.angles)
+        return by_differences(self.__call__, x, spread, self.angles)
 
     def _jacobian(
         self,

@@ -12,7 +12,6 @@ import numpy as np
 
 from pgm.errors import LinearisationError, NumericalError
 from pgm.kernels import gaussian, roots
-from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -21,8 +20,9 @@ from pgm.kernels.arrays import (
     deviation,
     times_transposed,
     transpose,
+    wrap,
 )
-from pgm.kernels.regression import range_inverse, regress
+from pgm.kernels.slopes import range_inverse, regress
 from pgm.linearisers.function import BoundFunction, FunctionTemplate
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared, apart
 from pgm.linearisers.points import Points

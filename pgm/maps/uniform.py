@@ -11,8 +11,7 @@ from pgm.cpds import CPD
 from pgm.cpds.values import Known, Values
 from pgm.errors import ModelError
 from pgm.kernels import planar
-from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import TURN, Array, Integers, Mask
 from pgm.variables import Variable
 
 if TYPE_CHECKING:

@@ -37,8 +37,9 @@ class BayesianNetwork(Drawn, Immutable):
     Parameters
     ----------
     cpds : iterable of CPD
-        In any order. A continuous parent that is no CPD's child is an input: it must have
-        evidence.
+        In any order, one a child, without cycles. A continuous parent that is no CPD's child is an
+        input: it must have evidence. Discrete ones, and those of the step before (``x.previous``),
+        are refused.
 
     Attributes
     ----------
@@ -51,17 +52,10 @@ class BayesianNetwork(Drawn, Immutable):
     discrete : bool
         Whether the variables are discrete.
 
-    Raises
-    ------
-    ModelError
-        If a child has two CPDs, two variables share a name, the CPDs form a cycle, discrete and
-        continuous variables are mixed, a discrete parent has no CPD, or a parent is of the step
-        before (``x.previous``), which only a dynamic network has.
-
     Examples
     --------
-    >>> from pgm import GaussianCPD, LinearGaussianCPD, variables
-    >>> a, b = variables("a b")
+    >>> from pgm import GaussianCPD, LinearGaussianCPD
+    >>> a, b = pgm.variables("a b")
     >>> BayesianNetwork([GaussianCPD(a, 0.0, 1.0), LinearGaussianCPD(b, given={a: 2.0}, cov=0.5)])
     BayesianNetwork(p(a)  p(b | a))
     """
@@ -204,20 +198,15 @@ class BayesianNetwork(Drawn, Immutable):
         (``→ g →``, ``← g →``) or a collision (``→ c ←``) without a given variable at or below it.
         Inputs are variables like others here: they belong into `given` where they have evidence.
 
-        Sets must be disjoint.
-
-        References
-        ----------
-        Koller and Friedman (2009), section 3.3.
+        Sets must be disjoint (Koller and Friedman, 2009, section 3.3).
 
         Examples
         --------
-        >>> from pgm import GaussianCPD, LinearGaussianCPD, variables
-        >>> a, b, c = variables("a b c")
-        >>> net = BayesianNetwork([
-        ...     GaussianCPD(a, 0.0, 1.0),
-        ...     GaussianCPD(b, 0.0, 1.0),
-        ...     LinearGaussianCPD(c, given={a: 1.0, b: 1.0}, cov=0.1),
+        >>> a, b, c = pgm.variables("a b c")
+        >>> net = pgm.BayesianNetwork([
+        ...     pgm.GaussianCPD(a, 0.0, 1.0),
+        ...     pgm.GaussianCPD(b, 0.0, 1.0),
+        ...     pgm.LinearGaussianCPD(c, given={a: 1.0, b: 1.0}, cov=0.1),
         ... ])
         >>> net.d_separated(a, b), net.d_separated(a, b, given=c)
         (True, False)

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Mask, components_last
+from pgm.kernels.arrays import Array, Mask, components_last, difference
 from pgm.tracing.derivatives import derivatives
 from pgm.tracing.functions import traced
 from pgm.tracing.graph import Graph

@@ -1,7 +1,5 @@
 """The page of a Gaussian chain, in batched calls, and the parts that the page of any chain has."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -14,7 +12,7 @@ from pgm.inference import ChainPosterior
 from pgm.inference.chain.backward import Beliefs, Reverse, pairs
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.potentials import first_potential
-from pgm.inference.kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.status import FILTERED, SMOOTHED, Kind
 from pgm.kernels.arrays import Array, Integers, block, cut, quiet
 from pgm.kernels.canonical import Canonical
 from pgm.kernels.moments import Conditional

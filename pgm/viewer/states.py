@@ -1,7 +1,5 @@
 """The pages of a chain of tables, and of beliefs without messages: grids, particles, kept ones."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -10,8 +8,8 @@ import numpy as np
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.inference import GridPosterior, KeptPosterior, ParticlePosterior, StatePosterior
-from pgm.inference.kind import FILTERED, SMOOTHED
 from pgm.inference.markov.marginals import potential
+from pgm.inference.status import FILTERED, SMOOTHED
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 from pgm.viewer.chain import head, readings, sighted

@@ -15,8 +15,17 @@ from pgm.factors.scope import names
 from pgm.inference.audit.draws import Afresh, log_ratio, stretch
 from pgm.inference.family import Family
 from pgm.kernels import normal, roots
-from pgm.kernels.angles import difference, nearest_branch
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, independent, inner, transpose
+from pgm.kernels.arrays import (
+    LOG_2PI,
+    Array,
+    Integers,
+    Mask,
+    difference,
+    independent,
+    inner,
+    nearest_branch,
+    transpose,
+)
 
 Stack = TypeVar("Stack", Array, Mask)
 

@@ -11,8 +11,16 @@ from pgm.errors import NumericalError
 from pgm.factors import Gaussian
 from pgm.inference.audit.draws import Draws
 from pgm.kernels import roots
-from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Index, Integers, Mask, frozen, symmetric, transpose
+from pgm.kernels.arrays import (
+    Array,
+    Index,
+    Integers,
+    Mask,
+    difference,
+    frozen,
+    symmetric,
+    transpose,
+)
 from pgm.variables import Variable
 
 # Weights that differ by no more than this part are equal but for rounding, and have no tail.

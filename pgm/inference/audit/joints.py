@@ -18,7 +18,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior
-from pgm.inference.kind import SMOOTHED
+from pgm.inference.status import SMOOTHED
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
 from pgm.kernels.moments import Conditional

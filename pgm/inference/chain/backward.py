@@ -12,8 +12,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from pgm.inference import sweep as loops
+from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.plan import ChainPlan
-from pgm.kernels import conditionals, moments, roots
+from pgm.kernels import moments, roots
 from pgm.kernels.arrays import (
     Array,
     Index,
@@ -24,9 +25,8 @@ from pgm.kernels.arrays import (
     symmetric,
     transpose,
 )
-from pgm.kernels.conditionals import Moments
 from pgm.kernels.moments import Conditional
-from pgm.kernels.scan import gather, in_chunks, levels, prefixes, take
+from pgm.kernels.scan import Moments, compose, gather, in_chunks, levels, prefixes, push, take
 
 # From this many runs on, a sweep along rows of runs beats a scan along rows of steps, which does
 # twice the work; and so it does with few steps, where a scan has nearly as many rounds.
@@ -106,17 +106,24 @@ class Reverse:
     """The chain from its end: the model of the past given the future, for the same evidence.
 
     At row t `states` gives the states of step t from the slice of step t + 1 and the measurements
-    up to t; `slices` a slice from its states, None where there are no controls.
+    up to t; `slices` a slice from its states, None where there are no controls; `beliefs` are the
+    smoothed ones, where they have been found already.
     """
 
     states: Conditional
     slices: Conditional | None
+    beliefs: Beliefs | None = None
 
     @classmethod
-    def make(cls, plan: ChainPlan, forward: Ahead) -> Reverse:
-        """Reverse every step, many at once."""
+    def make(cls, plan: ChainPlan, forward: Ahead, *, smooth: bool = False) -> Reverse:
+        """Reverse every step, many at once; smooth too, where machine code does both together."""
         places = plan.layout.state_places
-        matrix, _, noise = transition(plan)
+        moved = transition(plan)
+        slices = _given_states(plan, forward) if plan.layout.control_places.size else None
+        found = compiled.backward(plan, forward, moved, slices, smooth=smooth)
+        if found is not None:
+            return cls(found[0], slices, None if found[1] is None else Beliefs(*found[1]))
+        matrix, _, noise = moved
         parts = _Step(
             forward.mean[:-1][..., places],
             block(forward.cov[:-1], places, places),
@@ -125,17 +132,14 @@ class Reverse:
             forward.predicted_mean[1:],
             forward.predicted_cov[1:],
         )
-        states = in_chunks(_reverse, parts)
-        return cls(
-            states, _given_states(plan, forward) if plan.layout.control_places.size else None
-        )
+        return cls(in_chunks(_reverse, parts), slices)
 
     @property
     def whole(self) -> Conditional:
         """The slice of step t given that of step t + 1, at row t."""
         if self.slices is None:
             return self.states
-        return conditionals.compose(self.states, Conditional(*(part[:-1] for part in self.slices)))
+        return compose(self.states, Conditional(*(part[:-1] for part in self.slices)))
 
     def moved(self, mean: Array, states: Index) -> Reverse:
         """The same covariances with other smoothed means of the slices, (T+1, runs, n)."""
@@ -197,6 +201,8 @@ class Beliefs:
 
 def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
     """Smoothed moments of every slice: by a scan, or step by step where that is faster."""
+    if reverse.beliefs is not None:
+        return reverse.beliefs
     stepwise = stepwise_is_faster(*forward.mean.shape[:2])
     return sweep(forward, reverse) if stepwise else scan(forward, reverse)
 
@@ -205,7 +211,7 @@ def scan(forward: Ahead, reverse: Reverse) -> Beliefs:
     """Smoothed moments of every slice, in 2 log₂ T rounds."""
     start = Moments(forward.mean[-1:], forward.cov[-1:])
     back = Conditional(*(part[::-1] for part in reverse.whole))
-    found = prefixes(start, levels(back, conditionals.compose), conditionals.push)
+    found = prefixes(start, levels(back, compose), push)
     mean = room(forward.mean.shape[:2], forward.mean.shape[2:])
     cov = room(forward.cov.shape[:2], forward.cov.shape[2:])
     mean[:-1], mean[-1:] = found.mean[::-1], start.mean
@@ -240,14 +246,12 @@ def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
     while left:
         if left % 2:
             ends = np.minimum(np.arange(reach, last + reach), last)
-            found = in_chunks(
-                conditionals.push, Moments(gather(mean, ends), gather(cov, ends)), back
-            )
+            found = in_chunks(push, Moments(gather(mean, ends), gather(cov, ends)), back)
             mean[:-1], cov[:-1] = found
         left //= 2
         if left:
             later, sooner, end = map(slice, (reach, None, -reach), (None, -reach, None))
-            both = in_chunks(conditionals.compose, take(back, later), take(back, sooner))
+            both = in_chunks(compose, take(back, later), take(back, sooner))
             parts = zip(both, take(back, end), strict=True)
             back = Conditional(*map(np.concatenate, parts))
             reach *= 2

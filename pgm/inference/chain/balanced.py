@@ -12,7 +12,7 @@ from pgm.factors import CanonicalForm
 from pgm.inference.chain.backward import transition
 from pgm.inference.chain.messages import absorbed
 from pgm.inference.chain.posterior import ChainPosterior
-from pgm.inference.kind import FILTERED, SMOOTHED
+from pgm.inference.status import FILTERED, SMOOTHED
 from pgm.kernels import canonical
 from pgm.kernels.arrays import block
 from pgm.kernels.canonical import Canonical

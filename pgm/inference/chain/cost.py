@@ -21,7 +21,6 @@ from pgm.inference.iteration import Point
 from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Filtering, Smoothing
 from pgm.kernels import banded, roots
-from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -29,6 +28,7 @@ from pgm.kernels.arrays import (
     apply,
     block,
     components_last,
+    difference,
     inner,
     multiply,
     transpose,

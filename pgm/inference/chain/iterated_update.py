@@ -19,8 +19,15 @@ from pgm.inference.chain.weights import SETTLED
 from pgm.inference.iteration import Anchor, Point, Solution, iterate
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
-from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, inner
+from pgm.kernels.arrays import (
+    Array,
+    Kind,
+    Mask,
+    components_first,
+    components_last,
+    difference,
+    inner,
+)
 
 # Reweighings of a step's measurements at the most.
 _REWEIGHINGS = 200

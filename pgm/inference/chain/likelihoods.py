@@ -30,9 +30,8 @@ from pgm.kernels.arrays import (
     sandwich,
     transpose,
 )
-from pgm.kernels.conditionals import Moments
 from pgm.kernels.elements import Belief, Likelihood, condition
-from pgm.kernels.scan import gather
+from pgm.kernels.scan import Moments, gather
 
 
 @dataclass(frozen=True, eq=False)

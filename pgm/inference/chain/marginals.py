@@ -17,10 +17,9 @@ from pgm.factors.scope import Scope, listed, positions
 from pgm.inference.associations import Found, Rejections
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.innovations import Innovations
-from pgm.inference.kind import FILTERED, Kind
 from pgm.inference.lost import Lost
 from pgm.inference.posterior import Posterior, require_variable
-from pgm.inference.status import Status
+from pgm.inference.status import FILTERED, Kind, Status
 from pgm.inference.summaries import marginals_over_time, over_time
 from pgm.kernels.arrays import Array, block
 from pgm.variables import Variable

@@ -6,17 +6,15 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from pgm.inference import faults
 from pgm.inference.chain import gate, readings, refusals
 from pgm.inference.chain.iterated_update import MomentUpdate, iterated
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading, Room
 from pgm.inference.iteration import Anchor
-from pgm.inference.rows import At
+from pgm.inference.rows import At, require_finite
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels import gaussian
-from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array, Mask, components_first, components_last, times, within
+from pgm.kernels.arrays import TURN, Array, Mask, components_first, components_last, times, within
 
 _HALF_TURN = 0.5 * TURN
 
@@ -198,7 +196,7 @@ class MomentChain:
         line = family.line(at, mean, cov)
         matrix, value, error = line
         if self.check and at.function is not None:
-            faults.require_finite(family, at.function, mean, line)
+            require_finite(family, at.function, mean, line)
         noise = at.noise
         if error is not None:
             noise = noise + error

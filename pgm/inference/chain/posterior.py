@@ -27,10 +27,9 @@ from pgm.inference.chain.messages import backward_messages
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.potentials import first_potential, potentials
 from pgm.inference.chain.weights_record import Weights, evidence_kind
-from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
-from pgm.inference.status import Status
+from pgm.inference.status import FILTERED, PREDICTED, SMOOTHED, Kind, Status
 from pgm.inference.summaries import over_time
 from pgm.kernels import canonical
 from pgm.kernels.arrays import Array, block, quiet

@@ -8,18 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference import faults
 from pgm.inference.chain import refusals
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import Measured, Vector, vector
 from pgm.inference.chain.weights import Weights, by_sighting, own_blocks, scale
 from pgm.inference.iteration import Anchor
-from pgm.inference.rows import At
+from pgm.inference.rows import At, require_finite
 from pgm.kernels import gaussian
-from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import (
     LOG_2PI,
+    TURN,
     Array,
     Mask,
     block,
@@ -276,7 +275,7 @@ class Reading:
         if function is not None:
             error = seen.noise if self.erroneous else None
             line = Line(seen.matrix, seen.value, error)
-            faults.require_finite(self.sensor.family, function, seen.point, line)
+            require_finite(self.sensor.family, function, seen.point, line)
 
     def keep(self) -> None:
         """Keep the linearisation of the sightings in the plan."""

@@ -15,7 +15,6 @@ from pgm.inference.chain.weights import Weights
 from pgm.inference.family import Family
 from pgm.inference.rows import At
 from pgm.kernels import along_runs, roots
-from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Index,
@@ -27,6 +26,7 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     independent,
+    nearest_branch,
 )
 from pgm.linearisers import BoundFunction
 from pgm.variables import Variable
@@ -206,7 +206,7 @@ class Sensor:
     def put(self, first: int, part: Sensor, *, after: bool) -> None:
         """Keep how the measurements of these steps were linearised."""
         row = self.bounds[first + after]
-        self.family.put(row, part.family)
+        self.family.put(slice(row, row + part.family.step.size), part.family)
         if self.variable.angles:
             self.moved[row : row + len(part.moved)] = part.moved
         if self.robust:

@@ -24,8 +24,7 @@ from pgm.inference.iteration import Anchor, Point, iterate
 from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Smoothing
 from pgm.inference.status import Status
-from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Mask, block, components_first, components_last
+from pgm.kernels.arrays import Array, Mask, block, components_first, components_last, nearest_branch
 from pgm.kernels.scan import gather
 from pgm.progress import counted
 
@@ -45,7 +44,7 @@ class Smoothed:
     @classmethod
     def of(cls, plan: ChainPlan, ahead: Ahead) -> Smoothed:
         """The backward pass."""
-        reverse = Reverse.make(plan, ahead)
+        reverse = Reverse.make(plan, ahead, smooth=True)
         paired = not plan.layout.single
         return cls(ahead, reverse, backward.smoothed(ahead, reverse), paired)
 

@@ -20,9 +20,8 @@ from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
-from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.schedule import Calibration, FixedLag, Smoothing
-from pgm.inference.status import Status, digits
+from pgm.inference.status import FILTERED, SMOOTHED, Kind, Status, digits
 from pgm.kernels.arrays import Array
 
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.clustergraph.structure import Forest
 from pgm.factors.axes import States, sizes
 from pgm.inference.discrete.place import positions, steps
 from pgm.inference.discrete.storage import Storage
-from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.semirings import SUM_PRODUCT
+from pgm.kernels.tables import SUM_PRODUCT
 from pgm.variables import Discrete
 
 # Entries of this matrix, at the most.

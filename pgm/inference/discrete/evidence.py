@@ -12,7 +12,7 @@ from pgm.factors.axes import States
 from pgm.inference.discrete.place import by_state
 from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
+from pgm.kernels.tables import LOG_SUM_PRODUCT, Semiring
 from pgm.progress import counted
 
 # Runs at once, less than which are computed one by one: loops over a few are short, and the tables

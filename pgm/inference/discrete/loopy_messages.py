@@ -19,7 +19,7 @@ from pgm.inference.discrete.storage import Storage, contiguous
 from pgm.inference.discrete.tree_passes import contradicted
 from pgm.inference.loopy import Directed
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.kernels.semirings import exp, log_sum
+from pgm.kernels.tables import exp, log_sum
 from pgm.variables import Discrete
 
 

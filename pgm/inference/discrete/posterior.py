@@ -1,7 +1,5 @@
 """Posteriors of discrete networks, and joints of variables of one cluster or of several."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.clustergraph.structure import Forest
 from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
@@ -21,12 +20,11 @@ from pgm.inference.discrete.first_question import FirstBeliefs
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs
 from pgm.inference.discrete.storage import Storage, sepset_between
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
-from pgm.inference.forest import Forest
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
 from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, frozen
-from pgm.kernels.semirings import exp
+from pgm.kernels.tables import exp
 from pgm.sizes import gibibytes
 from pgm.variables import Discrete, Variable
 

@@ -1,7 +1,5 @@
 """The layout of a graph's tables in one flat array, whose last axis, if any, is of runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +14,7 @@ from pgm.factors.axes import States, discrete, spread
 from pgm.inference.discrete.place import LARGE, Place, View, by_state
 from pgm.inference.discrete.sums import Marginals
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
+from pgm.kernels.tables import LOG_SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
 

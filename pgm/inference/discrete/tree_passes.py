@@ -1,7 +1,5 @@
 """Messages over a tree of tables, to the roots and back; evidence that contradicts the tables."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from pgm.inference.discrete.evidence import enter_everywhere, multiply, some_run
 from pgm.inference.discrete.storage import Storage, sepset_between
 from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array, Mask
-from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp, log_sum
+from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp, log_sum
 from pgm.variables import Discrete
 
 

@@ -5,8 +5,6 @@ entry of the sepset to their parent, the same number of children and parents of 
 stack: their tables are the columns of one matrix, so that the messages of a stack are one sum.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from operator import or_
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
+from pgm.clustergraph.structure import Forest
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference.discrete.enumeration import Enumeration
@@ -30,7 +29,6 @@ from pgm.inference.discrete.sums import (
     Sum,
     summed,
 )
-from pgm.inference.forest import Forest
 from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete

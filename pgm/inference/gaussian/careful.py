@@ -28,7 +28,7 @@ from pgm.inference.gaussian.layout import Layout
 from pgm.inference.gaussian.messages import Buffer
 from pgm.inference.gaussian.model import SHARE, Frame, Model, contradiction
 from pgm.inference.gaussian.tree import TreePlan
-from pgm.kernels import decimals, differences
+from pgm.kernels import decimals, slopes
 from pgm.kernels.arrays import Array, Integers, apply, deviation, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
 from pgm.linearisers import Taylor
@@ -229,7 +229,7 @@ def _rounding(model: Model, g: int) -> Array:
     share = np.ones((*at.shape[:-1], 1))
     if isinstance(rule, Taylor):
         some = list(template.numerical)
-        share += (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
+        share += (spread / slopes.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
         away = away if some else np.zeros_like(away)
     return ROUNDING * (here * share + away)
 

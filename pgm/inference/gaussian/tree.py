@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pgm.inference.forest import Forest
+from pgm.clustergraph.structure import Forest
 from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, Places
 from pgm.inference.gaussian.layout import Layout, Rounds, Stack
 from pgm.inference.gaussian.messages import Buffer

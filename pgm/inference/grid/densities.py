@@ -5,8 +5,6 @@ integrals: by how much is found by shifting the centres by parts of a cell. With
 normalised over the lattice, continued beyond the bounds; what is missing besides has left them.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -28,8 +26,7 @@ from pgm.inference.grid.values import (
     require_noise,
     settled,
 )
-from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import LOG_2PI, Array, Integers
+from pgm.kernels.arrays import LOG_2PI, TURN, Array, Integers
 from pgm.kernels.lattice import Span
 from pgm.sizes import require_memory
 from pgm.variables import Variable

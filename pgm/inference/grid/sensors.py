@@ -6,8 +6,6 @@ bearing less a heading is, with those of either, which is tested at every centre
 of them with each measurement.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -43,8 +41,7 @@ from pgm.inference.grid.values import (
     root_of,
     settled,
 )
-from pgm.kernels.angles import wrap
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, wrap
 
 # Exponents below this are none: products of such numbers would be slow, denormal ones.
 _LEAST = -600.0

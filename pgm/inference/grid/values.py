@@ -1,7 +1,5 @@
 """CPDs at many points of a lattice, with a step's evidence bound: means, noise, densities."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator, Mapping
 
@@ -13,8 +11,7 @@ from pgm.cpds.conditional import evaluate
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.arrays import IMPROPER
 from pgm.kernels import roots
-from pgm.kernels.angles import wrap
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Mask, wrap
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 

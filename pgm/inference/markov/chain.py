@@ -24,10 +24,10 @@ from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.display import titled
 from pgm.errors import GraphError, ModelError
 from pgm.inference import sweep
-from pgm.inference.kind import Kind
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.inference.status import Kind
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import SUM_PRODUCT, Semiring
+from pgm.kernels.tables import SUM_PRODUCT, Semiring
 from pgm.progress import counted
 
 # Beliefs above this, times factors whose product is, are numbers with all their digits.

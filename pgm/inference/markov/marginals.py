@@ -1,7 +1,5 @@
 """Marginals of a chain of tables at all steps, joints of slices, and the most probable path."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,13 +10,13 @@ from pgm.display import NoArray, Shown, Summary
 from pgm.factors import Table
 from pgm.factors.axes import States, discrete, sizes
 from pgm.inference.chain.marginals import located
-from pgm.inference.kind import Kind
 from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.contraction import Move
 from pgm.inference.markov.plan import SlicePlan, TableSlices
+from pgm.inference.status import Kind
 from pgm.inference.summaries import marginals_over_time
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.kernels.semirings import MAX_PRODUCT
+from pgm.kernels.tables import MAX_PRODUCT
 from pgm.progress import counted
 from pgm.variables import Variable
 

@@ -18,17 +18,16 @@ from pgm.evidence import BoundEvidence
 from pgm.factors import Table
 from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
-from pgm.inference.kind import FILTERED, PREDICTED, Kind
 from pgm.inference.markov.chain import TINY, BackwardChain, StateChain, smallest
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.run import require_beliefs
 from pgm.inference.online import step_evidence
 from pgm.inference.posterior import require_variable
 from pgm.inference.schedule import Filtering, FixedLag
-from pgm.inference.status import Status
+from pgm.inference.status import FILTERED, PREDICTED, Kind, Status
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array, frozen
-from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 from pgm.linearisers import TAYLOR
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable

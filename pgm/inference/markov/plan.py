@@ -19,8 +19,8 @@ from pgm.factors.runs import in_run
 from pgm.inference.markov.contraction import Contraction, Factor, Label, Move
 from pgm.inference.markov.weights import InputTables, Weights, smallest_entry
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.kernels.stochastic import Dense
+from pgm.kernels.tables import SUM_PRODUCT, Semiring
 from pgm.variables import Variable
 
 ADVICE = (

@@ -1,7 +1,5 @@
 """The results of inference on a chain of tables: beliefs over time, joints, messages."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,13 +16,12 @@ from pgm.factors import Table
 from pgm.factors.axes import discrete, sizes
 from pgm.factors.scope import Scope, as_scope
 from pgm.inference.chain.marginals import located
-from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
 from pgm.inference.markov.marginals import Beliefs, StateMarginals, joint, pair, potential
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
-from pgm.inference.status import Status
+from pgm.inference.status import FILTERED, PREDICTED, SMOOTHED, Kind, Status
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Variable

@@ -18,16 +18,15 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import BoundEvidence
-from pgm.inference.kind import FILTERED
 from pgm.inference.markov.chain import TINY, StateChain, kind_of, require_chain, smallest
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.schedule import Schedule
-from pgm.inference.status import Status
+from pgm.inference.status import FILTERED, Status
 from pgm.kernels import markov
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.kernels.stochastic import Dense, Transition
+from pgm.kernels.tables import LOG_SUM_PRODUCT
 from pgm.progress import counted
 from pgm.sizes import require_memory
 

@@ -12,7 +12,7 @@ from pgm.cpds import TableCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import Reading
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import SUM_PRODUCT, Semiring, log_sum
+from pgm.kernels.tables import SUM_PRODUCT, Semiring, log_sum
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:

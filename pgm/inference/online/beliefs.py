@@ -21,13 +21,12 @@ from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
-from pgm.inference.kind import Kind
 from pgm.inference.lost import PageTest
 from pgm.inference.online.judged import Decided, Watch
 from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
 from pgm.inference.schedule import Filtering, FixedLag
-from pgm.inference.status import Status, digits
+from pgm.inference.status import Kind, Status, digits
 from pgm.inference.summaries import at_a_step
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, Integers, Mask, block, symmetric

@@ -21,7 +21,6 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.value import Grid
-from pgm.inference.kind import FILTERED, PREDICTED
 from pgm.inference.markov.online import online_tables
 from pgm.inference.online import step_evidence
 from pgm.inference.online.associating import associated, leaves_open
@@ -47,7 +46,7 @@ from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.value import Particles
 from pgm.inference.points import PointMasses, online_points
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
-from pgm.inference.status import Status
+from pgm.inference.status import FILTERED, PREDICTED, Status
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.inference.chain.readings import Moments
-from pgm.inference.kind import FILTERED, PREDICTED
 from pgm.inference.online.beliefs import OnlineBelief, belief_of, nothing_to_iterate, refuse
 from pgm.inference.online.window import Make, Sliding
-from pgm.inference.status import Status, digits
+from pgm.inference.status import FILTERED, PREDICTED, Status, digits
 from pgm.kernels.arrays import Array
 
 

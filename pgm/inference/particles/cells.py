@@ -12,10 +12,9 @@ from pgm.errors import EvidenceError, ModelError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.inference.particles.cloud import BLOCK
-from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import TURN, Array
 from pgm.kernels.resampling import indices, systematic
-from pgm.kernels.semirings import log_sum
+from pgm.kernels.tables import log_sum
 from pgm.variables import Variable
 
 if TYPE_CHECKING:

@@ -20,8 +20,7 @@ from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.arrays import IMPROPER
 from pgm.inference.particles.cloud import Block
 from pgm.kernels import normal, roots
-from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+from pgm.kernels.arrays import LOG_2PI, TURN, Array, Integers, Mask
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 

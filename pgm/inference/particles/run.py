@@ -1,14 +1,11 @@
 """Running a schedule with particles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference import sweep
-from pgm.inference.kind import FILTERED, Kind
 from pgm.inference.markov.chain import kind_of, require_chain
 from pgm.inference.particles.backward import Backward
 from pgm.inference.particles.chain import ParticleChain
@@ -19,6 +16,7 @@ from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.status import Record
 from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import Schedule
+from pgm.inference.status import FILTERED, Kind
 from pgm.networks import DynamicBayesianNetwork
 from pgm.sizes import gibibytes, require_memory
 

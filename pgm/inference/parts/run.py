@@ -18,13 +18,12 @@ from pgm.inference.chain.association import associated
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
-from pgm.inference.kind import Kind
 from pgm.inference.options import Start, require_gaussian
 from pgm.inference.parts.parcels import Shape, address
 from pgm.inference.parts.split import Part, joined, one_status, split, swept_once
 from pgm.inference.parts.workers import Workers
 from pgm.inference.schedule import Calibration, Filtering, Schedule
-from pgm.inference.status import Status
+from pgm.inference.status import Kind, Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
 from pgm.progress import counted

@@ -24,9 +24,8 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
-from pgm.inference.kind import FILTERED, SMOOTHED
 from pgm.inference.options import Start, over_runs, require_hidden
-from pgm.inference.status import Status
+from pgm.inference.status import FILTERED, SMOOTHED, Status
 from pgm.kernels.arrays import Array, cut, frozen
 from pgm.linearisers import Lineariser
 

@@ -28,7 +28,7 @@ from pgm.inference.discrete.run import of_tree
 from pgm.inference.discrete.tree_passes import ADVICE
 from pgm.inference.query.plan import EliminationPlan, Requisite, Step, certain
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Discrete, Variable
 

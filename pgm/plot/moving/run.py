@@ -1,7 +1,5 @@
 """The run of a filter and a smoother as a moving picture."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from os import PathLike
@@ -20,7 +18,7 @@ from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import ChainPosterior, ParticlePosterior
-from pgm.inference.kind import SMOOTHED
+from pgm.inference.status import SMOOTHED
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import Unit
 from pgm.plot.beliefs.plane import as_landmarks, name_plane

@@ -1,7 +1,5 @@
 """Errors over time: of one run against its own deviations, of many runs, and divergences."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import matplotlib.pyplot as plt
@@ -14,7 +12,7 @@ from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import Kind
-from pgm.kernels.angles import difference
+from pgm.kernels.arrays import difference
 from pgm.plot.axes import (
     Unit,
     along,
