@@ -49,9 +49,8 @@ class Trace:
         return {}
 
     def _made(self, columns: tuple[Column, ...]) -> Program:
-        graph = self.graph.copy()
-        inputs = [graph.input(*column) for column in columns]
-        rows = derivatives(graph, self.outputs, inputs)
+        places = [self.graph.input(*column) for column in columns]
+        graph, rows = derivatives(self.graph, self.outputs, places)
         slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
         return Program(graph, self.widths, columns, self.outputs, slope)
 
