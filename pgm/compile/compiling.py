@@ -12,7 +12,7 @@ from pgm.compile.methods import JunctionTree
 from pgm.display import titled
 from pgm.errors import GraphError, ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 
 TREE = JunctionTree()
 

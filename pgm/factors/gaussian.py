@@ -47,7 +47,7 @@ from pgm.factors.scope import (
 from pgm.immutable import Immutable
 from pgm.kernels import moments, normal, roots
 from pgm.kernels.arrays import Array, Integers, block, deviation, difference, frozen, wrap
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Variable
 
 
