@@ -12,7 +12,7 @@ LAYERS = [
         *("boundary", "display", "errors", "immutable", "progress", "resources"),
         *("variables", "kernels"),
     },
-    {"factors"},
+    {"factors", "tracing"},
     {"linearisers"},
     {"cpds", "maps"},
     {"evidence"},

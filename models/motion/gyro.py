@@ -48,7 +48,7 @@ def drifting_by_bias(x: Array, u: Array, b: Array) -> Array:
 
 def _corrected(u: Array, b: Array) -> Array:
     """Controls with the turn that the gyro should have told."""
-    out = np.empty(np.broadcast_shapes(u.shape, (*b.shape[:-1], 3)))
+    out = np.empty_like(u, dtype=float, shape=np.broadcast_shapes(u.shape, (*b.shape[:-1], 3)))
     out[..., 0], out[..., 2] = u[..., 0], u[..., 2]
     out[..., 1] = u[..., 1] - u[..., 2] * b[..., 0]
     return out

@@ -29,6 +29,7 @@ from pgm.clustergraph.cluster import (
     spanning_tree,
     work,
 )
+from pgm.cpds.jacobians import check_jacobians
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed
@@ -262,15 +263,19 @@ class ClusterGraph(Drawn, Immutable):
         """The families of all CPDs of the network, each of which needs a cluster."""
         return (cpd.scope for cpd in self.network.cpds)
 
-    def check(self) -> None:
+    def check(self, *, jacobians: bool = False) -> None:
         """Prove family preservation and running intersection, or raise a `GraphError`.
 
-        It names the variable and the clusters concerned.
+        It names the variable and the clusters concerned. With `jacobians`, given Jacobians are
+        compared, too, with the derivatives of their functions' traces (differences, where there is
+        none), at the prior's mean and at drawn points: a `ModelError` names the wrong entry.
         """
         clusters = list(self.clusters)
         scopes = [cluster.scope for cluster in clusters]
         check_families(scopes, [cluster.families for cluster in clusters], self.families())
         check_running_intersection(scopes, self.sepsets)
+        if jacobians:
+            check_jacobians(self.network.cpds)
 
     def to_networkx(self) -> nx.Graph:
         """The structure as a graph: nodes are indices with ``cluster``; edges have ``sepset``."""

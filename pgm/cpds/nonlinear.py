@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds.conditional import ConditionalGaussian, Noise
+from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, called, number
 from pgm.errors import ModelError
@@ -18,6 +19,7 @@ from pgm.factors.scope import Scope, components, listed
 from pgm.kernels.arrays import Array
 from pgm.linearisers import FunctionTemplate, Lineariser
 from pgm.linearisers.calls import Call
+from pgm.tracing import Tracer
 from pgm.variables import Variable
 
 
@@ -69,6 +71,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
     jacobian: Mapping[Variable, Callable[..., Any]]
     lineariser: Lineariser | None
     grouped: bool
+    _tracer: Tracer
 
     def __init__(
         self,
@@ -115,7 +118,43 @@ class NonlinearGaussianCPD(ConditionalGaussian):
             jacobian=MappingProxyType(derivatives),
             lineariser=lineariser,
             grouped=grouped,
+            # Copies at steps have it, too.
+            _tracer=Tracer(
+                function, [parent.dimension for parent in self.given], self.child.angle_mask
+            ),
         )
+
+    @property
+    def derivatives(self) -> Derivatives:
+        """How the derivative by each parent is found: given, traced or numerical, and why."""
+        return Derivatives(self)
+
+    def source(self) -> str:
+        """The code that NumPy computes the traced function and its derivative with.
+
+        Its arguments are arrays (..., dimension); a value (d, ...) and the derivative by all
+        parents, (d, n, ...), are written to.
+
+        Raises
+        ------
+        ModelError
+            If the function has no trace.
+
+        Examples
+        --------
+        >>> from pgm.examples import square
+        >>> print(square.cpds[1].source())
+        def batch(a0, value, slope):
+            t0 = a0[..., 0]
+            t2 = multiply(t0, t0, out=value[0, ...])
+            t4 = add(t0, t0, out=slope[0, 0, ...])
+        """
+        if not self._tracer.confirm([np.zeros(parent.dimension) for parent in self.given]):
+            raise ModelError(
+                f"{self!r}: its function has no trace: {self._tracer.reason}", cpd=self
+            )
+        assert self._tracer.trace is not None
+        return self._tracer.trace.program(self._template(self.given).columns).batch_source
 
     def _parts(self) -> list[str | Listing]:
         by = f", Jacobians by ({listed(self.jacobian)})" if self.jacobian else ""
@@ -143,6 +182,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
             function=self.function,
             jacobians=tuple(self.jacobian.get(parent) for parent in self.given),
             variances=self._variances,
+            tracer=self._tracer,
         )
 
     @cached_property

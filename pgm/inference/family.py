@@ -352,19 +352,40 @@ class Family(Rows):
         if self.template is None or not self.step.size:
             return
         axes = (2, 3)
+        known = [
+            None if value is None else np.broadcast_to(value, (*axes, value.size))
+            for value in self._observed
+        ]
         parts = [means.get(v.template, np.zeros(v.dimension)) for v in self.hidden]
         x = np.broadcast_to(np.concatenate([np.zeros(0), *parts]), (*axes, dimension(self.hidden)))
-        known = [
-            np.broadcast_to(self.inputs[parent][0, 0], (*axes, parent.dimension))
+        function = BoundFunction(self.template, known, 2, source=Source(self.cpd, True, None))
+        with np.errstate(all="ignore"):
+            function(x)
+            if len(self.template.missing) < self.template.size:
+                function.jacobian(x)
+
+    def confirm(self, means: Mapping[Variable, Array]) -> None:
+        """Compare the function with its trace, about the means and its first evidence."""
+        template = self.template
+        if template is None or template.tracer is None or not template.missing:
+            return
+        template.tracer.confirm(
+            [
+                means.get(parent.template, np.zeros(parent.dimension)) if value is None else value
+                for parent, value in zip(template.given, self._observed, strict=True)
+            ]
+        )
+
+    @property
+    def _observed(self) -> list[Array | None]:
+        """The first values of each argument with evidence, (d,)."""
+        assert self.template is not None
+        return [
+            (self.inputs[parent][0, 0] if self.step.size else np.zeros(parent.dimension))
             if place is None
             else None
             for parent, place in zip(self.template.given, self.template.places, strict=True)
         ]
-        function = BoundFunction(self.template, known, 2, source=Source(self.cpd, True, None))
-        with np.errstate(all="ignore"):
-            function(x)
-            if len(self.template.numerical) < self.template.size:
-                function.jacobian(x)
 
 
 def _unplaced(function: BoundFunction) -> At:

@@ -94,6 +94,11 @@ class Rows:
         """Whose function it is, for messages."""
         return Source(self.cpd, self.timed, self.first_run)
 
+    @cached_property
+    def _live(self) -> Source:
+        """The same, of calls between which the caller's program goes on."""
+        return self.source._replace(live=True)
+
     def at(self, first: int, last: int) -> At:
         """Some rows, a step's, to be linearised as one."""
         if self.template is None:
@@ -131,9 +136,7 @@ class Rows:
             return At(None, np.tile(matrix, (count, 1)), offset, noise, 0, count)
         arguments = [None if place is None else inputs[place] for place in self.order]
         group = None if count == 1 else count
-        function = BoundFunction(
-            self.template, arguments, 0, step, group, self.grouped, self.source
-        )
+        function = BoundFunction(self.template, arguments, 0, step, group, self.grouped, self._live)
         return At(function, None, None, noise, 0, count)
 
     def _wide(self, inputs: Sequence[Array], count: int) -> dict[Variable, Array]:

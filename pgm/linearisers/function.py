@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.immutable import set_writeable
-from pgm.kernels import slopes
 from pgm.kernels.arrays import (
     Array,
     Index,
@@ -20,8 +20,11 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     difference,
+    quiet,
 )
+from pgm.kernels.slopes import jacobian as by_differences
 from pgm.linearisers.calls import Call
+from pgm.tracing import Program, Tracer
 from pgm.variables import Variable
 
 Function = Callable[..., Any]
@@ -49,6 +52,8 @@ class FunctionTemplate:
         The derivative by each parent, where one was given.
     variances : tuple of float
         The least variance of each component's own noise; zero where it is not known beforehand.
+    tracer : Tracer, optional
+        Of the function; derivatives that were not given are its trace's, where it has one.
 
     Examples
     --------
@@ -65,6 +70,7 @@ class FunctionTemplate:
     function: Function
     jacobians: tuple[Function | None, ...]
     variances: tuple[float, ...]
+    tracer: Tracer | None = None
 
     @cached_property
     def angles(self) -> Mask:
@@ -131,8 +137,8 @@ class FunctionTemplate:
         return [int(k) for k in np.flatnonzero(self.angles)]
 
     @cached_property
-    def numerical(self) -> tuple[int, ...]:
-        """The stacked components whose derivative has to be taken by differences."""
+    def missing(self) -> tuple[int, ...]:
+        """The stacked components by which no derivative was given."""
         return tuple(
             int(k)
             for _, _, place, jacobian in self.derivatives
@@ -140,16 +146,45 @@ class FunctionTemplate:
             for k in np.arange(self.size)[place]
         )
 
+    @cached_property
+    def columns(self) -> tuple[tuple[int, int], ...]:
+        """Of each stacked component: its argument, and its place there."""
+        places = [(a, place) for a, place in enumerate(self.places) if place is not None]
+        each = {
+            int(k): (a, i) for a, place in places for i, k in enumerate(np.arange(self.size)[place])
+        }
+        return tuple(each[k] for k in range(self.size))
+
+    @cached_property
+    def _missing_columns(self) -> tuple[tuple[int, int], ...]:
+        return tuple(self.columns[k] for k in self.missing)
+
+    @property
+    def program(self) -> Program | None:
+        """What computes the value and the missing derivatives; None where there is no trace."""
+        tracer = self.tracer
+        if tracer is None or tracer.trace is None or not self.missing:
+            return None
+        return tracer.trace.program(self._missing_columns)
+
+    @property
+    def numerical(self) -> tuple[int, ...]:
+        """The stacked components whose derivative has to be taken by differences."""
+        return self.missing if self.program is None else ()
+
 
 class Source(NamedTuple):
     """Whose function it is, for messages and for programs that handle an error.
 
-    `timed` says whether the step is one in time; `first_run` is None in a trial call.
+    `timed` says whether the step is one in time; `first_run` is None in a trial call. Of one that
+    is `live` other calls lie between those for its plan and this one: whatever it refers to may
+    have changed, so that its trace is compared with it each time.
     """
 
     cpd: Any = None
     timed: bool = True
     first_run: int | None = 0
+    live: bool = False
 
 
 class BoundFunction(NamedTuple):
@@ -221,7 +256,7 @@ class BoundFunction(NamedTuple):
     @property
     def analytic(self) -> bool:
         """Whether the user gave the derivative by every hidden parent."""
-        return not self.template.numerical
+        return not self.template.missing
 
     def residual(self, a: Array, b: Array) -> Array:
         """The difference a − b of values, (..., d), angles wrapped to [−π, π)."""
@@ -250,7 +285,7 @@ class BoundFunction(NamedTuple):
         return value if not self.lead else _along_runs(value, 1)
 
     def jacobian(self, x: Array, std: Array | None = None) -> Array:
-        """The derivative, as the user gave it, else by central differences.
+        """The derivative, as the user gave it, else its trace's, else by central differences.
 
         Parameters
         ----------
@@ -264,7 +299,10 @@ class BoundFunction(NamedTuple):
         ndarray
             (..., d, n).
         """
-        return _along_runs(self._jacobian(x, std, *self._arguments(x)), 2)
+        arguments, shape = self._arguments(x)
+        traced = self._traced(x, std, arguments, shape)
+        slopes = None if traced is None else traced[1]
+        return _along_runs(self._jacobian(x, std, arguments, shape, slopes), 2)
 
     def tangent(self, x: Array, std: Array | None = None) -> tuple[Array, Array]:
         """The value, (..., d), and the derivative, (..., d, n); arguments as of `jacobian`."""
@@ -272,7 +310,11 @@ class BoundFunction(NamedTuple):
         derivative = template.derivative
         if derivative is None or group is not None:
             arguments, shape = self._arguments(x)
-            return self._value(x, arguments, shape), self._jacobian(x, std, arguments, shape)
+            traced = self._traced(x, std, arguments, shape)
+            if traced is not None and len(template.missing) == template.size:
+                return traced
+            value, slopes = traced or (self._value(x, arguments, shape), None)
+            return value, self._jacobian(x, std, arguments, shape, slopes)
         # Of a single hidden parent the derivative is all of the Jacobian.
         if lead:
             arguments, shape = self._arguments(x)
@@ -306,19 +348,63 @@ class BoundFunction(NamedTuple):
         value = self._call("function", template.function, x, arguments, (*shape, template.height))
         return value if self.group is None else value.reshape(*x.shape[:-1], -1)
 
-    def _jacobian(
+    def _traced(
         self, x: Array, std: Array | None, arguments: list[Array], shape: tuple[int, ...]
+    ) -> tuple[Array, Array] | None:
+        """The value, (..., d), and the missing derivatives, (..., d, n), by the trace."""
+        program = self.template.program
+        if program is None or self.template.tracer is None:
+            return None
+        if shape:
+            value, slope = program.batch(arguments, shape)
+            value, slope = components_last(value, 1), components_last(slope, 2)
+            if self.group is not None:
+                value = value.reshape(*x.shape[:-1], -1)
+                slope = slope.reshape(*x.shape[:-1], -1, slope.shape[-1])
+            finite = isfinite(value.sum() + slope.sum())
+        else:
+            value, slope, finite = program.single(arguments)
+        compared = self.template.tracer.compared
+        unsure = self.source.live or shape not in compared
+        if unsure or not finite:
+            # Warnings and errors are the function's own.
+            due = self._value(x, arguments, shape)
+            if unsure and not _alike(due, value, self.angles):
+                return None
+            compared.add(shape)
+            value = due
+        if not finite:
+            numerical = self._differences(x, std)[..., list(self.template.missing)]
+            slope = np.where(np.isfinite(slope), slope, numerical)
+        if len(self.template.missing) < self.template.size:
+            wide = np.zeros((*slope.shape[:-1], self.template.size))
+            wide[..., list(self.template.missing)] = slope
+            slope = wide
+        return value, slope
+
+    def _differences(self, x: Array, std: Array | None) -> Array:
+        spread = np.zeros_like(x) if std is None else std
+        return by_differences(self.__call__, x, spread, self.angles)
+
+    def _jacobian(
+        self,
+        x: Array,
+        std: Array | None,
+        arguments: list[Array],
+        shape: tuple[int, ...],
+        slopes: Array | None = None,
     ) -> Array:
         template = self.template
-        if template.numerical:
-            spread = np.zeros_like(x) if std is None else std
-            numerical = slopes.jacobian(self.__call__, x, spread, self.angles)
-            if len(template.numerical) == template.size:
-                return numerical
+        if template.missing:
+            if slopes is None:
+                slopes = self._differences(x, std)
+            if len(template.missing) == template.size:
+                return slopes
         parts = []
         for role, width, place, derivative in template.derivatives:
             if derivative is None:
-                parts.append(numerical[..., place])
+                assert slopes is not None
+                parts.append(slopes[..., place])
                 continue
             due = (*shape, template.height, width)
             part = self._call(role, derivative, x, arguments, due)
@@ -368,6 +454,13 @@ class BoundFunction(NamedTuple):
         step = self.step if source.timed else None
         lead = x.shape[: self.lead]
         return Call(self.template.child, role, lead, step, source.first_run, source.cpd)
+
+
+def _alike(a: Array, b: Array, angles: Mask) -> bool:
+    """Whether two values (..., d) are the same but for rounding."""
+    with quiet():
+        error = np.abs(difference(a, b, angles))
+        return bool(((error <= 1e-9 * (1.0 + np.abs(a))) | (np.isnan(a) & np.isnan(b))).all())
 
 
 def sealed(array: Array) -> Array:

@@ -39,7 +39,7 @@ class Taylor(ArrayLineariser):
         -------
         Prepared
         """
-        return _numerical if template.numerical else _analytic
+        return _numerical if template.missing else _analytic
 
     @staticmethod
     def needs_cov(template: FunctionTemplate) -> bool:
@@ -64,6 +64,8 @@ def _analytic(function: BoundFunction, mean: Array, cov: Array) -> Line:
 
 
 def _numerical(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    if isinstance(function, BoundFunction) and not function.template.numerical:
+        return _analytic(function, mean, cov)
     return _tangent(function, mean, components_last(deviations(cov), 1))
 
 

@@ -12,7 +12,7 @@ from pgm.errors import EvidenceError
 from pgm.immutable import Immutable
 from pgm.kernels import rigid
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.recordings.dropped import Dropped
+from pgm.recordings.mending import Dropped
 from pgm.recordings.motion import PLANAR
 from pgm.recordings.recording import Recording
 from pgm.recordings.scans import Scans

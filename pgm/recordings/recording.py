@@ -20,7 +20,7 @@ from pgm.io.timeline import Timeline, joined
 from pgm.kernels import rigid
 from pgm.kernels.arrays import Array
 from pgm.recordings import checks, handing, mending, motion, reference, summaries
-from pgm.recordings.dropped import Dropped
+from pgm.recordings.mending import Dropped
 from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
 from pgm.variables import Variable
@@ -34,34 +34,30 @@ _MORE = ("imu", "fixes", "scans", "mounts", "dropped")
 class Recording(Shown, NoArray, Immutable):
     """A recorded drive in the plane: streams of rows, each with its own stamps.
 
-    Rows are put in order of time. Measurements that are NaN, and measurements that repeat another
-    in all that they hold, are left out; increments that do are driven. `dropped` and the printed
-    summary tell of each.
+    Rows are put in order of time. Measurements that are NaN, or repeat another in all that they
+    hold, are left out; increments that do are driven. `dropped` and the summary tell of each.
 
     Parameters
     ----------
     odometry : Stream, optional
-        Increments since the stamp before: (distance, turn) along an arc, (forward, left, turn) as
-        one pose is seen from another, or (rot1, trans, rot2); metres and radians.
+        Increments since the stamp before: (distance, turn) along an arc, (forward, left, turn), or
+        (rot1, trans, rot2); metres and radians.
     velocities : Stream, optional
         Held until the next stamp: (v, omega), or (v_forward, v_left, omega); m/s and rad/s.
     sightings : mapping of str to Stream, optional
-        By sensor: range [m], bearing [rad], or whatever it measures.
-    landmarks : mapping, optional
-        Positions [m], (2,) or (3,), by identity.
-    landmark_cov : mapping, optional
-        Their covariances, by identity, where they are known.
+        By sensor.
+    landmarks, landmark_cov : mapping, optional
+        Positions [m], (2,) or (3,), and their covariances, by identity.
     truth : Stream or Poses, optional
         The reference: (east, north, heading) or (east, north).
     imu, fixes : Stream, optional
-        Inertial readings; and positions, as of satellites: (east, north) or more.
+        Inertial readings; positions, as of satellites, (east, north) or more.
     scans : mapping of str to Scans, optional
         By laser.
     mounts : mapping of str to array_like, optional
         Where a sensor or laser sits on the robot: (forward [m], left [m], turn [rad]).
     name : str, optional
     dropped : sequence of Dropped, optional
-        Rows that a reader has left out.
 
     Raises
     ------
@@ -158,19 +154,18 @@ class Recording(Shown, NoArray, Immutable):
         )
 
     def replace(self, **changes: Any) -> Recording:
-        """A recording that differs in some of its attributes."""
+        """The recording with other attributes."""
         return Recording(**{name: getattr(self, name) for name in (*_PARTS, *_MORE)} | changes)
 
     @property
     def times(self) -> Array:
-        """The times at which rows of the motion begin and end, seconds, increasing."""
+        """The times at which rows of the motion begin and end [s]."""
         return self._motion().axis
 
     def stamps(self, *sensors: str, tolerance: float = 0.0) -> Array:
-        """One axis of the stamps of the motion and of sensors, within the motion's time.
+        """The stamps of the motion, and of sensors within its time; all sensors and fixes without.
 
-        With a state at each of them `timeline` moves no measurement, or none by more than a
-        tolerance [s]. Without names the sensors are all that have sightings, and the fixes.
+        Those within a tolerance [s] are one.
         """
         spans = self._motion()
         spans.require_time()
@@ -206,26 +201,11 @@ class Recording(Shown, NoArray, Immutable):
     def resampled(
         self, times: npt.ArrayLike | None = None, *, period: float | None = None
     ) -> Recording:
-        """Motion between given times, composed exactly; truth and velocities at them.
+        """The recording with motion between given times (m,) or every `period` seconds.
 
-        Parameters
-        ----------
-        times : array_like
-            (m,), seconds, increasing, within the time of the motion.
-        period : float
-            Instead of times: seconds from one to the next.
-
-        Returns
-        -------
-        Recording
-            Its odometry is (forward, left, turn) from time to time, of the odometry or else of the
-            velocities, which are held; motion has no variances. Sightings keep their stamps. Truth
-            is `truth_at`, left out where it does not reach over all times.
-
-        Raises
-        ------
-        EvidenceError
-            If times do not increase, or the motion does not cover them.
+        Its odometry is (forward, left, turn), composed exactly, of the odometry or else of the
+        velocities, which are held; it has no variances. Sightings keep their stamps. Truth is
+        `truth_at`, left out where it does not reach over all times.
         """
         spans = self._motion()
         if (times is None) == (period is None):
@@ -250,25 +230,20 @@ class Recording(Shown, NoArray, Immutable):
         return self.replace(**changes)
 
     def merged(self) -> Recording:
-        """The recording with motion from each stamp of any stream to the next: `stamps`."""
+        """The recording `resampled` at `stamps`."""
         return self.resampled(self.stamps())
 
     def dead_reckoning(
         self, start: npt.ArrayLike | None = None, times: npt.ArrayLike | None = None
     ) -> Stream:
-        """Poses by the motion alone, composed exactly.
+        """Poses (east, north, heading) by the motion alone, composed exactly, not wrapped.
 
         Parameters
         ----------
         start : array_like, optional
-            (3,): east [m], north [m], heading [rad] at the first time; the truth's without.
+            (3,), at the first time; the truth's without.
         times : array_like, optional
             (m,), seconds; those of the motion's rows without.
-
-        Returns
-        -------
-        Stream
-            (east, north, heading); the heading is not wrapped.
         """
         spans = self._motion()
         axis = spans.axis if times is None else checks.increasing(times)
@@ -287,19 +262,9 @@ class Recording(Shown, NoArray, Immutable):
         return Stream(axis, rigid.path(pose, spans.between(axis)), POSE)
 
     def truth_at(self, times: npt.ArrayLike, *, longest: float | None = None) -> Stream:
-        """The truth at given times, between its own on a line; headings are not wrapped.
+        """The truth at given times (m,), between its own on a line; headings are not wrapped.
 
-        Parameters
-        ----------
-        times : array_like
-            (m,), seconds.
-        longest : float, optional
-            The longest gap [s] between two rows of truth that is bridged so; any without.
-
-        Raises
-        ------
-        EvidenceError
-            If there is no truth, or a time is not within it or falls into a longer gap.
+        A time outside, or in a gap longer than `longest` [s], raises an `EvidenceError`.
         """
         if self.truth is None or not len(self.truth):
             raise EvidenceError(f"{self._title} has no truth")
@@ -318,14 +283,7 @@ class Recording(Shown, NoArray, Immutable):
     def calibrated(
         self, sensor: str, scale: float = 1.0, offset: float = 0.0, *, component: str = "range"
     ) -> Recording:
-        """The recording with readings = scale · value + offset of a sensor undone.
-
-        Parameters
-        ----------
-        sensor : str
-        scale, offset : float
-        component : str, optional
-        """
+        """The recording with readings = scale · value + offset of a sensor undone."""
         if not (is_number(scale) and np.isfinite(scale) and scale > 0.0):
             raise EvidenceError(f"scale is a positive number, not {scale!r}")
         if not (is_number(offset) and np.isfinite(offset)):
@@ -365,16 +323,11 @@ class Recording(Shown, NoArray, Immutable):
         sensors : mapping of Variable to str, optional
             The name of the sensor that each is evidence of; ``fixes`` and ``imu`` are such, too.
         landmark : Variable, optional
-            The observed parent of the sensors whose rows have subjects: its evidence is the place
-            of each.
+            The observed parent of the sensors whose rows have subjects: the place of each, which
+            they must have (`located`).
         tolerance : float, optional
             As of `pgm.timeline`.
 
-        Raises
-        ------
-        EvidenceError
-            If a stream or component is not there, or a sighting's subject has no place: `located`
-            leaves these out.
         """
         named = as_mapping(sensors, "sensors=")
         for variable in named:

@@ -33,9 +33,9 @@ class Stream(Shown, NoArray, Immutable):
     components : sequence of str
         The d names of the columns.
     subject : array_like, optional
-        (n,): the identity of each row's landmark, numbers or words; None where it is unknown.
+        (n,): whole numbers or words, each row's landmark; None where unknown.
     variances : array_like, optional
-        (n, d), of the noise, where the file says it.
+        (n, d), of the noise.
     begin : float, optional
         Of increments: when the first of them begins, seconds. Without it, the first row only
         stamps the moment from which the second counts.
@@ -43,7 +43,7 @@ class Stream(Shown, NoArray, Immutable):
     Raises
     ------
     EvidenceError
-        If shapes do not fit each other, stamps are not finite seconds, or variances are negative.
+        If shapes do not fit, stamps are not finite, or variances are negative.
 
     Examples
     --------
@@ -133,22 +133,12 @@ class Stream(Shown, NoArray, Immutable):
         )
 
     def replace(self, **changes: Any) -> Stream:
-        """A stream that differs in some of its attributes."""
+        """The stream with other attributes."""
         given = {name: getattr(self, name) for name in type(self).__annotations__ if name[0] != "_"}
         return Stream(**given | changes)
 
     def to_frame(self) -> Any:
-        """A data frame of the rows, by stamp.
-
-        Returns
-        -------
-        pandas.DataFrame
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
+        """A `pandas.DataFrame` of the rows, by stamp."""
         pandas = optional("pandas", "to_frame", FRAMES)
         frame = pandas.DataFrame(
             self.values, columns=list(self.components), index=pandas.Index(self.stamps, name="t")

@@ -102,7 +102,8 @@ def test_a_relinearisation_takes_equally_many_calls_for_any_number_of_steps(rule
 
     few = added(3)
     assert few == added(60)
-    assert 2 <= few["drive"] + few["drive by state"] <= 4
+    traced = rule == "taylor" and not jacobians  # and called in the first pass alone
+    assert 2 * (not traced) <= few["drive"] + few["drive by state"] <= 4
     assert few["drive"] <= 4
     assert few["sight"] <= 4
 

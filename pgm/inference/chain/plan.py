@@ -227,6 +227,7 @@ class ChainPlan:
             if made.cpd not in layout.probed:
                 made.probe(means)
                 layout.probed.update([made.cpd] * bool(made.step.size))
+            made.confirm(means)
         return plan
 
 

@@ -173,6 +173,7 @@ class Model:
         taken = [_taken(group, bound) for group in layout.groups]
         for family in families:
             family.probe({})
+            family.confirm({})
         alike = all(mask is None or mask.shape[1] == 1 for mask in taken)
         shared = alike and all(
             family.exact and family.own_noise.shape[1] == 1 for family in families

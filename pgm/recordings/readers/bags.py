@@ -13,7 +13,7 @@ from pgm.boundary import as_tuple
 from pgm.errors import EvidenceError, FileError
 from pgm.factors.scope import listed
 from pgm.io.sources import Origin
-from pgm.recordings.dropped import Dropped
+from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files, messages
 from pgm.recordings.recording import Recording
 from pgm.recordings.scans import Scans
@@ -57,25 +57,22 @@ def read_bag(
         - ``nav_msgs/Odometry``: ``odometry``, the motion (forward, left, turn) between its poses;
           or ``velocities``, (v_forward, v_left, omega) of its twist; ``truth`` or ``sightings``;
         - ``geometry_msgs/PoseStamped``: ``truth``; or ``odometry``, or ``sightings``;
-        - ``geometry_msgs/PoseWithCovarianceStamped``: ``sightings``, (east, north, heading) with
-          variances, called like the topic; or ``truth`` or ``odometry``;
+        - ``geometry_msgs/PoseWithCovarianceStamped``: ``sightings``, (east, north, heading), called
+          like the topic; or ``truth`` or ``odometry``;
         - ``geometry_msgs/TwistStamped``: ``velocities``;
-        - ``sensor_msgs/Imu``: ``imu``, rates and accelerations with variances where they are told,
-          and the yaw;
-        - ``sensor_msgs/LaserScan``: ``scans``, called like the topic; farther than the largest
-          range is the largest range;
-        - ``sensor_msgs/NavSatFix``: ``fixes``, or ``sightings``, (east, north, up).
+        - ``sensor_msgs/Imu``: ``imu``, rates, accelerations and yaw;
+        - ``sensor_msgs/LaserScan``: ``scans``, called like the topic, cut at the largest range;
+        - ``sensor_msgs/NavSatFix``: ``fixes``, or ``sightings``, (east, north, up): metres in the
+          plane that touches the ellipsoid of WGS 84 at the first fix.
 
     Notes
     -----
-    Fixes are metres in the plane that touches the ellipsoid of WGS 84 at the first fix: its east,
-    its north, and the height above it. A message without a fix is left out, and so are topics of
-    other types; `dropped` tells of both.
+    Messages without a fix and topics of other types are left out; `dropped` tells of both.
 
     Raises
     ------
     ImportError
-        If rosbags is not installed: it is in the extra ``bags``.
+        Without rosbags, of the extra ``bags``.
     EvidenceError
         If a topic cannot be what it is asked to be.
     FileError

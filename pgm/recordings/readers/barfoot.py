@@ -6,7 +6,7 @@ import numpy as np
 
 from pgm.io.sources import Origin, Source
 from pgm.kernels.arrays import Array
-from pgm.recordings.dropped import Dropped
+from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files
 from pgm.recordings.recording import POSE, Recording
 from pgm.recordings.stream import Stream
@@ -20,9 +20,8 @@ VALID, OFFSET = "true_valid", "d"
 def read_barfoot(path: Source) -> Recording:
     """Read the localisation data of a course of T. D. Barfoot (AER1513, University of Toronto).
 
-    The sensor is ``laser``, (range [m], bearing [rad]), with variances; it sits ``d`` ahead of the
-    robot's centre, which `mounts` says, and which a sensor model has to know. Landmarks are
-    numbered from 1, as the columns of r and b are.
+    The sensor is ``laser``, (range [m], bearing [rad]), with variances, `mounts` ahead of the
+    centre by ``d``. Landmarks are numbered from 1, as the columns of r and b are.
 
     Parameters
     ----------
@@ -32,10 +31,9 @@ def read_barfoot(path: Source) -> Recording:
 
     Notes
     -----
-    - A landmark that was not seen has a range and bearing of 0.
-    - v and om of row k drive the robot from t[k − 1] to t[k], as in the course's motion model; so
-      row k is held from t[k − 1] on, and the first one is left out.
-    - Truth is left out where true_valid is 0.
+    A landmark that was not seen has a range and bearing of 0. Row k of v and om is held from
+    t[k − 1] on, as in the course's motion model, and the first one is left out; so is truth where
+    true_valid is 0.
 
     Raises
     ------

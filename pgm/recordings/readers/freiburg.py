@@ -28,8 +28,7 @@ def read_freiburg(folder: str | os.PathLike[str]) -> Recording:
 
     Notes
     -----
-    There are no times: steps stand for seconds. The drive starts at (0, 0, 0), and there is no
-    truth. Bearings are not wrapped (to −3.23); the smallest range is 6 mm.
+    There are no times: steps stand for seconds. The drive starts at (0, 0, 0), without truth.
 
     Raises
     ------

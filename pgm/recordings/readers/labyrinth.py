@@ -33,21 +33,13 @@ def read_labyrinth(
     Parameters
     ----------
     source : str, Path or open file
-        The folder of ``Indoor_UWB_Input.txt`` and ``Indoor_UWB_GT.txt``; or a file of lines
-        ``range2 t range variance x y id snr`` and
-        ``odom2diff t right left side wheelbase var1 var2 var3``.
+        The folder of ``Indoor_UWB_Input.txt`` and ``Indoor_UWB_GT.txt``; or a file like the first.
     truth : str, Path or open file, optional
         Of lines ``point2 t x y`` and a covariance; no headings. That of the folder without.
     swapped : bool, optional
-        Whether the column called right is the left wheel's, as it is in Labyrinth, and the other
-        way round.
+        Whether the column called right is the left wheel's, as it is in Labyrinth.
     wheelbase : float, optional
         Metres between the wheels: twice the 0.0785 that Labyrinth's lines say, by its truth.
-
-    Notes
-    -----
-    Labyrinth's ranges are 0.118 m long on average, and up to 0.54 m; nothing of it is mended here:
-    ``drive.calibrated("uwb", offset=0.118)`` undoes the average.
 
     Raises
     ------

@@ -12,9 +12,8 @@ from pgm.io.sources import Origin
 from pgm.kernels import rigid
 from pgm.kernels.arrays import Array
 from pgm.recordings import mending
-from pgm.recordings.dropped import Dropped
+from pgm.recordings.mending import Dropped
 from pgm.recordings.motion import PLANAR, PLANAR_SPEEDS
-from pgm.recordings.readers import geodesy
 from pgm.recordings.recording import POSE
 from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
@@ -23,6 +22,9 @@ from pgm.recordings.stream import Stream
 _PLANE = (0, 1, 5)
 _UNIT = 1e-3
 NO_FIX = "without a fix"
+# Semi-major axis [m] and flattening of WGS 84.
+RADIUS, FLATTENING = 6_378_137.0, 1.0 / 298.257223563
+_SQUARED = FLATTENING * (2.0 - FLATTENING)  # of the eccentricity
 Read = tuple[Any, list[Dropped]]
 
 
@@ -100,12 +102,37 @@ def _fixes(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     if not fixed.any():
         return None, told
     known = np.isfinite(height)
-    values = geodesy.local(world[fixed], np.where(known, height, 0.0)[fixed])
+    values = local(world[fixed], np.where(known, height, 0.0)[fixed])
     values[~known[fixed], 2] = np.nan
     cov = _table([m.position_covariance for m in rows], 9)[fixed]
     spread = cov[:, [0, 4, 8]] if all(m.position_covariance_type for m in rows) else None
     stream = Stream(_stamps(topic, rows)[fixed], values, ("east", "north", "up"), variances=spread)
     return stream, told
+
+
+def local(world: Array, height: Array) -> Array:
+    """East, north and up, (n, 3) [m], from the first of latitudes and longitudes, (n, 2) [rad]."""
+    sin, cos = np.sin(world), np.cos(world)
+    away = _cartesian(sin, cos, height)
+    away -= away[0]
+    (sin_lat, sin_lon), (cos_lat, cos_lon) = sin[0], cos[0]
+    axes = np.array(
+        [
+            [-sin_lon, cos_lon, 0.0],
+            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
+        ]
+    )
+    found: Array = away @ axes.T
+    return found
+
+
+def _cartesian(sin: Array, cos: Array, height: Array) -> Array:
+    """Coordinates that turn with the earth, of sines and cosines of latitude and longitude."""
+    normal = RADIUS / np.sqrt(1.0 - _SQUARED * sin[:, 0] ** 2)
+    level = (normal + height) * cos[:, 0]
+    up = (normal * (1.0 - _SQUARED) + height) * sin[:, 0]
+    return np.column_stack([level * cos[:, 1], level * sin[:, 1], up])
 
 
 def _scans(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:

@@ -12,7 +12,7 @@ from pgm.errors import EvidenceError
 from pgm.io import words
 from pgm.io.sources import Content
 from pgm.kernels.arrays import Array
-from pgm.recordings.dropped import Dropped
+from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files
 from pgm.recordings.recording import POSE, Recording
 from pgm.recordings.stream import Stream
@@ -35,9 +35,8 @@ def read_mrclam(folder: str | os.PathLike[str], robot: int = 1) -> Recording:
 
     Notes
     -----
-    The second column of measurements is the barcode, whatever the files' headings say, and
-    ``Barcodes.dat`` says whose it is. Readings of a barcode that is nobody's are misread: they are
-    left out, and `dropped` tells of them.
+    The second column of measurements is the barcode, whatever the files' headings say. Readings of
+    one that is nobody's are left out, as `dropped` tells.
 
     Raises
     ------

@@ -19,20 +19,12 @@ def read_plaza(path: Source) -> Recording:
 
     The sensor is ``radio``, range [m]; odometry is (distance, turn) since the stamp before.
 
+    Nothing is mended of what the guide's page about recordings tells of Plaza1 and Plaza2.
+
     Parameters
     ----------
     path : str, Path or open file
         As ``gtsam.findExampleDataFile("Plaza1_.mat")``.
-
-    Notes
-    -----
-    Of Plaza1 and Plaza2, and nothing of it is mended here:
-
-    - ranges are some 6.9 % long: ``drive.calibrated("radio", 1.0693, 0.034)`` undoes Plaza1's,
-      1.0694 and 0.020 Plaza2's;
-    - the true headings of Plaza2 point backwards: add π; those of Plaza1 are the integrated gyro;
-    - Plaza1's ranges jump back in time twice, by 50 and 64 s, pause for 97 s, and twice say two
-      distances of one beacon at one moment.
 
     Raises
     ------

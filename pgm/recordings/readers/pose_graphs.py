@@ -14,7 +14,7 @@ from pgm.io.sources import Content, Source
 from pgm.io.words import Line, lines
 from pgm.kernels import rigid
 from pgm.kernels.arrays import Array, Integers
-from pgm.recordings.dropped import Dropped
+from pgm.recordings.mending import Dropped
 from pgm.recordings.pose_graph import Edges, PoseGraph
 from pgm.recordings.readers import files
 from pgm.recordings.scans import Scans
@@ -57,17 +57,16 @@ def read_pose_graph(path: Source, *, planar: bool = False) -> PoseGraph:
     r"""Read a pose graph of g2o or TORO.
 
     Lines are ``VERTEX_SE2``, ``EDGE_SE2``, ``VERTEX_XY``, ``EDGE_SE2_XY``, ``FIX`` and, after
-    each pose, ``ROBOTLASER1`` of g2o; ``VERTEX2`` and ``EDGE2`` of TORO, whose six numbers of
-    information are in another order. Parameters of g2o are skipped, and `dropped` says so.
+    each pose, ``ROBOTLASER1`` of g2o; ``VERTEX2`` and ``EDGE2`` of TORO. Parameters of g2o are
+    skipped, and `dropped` says so.
 
     Parameters
     ----------
     path : str, Path or open file
         Plain, gzipped, or a ``.zip`` of one such file.
     planar : bool, optional
-        Whether ``VERTEX_SE3:QUAT`` and ``EDGE_SE3:QUAT`` are read as seen from above: heights and
-        tilts are left out, and the information is of x, y and the turn given all others, of which
-        g2o has half the sine.
+        Whether ``VERTEX_SE3:QUAT`` and ``EDGE_SE3:QUAT`` are read as seen from above, without
+        heights and tilts; the information is of x, y and the turn given all others.
 
     Raises
     ------

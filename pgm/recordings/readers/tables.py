@@ -18,7 +18,7 @@ from pgm.io.sources import Origin, Source
 from pgm.io.words import number
 from pgm.kernels.arrays import Array
 from pgm.recordings import motion
-from pgm.recordings.dropped import Dropped
+from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files
 from pgm.recordings.recording import Recording
 from pgm.recordings.stream import Stream
@@ -73,10 +73,9 @@ def read_csv(
         ``#`` are comments.
     columns : mapping of str to mapping
         For ``odometry``, ``velocities``, ``truth``, ``imu``, ``fixes``, or a sensor of any other
-        name: which column each component is, ``{"t": "time", "range": "d"}``. A column in another
-        unit than metres, seconds and radians is a pair, ``("heading", "deg")``. ``t`` is the
-        stamp, ``subject`` the landmark's identity, ``"variance of range"`` a variance, in the
-        square of the unit. Columns are numbered from 0 where there is no line of names.
+        name: which column each component is, ``{"t": "time", "range": "d"}``, or a pair of it and
+        its unit, ``("heading", "deg")``; numbered from 0 where there is no line of names. ``t`` is
+        the stamp, ``subject`` the landmark, ``"variance of range"`` is in the square of the unit.
     landmarks : mapping, optional
         Positions by identity.
     begin : float, optional
@@ -84,12 +83,6 @@ def read_csv(
     wheelbase : float, optional
         Metres between two wheels, where odometry or velocities are (left, right).
     delimiter : str, optional
-
-    Returns
-    -------
-    Recording
-        A line is no row of a stream for which all its cells are empty; `dropped` tells of lines
-        that are of none. Of a sensor a component may be missing.
 
     Raises
     ------
@@ -100,7 +93,8 @@ def read_csv(
 
     Notes
     -----
-    Streams of several files: ``read_csv(...).replace(truth=read_csv(...).truth)``.
+    A line is no row of a stream for which all its cells are empty; `dropped` tells of lines that
+    are of none. Of several files: ``read_csv(...).replace(truth=read_csv(...).truth)``.
 
     Examples
     --------

@@ -1,0 +1,199 @@
+"""What comes of a trace: a value and its derivative, as code for batches, scalars and Numba."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from pgm.kernels.arrays import Array
+from pgm.tracing.derivatives import reachable
+from pgm.tracing.graph import Graph
+from pgm.tracing.operations import BATCH, PYTHON, SCALAR
+
+# An argument, and a component of it.
+Column = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Scalar operations that compute a value (d,) and its derivative (d, n).
+
+    Attributes
+    ----------
+    graph : Graph
+    widths : tuple of int
+        Components of each argument.
+    columns : tuple of (int, int)
+        Of each hidden component, stacked: the argument, and its component there.
+    value : tuple of int
+        Numbers of operations: d of them.
+    slope : tuple of (int or None)
+        d n of them, row by row; None is zero.
+    """
+
+    graph: Graph
+    widths: tuple[int, ...]
+    columns: tuple[Column, ...]
+    value: tuple[int, ...]
+    slope: tuple[int | None, ...]
+
+    def __getstate__(self) -> dict[str, Any]:
+        keep = ("graph", "widths", "columns", "value", "slope")
+        return {name: self.__dict__[name] for name in keep}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+
+    @property
+    def hidden(self) -> dict[Column, int]:
+        """The place of each hidden component among the stacked ones."""
+        return {column: k for k, column in enumerate(self.columns)}
+
+    @property
+    def observed(self) -> list[Column]:
+        """The components of observed arguments, in the order in which they are stacked."""
+        taken = set(self.columns)
+        every = [(a, i) for a, width in enumerate(self.widths) for i in range(width)]
+        return [component for component in every if component not in taken]
+
+    @property
+    def size(self) -> int:
+        """Operations that are computed."""
+        steps = reachable(self.graph, self._outputs)
+        return sum(self.graph.operations[k][0] not in ("constant", "input") for k in steps)
+
+    @property
+    def _outputs(self) -> list[int]:
+        return [*self.value, *(k for k in self.slope if k is not None)]
+
+    # Printers
+
+    @property
+    def batch_source(self) -> str:
+        """Code of a function of arguments (*batch, width) each.
+
+        It writes to a value (d, *batch) and a derivative (d, n, *batch), components first.
+        """
+        inputs = {
+            (a, i): f"a{a}[..., {i}]" for a, width in enumerate(self.widths) for i in range(width)
+        }
+        arguments = ", ".join([*(f"a{a}" for a in range(len(self.widths))), "value", "slope"])
+        n = len(self.columns)
+        cells = [
+            *((k, f"value[{i}, ...]") for i, k in enumerate(self.value)),
+            *((k, f"slope[{s // n}, {s % n}, ...]") for s, k in enumerate(self.slope)),
+        ]
+        return self._printed(f"def batch({arguments}):", inputs, cells, batch=True)
+
+    @property
+    def scalar_source(self) -> str:
+        """Code of a function of all components, in the order of the arguments, to a flat tuple."""
+        inputs = {(a, i): f"a{a}_{i}" for a, width in enumerate(self.widths) for i in range(width)}
+        cells = [(k, None) for k in (*self.value, *self.slope)]
+        return self._printed(f"def scalar({', '.join(inputs.values())}):", inputs, cells)
+
+    @property
+    def pointer_source(self) -> str:
+        """Code of a function of flat arrays, for Numba: hidden components x, observed ones u.
+
+        It writes to a value (d,) and a derivative (d n,), row by row.
+        """
+        inputs = {column: f"x[{k}]" for column, k in self.hidden.items()}
+        inputs |= {component: f"u[{k}]" for k, component in enumerate(self.observed)}
+        cells = [
+            *((k, f"value[{i}]") for i, k in enumerate(self.value)),
+            *((k, f"slope[{s}]") for s, k in enumerate(self.slope)),
+        ]
+        return self._printed("def pointer(x, u, value, slope):", inputs, cells)
+
+    def _printed(
+        self,
+        head: str,
+        inputs: dict[Column, str],
+        cells: Sequence[tuple[int | None, str | None]],
+        *,
+        batch: bool = False,
+    ) -> str:
+        names: dict[int | None, str] = {None: "0.0"}
+        lines, results = [head], []
+        # The first cell of each operation, which a ufunc writes to by itself.
+        first = dict(reversed(cells)) if batch else {}
+        taken = set()
+        for number in reachable(self.graph, self._outputs):
+            name, *operands = self.graph.operations[number]
+            if name == "constant":
+                names[number] = _literal(operands[0])
+                continue
+            names[number] = f"t{number}"
+            if name == "input":
+                text = inputs[operands[0], operands[1]]
+                if text.isidentifier():
+                    names[number] = text
+                    continue
+            else:
+                known = [names[k] for k in operands]
+                text = SCALAR[name].format(*known)
+                if batch:
+                    if number in first and name != "where":
+                        known.append(f"out={first[number]}")
+                        taken.add(first[number])
+                    text = f"{name}({', '.join(known)})"
+            lines.append(f"t{number} = {text}")
+        for k, cell in cells:
+            if cell is None:
+                results.append(names[k])
+            elif not batch or cell not in taken:
+                lines.append(f"{cell} = {names[k]}")
+        if results:
+            lines.append(f"return ({', '.join(results)},)")
+        return "\n    ".join(lines)
+
+    # Functions
+
+    @cached_property
+    def _batch(self) -> Callable[..., None]:
+        return made(self.batch_source, "batch", BATCH)
+
+    @cached_property
+    def _scalar(self) -> Callable[..., tuple[float, ...]]:
+        return made(self.scalar_source, "scalar", PYTHON)
+
+    def batch(self, arguments: Sequence[Array], shape: tuple[int, ...]) -> tuple[Array, Array]:
+        """The value (d, *shape) and the derivative (d, n, *shape) at arguments (*shape, width)."""
+        height = len(self.value)
+        value = np.empty((height, *shape))
+        slope = np.empty((height, len(self.columns), *shape))
+        with np.errstate(all="ignore"):
+            self._batch(*arguments, value, slope)
+        return value, slope
+
+    def single(self, arguments: Sequence[Array]) -> tuple[Array, Array, bool]:
+        """The value (d,), the derivative (d, n), and whether they are finite, at (width,) each."""
+        height = len(self.value)
+        try:
+            found = self._scalar(*[c for argument in arguments for c in argument.tolist()])
+            finite = isfinite(sum(found))
+        except (ArithmeticError, ValueError):  # where NumPy has infinities and NaNs
+            value, slope = self.batch(arguments, ())
+            return value, slope, bool(np.isfinite(value).all() and np.isfinite(slope).all())
+        every = np.array(found)
+        return every[:height], every[height:].reshape(height, -1), finite
+
+
+def _literal(value: float | bool) -> str:
+    if value != value:
+        return "nan"
+    return repr(value) if value not in (np.inf, -np.inf) else ("inf" if value > 0 else "-inf")
+
+
+def made(source: str, name: str, names: dict[str, Any]) -> Callable[..., Any]:
+    """The function that a printer wrote."""
+    found: dict[str, Any] = {**names, "nan": np.nan, "inf": np.inf}
+    exec(compile(source, f"<traced {name}>", "exec"), found)
+    made: Callable[..., Any] = found[name]
+    return made

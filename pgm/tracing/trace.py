@@ -1,0 +1,190 @@
+"""A user's function, called once with traced arrays, and compared with its trace."""
+
+from __future__ import annotations
+
+import linecache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pgm.kernels.arrays import Array, Mask, components_last, difference
+from pgm.tracing.derivatives import derivatives
+from pgm.tracing.functions import traced
+from pgm.tracing.graph import Graph
+from pgm.tracing.program import Column, Program
+from pgm.tracing.traced import KINDS, Node, Recorder, Untraceable, bare, traced_elements
+
+LIMIT = 2000  # operations
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """A function as scalar operations.
+
+    Attributes
+    ----------
+    graph : Graph
+    outputs : tuple of int
+        The operations that are its value, row by row.
+    widths : tuple of int
+        Components of each argument.
+    """
+
+    graph: Graph
+    outputs: tuple[int, ...]
+    widths: tuple[int, ...]
+
+    def program(self, columns: tuple[Column, ...]) -> Program:
+        """The value, and its derivative by some components of the arguments."""
+        found = self._programs.get(columns)
+        if found is None:
+            found = self._programs[columns] = self._made(columns)
+        return found
+
+    @cached_property
+    def _programs(self) -> dict[tuple[Column, ...], Program]:
+        return {}
+
+    def _made(self, columns: tuple[Column, ...]) -> Program:
+        graph = self.graph.copy()
+        inputs = [graph.input(*column) for column in columns]
+        rows = derivatives(graph, self.outputs, inputs)
+        slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
+        return Program(graph, self.widths, columns, self.outputs, slope)
+
+
+def trace(function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...]) -> Trace | str:
+    """The trace of a function with a value of a shape that is due, or a reason for none."""
+    try:
+        made = [_recorded(function, widths, due, 0)]
+        if made[0][0].cast:
+            made += [_recorded(function, widths, due, kind) for kind in range(1, KINDS)]
+    except Untraceable as reason:
+        return str(reason)
+    (graph, outputs), *others = made
+    for again, found in others:
+        # As text, in which a NaN equals itself.
+        if repr(again.operations) != repr(graph.operations) or found != outputs:
+            return (
+                "it computes with float(), math, or arrays of floats that values were written in "
+                "(np.zeros, np.asarray(x, dtype=float)); np.stack and np.zeros_like are traced"
+            )
+    return Trace(graph.copy(), outputs, tuple(widths))
+
+
+def _recorded(
+    function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...], kind: int
+) -> tuple[Recorder, tuple[int, ...]]:
+    graph = Recorder(LIMIT, kind)
+    arguments = [
+        traced(Node(graph, graph.input(k, i)) for i in range(width))
+        for k, width in enumerate(widths)
+    ]
+    try:
+        value = function(*arguments)
+    except Exception as error:
+        found = error if isinstance(error, Untraceable) else _failed(error)
+        raise Untraceable(f"{graph.refusal or found}{_line(error)}") from None
+    if graph.refusal is not None:
+        raise Untraceable(graph.refusal)
+    try:
+        array = bare(value)
+        if array.shape != due:
+            raise Untraceable(f"it returns shape {array.shape} of traced numbers, {due} was due")
+        outputs = tuple(node.number for node in traced_elements(graph, array).flat)
+    except (TypeError, ValueError) as error:
+        raise Untraceable(f"it returns {type(value).__name__}: {error}") from None
+    return graph, outputs
+
+
+def _failed(error: Exception) -> str:
+    return f"it fails on traced numbers: {type(error).__name__}: {error}"
+
+
+def _line(error: BaseException) -> str:
+    """Where in a user's code an error was raised."""
+    place, step = "", error.__traceback__
+    while step is not None:
+        code = step.tb_frame.f_code
+        if not step.tb_frame.f_globals.get("__name__", "").startswith(("pgm.", "numpy.")):
+            text = linecache.getline(code.co_filename, step.tb_lineno).strip()
+            place = f" (in {code.co_name}: {text})" if text else f" (in {code.co_name})"
+        step = step.tb_next
+    return place
+
+
+_DIFFERS = (
+    "its values are not those of its trace, at drawn points: it has a memory, draws at random, or "
+    "computes outside NumPy"
+)
+# What the points of a comparison are from its centre, as shares of 1 + |centre|.
+_SPREAD = np.array([[0.0, 0.01, 1.0], [1.0, 10.0, 100.0]])
+_EQUAL = 1e-12
+
+
+class Tracer:
+    """A function and its trace, which is made when it is first asked for.
+
+    It is used once it has been compared with the function, and as long as it equals it.
+
+    Parameters
+    ----------
+    function : callable
+    widths : sequence of int
+        Components of each argument.
+    angles : ndarray
+        Which components of the value are angles, (d,).
+    """
+
+    def __init__(self, function: Callable[..., Any], widths: Sequence[int], angles: Mask) -> None:
+        self.function, self.widths, self.angles = function, tuple(widths), angles
+        self.reason: str | None = None
+        self.trace: Trace | None = None
+        # Shapes of batches at which it has been compared since the last plan was made.
+        self.compared: set[tuple[int, ...]] = set()
+
+    def confirm(self, centres: Sequence[Array]) -> bool:
+        """Whether there is a trace that equals the function about some values (width,).
+
+        A function that has changed, with its closure, is traced again.
+        """
+        if self.reason is not None:
+            return False
+        self.compared = set()
+        points = around(centres)
+        if self.trace is not None and self._equal(self.trace, points):
+            return True
+        found = trace(self.function, self.widths, (self.angles.size,))
+        if isinstance(found, Trace) and self._equal(found, points):
+            self.trace = found
+            return True
+        self.trace = None
+        self.reason = found if isinstance(found, str) else _DIFFERS
+        return False
+
+    def _equal(self, found: Trace, points: list[Array]) -> bool:
+        with np.errstate(all="ignore"):
+            try:
+                due = np.asarray(self.function(*points), dtype=float)
+            except Exception:
+                return False
+            value = components_last(found.program(()).batch(points, _SPREAD.shape)[0], 1)
+            if due.shape != value.shape or (np.isfinite(due) != np.isfinite(value)).any():
+                return False
+            known = np.isfinite(due)
+            error = np.abs(difference(due, value, self.angles))
+            scale = np.where(known, np.abs(due), 0.0).max(axis=(0, 1))
+            return bool((error <= _EQUAL * scale)[known].all())
+
+
+def around(centres: Sequence[Array], least: float = 0.0) -> list[Array]:
+    """Points (2, 3, width) about centres (width,), one of them there, or nearly."""
+    rng = np.random.default_rng(5)
+    spread = np.maximum(_SPREAD, least)[..., None]
+    return [
+        centre + spread * (1.0 + np.abs(centre)) * rng.normal(size=(2, 3, centre.size))
+        for centre in centres
+    ]
