@@ -25,7 +25,7 @@ from pgm.evidence.rows import (
     unread,
 )
 from pgm.evidence.values import Constant, Evidence, Sightings, Unknown, opened, require_whole
-from pgm.factors.runs import common_runs, flat
+from pgm.factors.arrays import common_runs, flat
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask
 from pgm.resources import require_memory

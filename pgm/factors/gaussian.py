@@ -29,9 +29,8 @@ from pgm.display import (
     stacked,
 )
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import IMPROPER, as_covariance, as_points, as_steps, as_vector
+from pgm.factors.arrays import IMPROPER, as_covariance, as_points, as_steps, as_vector, lead_index
 from pgm.factors.listing import Framed
-from pgm.factors.runs import lead_index
 from pgm.factors.scope import (
     Scope,
     angle_mask,
