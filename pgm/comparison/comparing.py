@@ -1,7 +1,5 @@
 """Every lineariser under every schedule on one model and its evidence."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence

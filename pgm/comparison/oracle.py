@@ -1,7 +1,5 @@
 """Oracles: beliefs that are right, or nearer to it, of each kind that is compared."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable
 from typing import Any, NamedTuple, Protocol, runtime_checkable

@@ -1,7 +1,5 @@
 """A row of a comparison: one run's beliefs of one state, judged."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

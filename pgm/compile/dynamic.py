@@ -12,6 +12,7 @@ import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.cluster import Edge
+from pgm.compile.machine import Compiled
 from pgm.cpds import CPD, NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import GraphError
@@ -47,6 +48,12 @@ class SliceLayout:
     """
 
     model: DynamicBayesianNetwork
+    compiled: Compiled | None = None
+
+    @cached_property
+    def functions(self) -> dict[FunctionTemplate, Any]:
+        """The functions that have been compiled, or why not."""
+        return {}
 
     @cached_property
     def slice(self) -> Scope:
@@ -147,8 +154,10 @@ class DynamicGraph(ClusterGraph, ABC):
     steps: int
     layout: SliceLayout
 
-    def __init__(self, model: DynamicBayesianNetwork, steps: int) -> None:
-        self._set(model=model, steps=steps, layout=SliceLayout(model))
+    def __init__(
+        self, model: DynamicBayesianNetwork, steps: int, compiled: Compiled | None = None
+    ) -> None:
+        self._set(model=model, steps=steps, layout=SliceLayout(model, compiled))
 
     # A graph of slices is no graph of a network without time, whatever else it has in common.
     @property

@@ -1,7 +1,5 @@
 """Are innovations white? A filter has not used what it could still predict."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

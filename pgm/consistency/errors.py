@@ -1,7 +1,5 @@
 """Errors against the truth, angles wrapped; measured by covariances; divergences of beliefs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Errors at each step, and their spread from run to run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Sensors ranked by their innovations, with the stretch that speaks most against each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Quantiles of statistics, and whether confidence regions hold the truth as often as they say."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -141,9 +141,8 @@ class Family(Rows):
             part.noise = part.noise.copy("K")
         return part
 
-    def put(self, first: int, part: Family) -> None:
-        """Keep what some of the rows, from the first of them on, were linearised to."""
-        rows = slice(first, first + part.step.size)
+    def put(self, rows: slice | tuple[slice, slice], part: Family) -> None:
+        """Keep the linearisations of some of the rows, or of the rows and runs."""
         if not self.exact:
             self.matrix[rows], self.offset[rows] = part.matrix, part.offset
         if part.approximate:

@@ -1,7 +1,5 @@
 """Stamped odometry and velocities, made into one control a step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Poses over time, as files of trajectories hold them."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

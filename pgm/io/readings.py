@@ -1,7 +1,5 @@
 """Stamped measurements, each put at the state nearest in time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

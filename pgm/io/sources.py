@@ -1,7 +1,5 @@
 """Bytes and text in and out, up to a limit; files that are written whole or not at all."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import os

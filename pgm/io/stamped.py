@@ -1,7 +1,5 @@
 """Stamped rows of a log, and the checks of the arrays that they are made of."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType

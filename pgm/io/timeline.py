@@ -1,7 +1,5 @@
 """The front door for a user's own log: stamped rows in, evidence of a dynamic network out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType

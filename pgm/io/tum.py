@@ -4,8 +4,6 @@ A line is a pose, eight numbers apart by single spaces: ``t x y z qx qy qz qw``,
 a unit quaternion; a line that begins with ``#`` is a comment.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

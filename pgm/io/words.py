@@ -1,7 +1,5 @@
 """Lines of words and numbers, as text files of measurements have them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

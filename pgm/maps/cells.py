@@ -1,7 +1,5 @@
 """Grids of square cells in the plane: where cells are, and what lies in which."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

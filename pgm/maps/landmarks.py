@@ -1,7 +1,5 @@
 """Feature maps: landmarks at known positions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Occupancy grids from scans at known poses."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

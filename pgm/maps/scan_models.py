@@ -1,7 +1,5 @@
 """The models of a scan in a map: the likelihood field, and the beam model."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The base of sensors that scan an occupancy grid by beams."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Axes of plots of numbers: named, with legends that hide nothing, and with curves over time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

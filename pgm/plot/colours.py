@@ -1,7 +1,5 @@
 """Colours that the colour-blind can tell apart, and dashes, chosen by what an axes shows."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The components of a belief to draw, and the columns of a truth that go with them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The page of a Gaussian chain, in batched calls, and the parts that the page of any chain has."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

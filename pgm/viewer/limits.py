@@ -1,7 +1,5 @@
 """The size of a page: what it holds at most, and the choice of runs and steps."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Numbers packed into a page, by planes of bytes; variables, CPDs and statuses as it names them."""
 
-from __future__ import annotations
-
 import base64
 import zlib
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """The places of clusters on a page: trees from their centre on, other graphs by distances."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

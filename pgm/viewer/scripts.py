@@ -1,7 +1,5 @@
 """The viewer's script: one text of its modules, which a built wheel holds ready."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

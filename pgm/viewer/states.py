@@ -1,7 +1,5 @@
 """The pages of a chain of tables, and of beliefs without messages: grids, particles, kept ones."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The page of a posterior, which asks nothing of a network: a file, or in a notebook's cell."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

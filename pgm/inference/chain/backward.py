@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from pgm.inference import sweep as loops
+from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels import moments, roots
 from pgm.kernels.arrays import (
@@ -105,17 +106,24 @@ class Reverse:
     """The chain from its end: the model of the past given the future, for the same evidence.
 
     At row t `states` gives the states of step t from the slice of step t + 1 and the measurements
-    up to t; `slices` a slice from its states, None where there are no controls.
+    up to t; `slices` a slice from its states, None where there are no controls; `beliefs` are the
+    smoothed ones, where they have been found already.
     """
 
     states: Conditional
     slices: Conditional | None
+    beliefs: Beliefs | None = None
 
     @classmethod
-    def make(cls, plan: ChainPlan, forward: Ahead) -> Reverse:
-        """Reverse every step, many at once."""
+    def make(cls, plan: ChainPlan, forward: Ahead, *, smooth: bool = False) -> Reverse:
+        """Reverse every step, many at once; smooth too, where machine code does both together."""
         places = plan.layout.state_places
-        matrix, _, noise = transition(plan)
+        moved = transition(plan)
+        slices = _given_states(plan, forward) if plan.layout.control_places.size else None
+        found = compiled.backward(plan, forward, moved, slices, smooth=smooth)
+        if found is not None:
+            return cls(found[0], slices, None if found[1] is None else Beliefs(*found[1]))
+        matrix, _, noise = moved
         parts = _Step(
             forward.mean[:-1][..., places],
             block(forward.cov[:-1], places, places),
@@ -124,10 +132,7 @@ class Reverse:
             forward.predicted_mean[1:],
             forward.predicted_cov[1:],
         )
-        states = in_chunks(_reverse, parts)
-        return cls(
-            states, _given_states(plan, forward) if plan.layout.control_places.size else None
-        )
+        return cls(in_chunks(_reverse, parts), slices)
 
     @property
     def whole(self) -> Conditional:
@@ -196,6 +201,8 @@ class Beliefs:
 
 def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
     """Smoothed moments of every slice: by a scan, or step by step where that is faster."""
+    if reverse.beliefs is not None:
+        return reverse.beliefs
     stepwise = stepwise_is_faster(*forward.mean.shape[:2])
     return sweep(forward, reverse) if stepwise else scan(forward, reverse)
 

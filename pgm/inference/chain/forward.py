@@ -13,6 +13,8 @@ import numpy as np
 from pgm.errors import PgmError
 from pgm.inference import sweep
 from pgm.inference.chain import gate
+from pgm.inference.chain.compiled import sweep as compiled
+from pgm.inference.chain.compiled.sweep import Swept
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
@@ -32,6 +34,8 @@ MOST = 10_000
 # Between measurements that are mild, beliefs are looked at every so many steps, at the last, and
 # where a variance has grown by so much since.
 _EVERY, _GROWN = 8, 1e2
+# Means, covariances, and log-densities of a record.
+Arrays = tuple[Array, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +63,16 @@ class Forward:
             return stacked(shape, (size,)), stacked(shape, (size, size))
 
         return cls(*moments(), *moments(), np.zeros(shape))
+
+    @property
+    def known(self) -> Arrays:
+        """Moments after measurements, and their log-densities."""
+        return self.mean, self.cov, self.log_density
+
+    @property
+    def predicted(self) -> tuple[Array, Array]:
+        """Moments before measurements."""
+        return self.predicted_mean, self.predicted_cov
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +130,7 @@ class Watch:
 class _Record:
     """The record of a sweep, in rows of its arrays; those of predictions may be left out."""
 
-    def __init__(
-        self, plan: ChainPlan, known: tuple[Array, Array, Array], predicted: tuple[Array, ...] = ()
-    ) -> None:
+    def __init__(self, plan: ChainPlan, known: Arrays, predicted: Arrays = ()) -> None:
         self.plan, self.reached, self.watch = plan, 0, Watch()
         self.predicted = [_rows(plan, part, own) for own, part in enumerate(predicted, 1)]
         self.mean, self.cov = _rows(plan, known[0], 1), _rows(plan, known[1], 2)
@@ -139,7 +151,9 @@ class _Record:
         if self.predicted:
             self.predicted[0][step], self.predicted[1][step] = predicted.mean, predicted.cov
         else:
-            self.watch.look(predicted.cov, known.cov, known.mild, last=step == self.plan.steps)
+            size = len(known.mean)
+            before, after = (each.cov.reshape(size, size, -1) for each in (predicted, known))
+            self.watch.look(before, after, known.mild, last=step == self.plan.steps)
 
     @contextmanager
     def refusing(self, schedule: Filtering | None) -> Iterator[None]:
@@ -190,7 +204,10 @@ def stored(
 ) -> Forward:
     """The forward pass with every CPD as it was linearised before; gates may decide anew."""
     out = Forward.empty(plan)
-    record = _whole(plan, out)
+    if anchor is None and gated is None:
+        _swept(plan, None, out.known, out.predicted, keep=False)
+        return out
+    record = _Record(plan, out.known, out.predicted)
     with record.refusing(None):
         sweep.forward(MomentChain(plan, None, anchor=anchor, gated=gated), plan.steps, record)
     return out
@@ -200,12 +217,10 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     """The forward pass, each CPD linearised at its incoming belief."""
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     out = Forward.empty(plan)
-    chain, record = MomentChain(plan, schedule), _whole(plan, out)
-    with record.refusing(schedule):
-        sweep.forward(chain, plan.steps, record)
+    went = _swept(plan, schedule, out.known, out.predicted, keep=True)
     for family in plan.families:
         family.settle()
-    return out, Status.of(chain.residuals, chain.converged, plan.lead)
+    return out, Status.of(went.residuals, went.converged, plan.lead)
 
 
 def filtered(
@@ -216,27 +231,78 @@ def filtered(
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
     mean, cov = room or (stacked(shape, (size,)), stacked(shape, (size, size)))
     log_density = np.empty(shape)
-    parts, closest, converged = math.ceil(plan.runs / MOST), 1.0, np.ones(plan.runs, dtype=bool)
-    records: list[list[Array]] = []
+    went = _swept(plan, schedule, (mean, cov, log_density), keep=False)
+    # What the gates have decided stays.
+    again = replace(schedule, gate=None)
+    found = Filtered(plan, mean, cov, log_density, again, went.closest)
+    return found, Status.of(went.residuals, went.converged, plan.lead)
+
+
+def _swept(
+    plan: ChainPlan,
+    schedule: Filtering | None,
+    known: Arrays,
+    predicted: Arrays = (),
+    *,
+    keep: bool,
+) -> Swept:
+    """A sweep in machine code, or of the runs that this leaves, if any, step after step."""
+    rest = known, predicted
+    found = compiled.forward(plan, schedule, *rest, keep=keep)
+    if found is None:
+        return _stepwise(plan, schedule, *rest, keep=keep)
+    if not found.left:
+        return found
+    closest, converged, residuals = found.closest, found.converged, found.residuals
+    for runs in found.left:
+        whole = runs == slice(0, plan.runs)
+        part = plan if whole else plan.of(runs)
+        arrays = (
+            tuple(array[:, runs] for array in known),
+            tuple(array[:, runs] for array in predicted),
+        )
+        try:
+            again = _stepwise(part, schedule, *arrays, keep=keep)
+        except PgmError:
+            if not whole:  # the first error is of other runs maybe
+                _stepwise(plan, schedule, *rest, keep=False)
+            raise
+        closest, converged[runs] = min(closest, again.closest), again.converged
+        residuals = _joined(residuals, again.residuals, runs, plan.runs)
+        if keep and not whole:
+            plan.put_runs(runs, part)
+    return Swept([], residuals, converged, closest)
+
+
+def _stepwise(
+    plan: ChainPlan,
+    schedule: Filtering | None,
+    known: Arrays,
+    predicted: Arrays,
+    *,
+    keep: bool,
+) -> Swept:
+    """A sweep of all runs together, or, where little is kept, in parts that a cache holds."""
+    parts, closest, converged = 1, 1.0, np.ones(plan.runs, dtype=bool)
+    if not predicted:
+        parts = math.ceil(plan.runs / MOST)
+    residuals: list[Array] = []
     edges = [part * plan.runs // parts for part in range(parts + 1)]
     for runs in counted(list(map(slice, edges, edges[1:])), "parts of the runs"):
         part = plan.of(runs) if parts > 1 else plan
-        record = _Record(part, (mean[:, runs], cov[:, runs], log_density[:, runs]))
-        chain = MomentChain(part, schedule, keep=False, room=record.room)
+        record = _Record(part, *(tuple(a[:, runs] for a in each) for each in (known, predicted)))
+        chain = MomentChain(part, schedule, keep=keep, room=None if predicted else record.room)
         with record.refusing(schedule):
             sweep.forward(chain, part.steps, record)
         closest, converged[runs] = min(closest, record.watch.closest), chain.converged
-        records.append(chain.residuals)
-    # What the gates have decided stays.
-    again = replace(schedule, gate=None)
-    found = Filtered(plan, mean, cov, log_density, again, closest)
-    longest = max(map(len, records))
-    # A part that was done earlier keeps its last residuals.
-    padded = [each + each[-1:] * (longest - len(each)) for each in records]
-    residuals = [np.concatenate(rows) for rows in zip(*padded, strict=True)]
-    return found, Status.of(residuals, converged, plan.lead)
+        residuals = _joined(residuals, chain.residuals, runs, plan.runs)
+    return Swept([], residuals, converged, closest)
 
 
-def _whole(plan: ChainPlan, out: Forward) -> _Record:
-    known = out.mean, out.cov, out.log_density
-    return _Record(plan, known, (out.predicted_mean, out.predicted_cov))
+def _joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
+    """Residuals of all runs, with those of some; the longer a record, the later its last ones."""
+    longest = max(len(record), len(part))
+    found = [each.copy() for each in record + (record[-1:] or [np.zeros(count)]) * longest]
+    for row, own in zip(found[:longest], (part + part[-1:] * longest)[:longest], strict=False):
+        row[runs] = own
+    return found[:longest]

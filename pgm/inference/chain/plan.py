@@ -154,14 +154,23 @@ class ChainPlan:
     def put(self, first: int, part: ChainPlan) -> None:
         """Keep how the CPDs of a window, which begins at the first step, were linearised."""
         for link, own in zip(self.prior if part.prior else [], part.prior, strict=True):
-            link.family.put(0, own.family)
+            link.family.put(slice(0, own.family.step.size), own.family)
         for link, own in zip(self.transition, part.transition, strict=True):
-            link.family.put(first, own.family)
+            link.family.put(slice(first, first + own.family.step.size), own.family)
         seen = {id(sensor.family.cpd): sensor for sensor in part.sensors}
         for sensor in self.sensors:
             read = seen.get(id(sensor.family.cpd))
             if read is not None:
                 sensor.put(first, read, after=part.begin is not None)
+
+    def put_runs(self, runs: slice, part: ChainPlan) -> None:
+        """Keep how the CPDs were linearised for some of the runs; none is robust, or has a gate."""
+        where = slice(None), runs
+        for family, own in zip(self.families, part.families, strict=True):
+            family.put(where, own)
+        for sensor, of in zip(self.sensors, part.sensors, strict=True):
+            if sensor.variable.angles:
+                sensor.moved[where] = of.moved
 
     @classmethod
     def make(

@@ -206,7 +206,7 @@ class Sensor:
     def put(self, first: int, part: Sensor, *, after: bool) -> None:
         """Keep how the measurements of these steps were linearised."""
         row = self.bounds[first + after]
-        self.family.put(row, part.family)
+        self.family.put(slice(row, row + part.family.step.size), part.family)
         if self.variable.angles:
             self.moved[row : row + len(part.moved)] = part.moved
         if self.robust:

@@ -44,7 +44,7 @@ class Smoothed:
     @classmethod
     def of(cls, plan: ChainPlan, ahead: Ahead) -> Smoothed:
         """The backward pass."""
-        reverse = Reverse.make(plan, ahead)
+        reverse = Reverse.make(plan, ahead, smooth=True)
         paired = not plan.layout.single
         return cls(ahead, reverse, backward.smoothed(ahead, reverse), paired)
 

@@ -1,7 +1,5 @@
 """Posteriors of discrete networks, and joints of variables of one cluster or of several."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Running a schedule on a cluster graph of a discrete network."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph

@@ -1,7 +1,5 @@
 """The layout of a graph's tables in one flat array, whose last axis, if any, is of runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

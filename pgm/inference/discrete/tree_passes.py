@@ -1,7 +1,5 @@
 """Messages over a tree of tables, to the roots and back; evidence that contradicts the tables."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

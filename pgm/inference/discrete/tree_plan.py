@@ -5,8 +5,6 @@ entry of the sepset to their parent, the same number of children and parents of 
 stack: their tables are the columns of one matrix, so that the messages of a stack are one sum.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

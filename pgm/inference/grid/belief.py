@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,123 @@ from pgm.kernels.arrays import Array, Integers, wrap
 from pgm.variables import Variable
 
 
-class GridBelief(Framed, Shown, NoArray, Immutable):
+class PointMasses(Framed, Shown, NoArray, Immutable):
+    """Base of beliefs that are point masses: of cells, or of particles."""
+
+    components: tuple[str, ...]
+    steps: Integers | None
+    lead: tuple[int, ...]
+    _parts: Sequence[Any]
+
+    @property
+    def angles(self) -> tuple[str, ...]:
+        """The components that are angles."""
+        return tuple(part.label for part in self._parts if part.angle)
+
+    @cached_property
+    def mean(self) -> Array:
+        """The means, (..., n); those of angles within half a turn of their circular mean."""
+        return closed(self._mean())
+
+    @cached_property
+    def cov(self) -> Array:
+        """The covariances, (..., n, n)."""
+        return closed(self._cov())
+
+    def _mean(self) -> Array:
+        raise NotImplementedError
+
+    def _cov(self) -> Array:
+        raise NotImplementedError
+
+    @cached_property
+    def std(self) -> Array:
+        """The standard deviations, (..., n)."""
+        return closed(np.sqrt(np.einsum("...ii->...i", self.cov)))
+
+    def gaussian(self) -> Gaussian:
+        """The normal density of the same mean and covariance, over the components' variables.
+
+        Raises
+        ------
+        ModelError
+            If the components are not all those of some variables, in their order.
+        """
+        variables = whole_variables(self._parts)
+        return Gaussian(variables, self.mean, self.cov, steps=self.steps)
+
+    def marginal(self, *components: str) -> Self:
+        """The belief over some components alone.
+
+        Parameters
+        ----------
+        *components : str
+            By name, in the order wanted.
+
+        Raises
+        ------
+        ModelError
+            If one is no component, or named twice, or none is named.
+        """
+        return self._over(places_of(self._parts, components, "a marginal"))
+
+    def _over(self, places: tuple[int, ...]) -> Self:
+        raise NotImplementedError
+
+    def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
+        """Draws of the point masses, (*size, ..., n).
+
+        Parameters
+        ----------
+        size : int or tuple of int
+            How many of each belief.
+        rng : numpy.random.Generator or int
+            The generator of draws, or its seed.
+
+        Raises
+        ------
+        ModelError
+            If `size` is no number of draws, or `rng` is neither a generator nor a seed.
+        """
+        extra, generator = as_lengths(size, "of each belief"), as_generator(rng)
+        drawn = self._drawn(int(np.prod(extra)), generator)
+        return drawn.reshape(*extra, *self.lead, drawn.shape[-1])
+
+    def _drawn(self, count: int, rng: np.random.Generator) -> Array:
+        """Draws (count, ..., n) of each belief, of leading axes as they are or as one."""
+        raise NotImplementedError
+
+    def __getitem__(self, index: Any) -> Self:
+        """The beliefs at some places of the leading axes: of a run, or of a step.
+
+        Parameters
+        ----------
+        index : int, slice or tuple of them
+            As of an array of the shape of the leading axes.
+
+        Raises
+        ------
+        ModelError
+            If the leading axes have no such place.
+        """
+        numbers = np.arange(int(np.prod(self.lead))).reshape(self.lead)
+        try:
+            chosen = np.asarray(numbers[index])
+        except IndexError as error:
+            raise ModelError(f"a belief with the leading axes {self.lead}: {error}") from error
+        return self._at(index, chosen)
+
+    def _at(self, index: Any, chosen: Integers) -> Self:
+        """The beliefs at an index, whose places in the flat leading axes are chosen."""
+        raise NotImplementedError
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What was computed is not part of the value.
+        names = PointMasses.__annotations__ | type(self).__annotations__
+        return {name: getattr(self, name) for name in names}
+
+
+class GridBelief(PointMasses):
     r"""A belief as probabilities of the cells of a grid.
 
     .. math:: p(x) = \sum_k p_k \, δ(x - c_k)
@@ -58,11 +174,9 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
     (5, 1)
     """
 
-    components: tuple[str, ...]
     centres: tuple[Array, ...]
     values: npt.NDArray[Any]
-    steps: Integers | None
-    _axes: tuple[Axis, ...]
+    _parts: tuple[Axis, ...]
 
     def __init__(
         self, axes: Sequence[Axis], values: npt.NDArray[Any], steps: Integers | None = None
@@ -76,32 +190,19 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
             centres=tuple(axis.centres for axis in axes),
             values=view,
             steps=steps,
-            _axes=tuple(axes),
+            lead=values.shape[: values.ndim - len(axes)],
+            _parts=tuple(axes),
         )
 
-    @property
-    def angles(self) -> tuple[str, ...]:
-        """The components that are angles."""
-        return tuple(axis.label for axis in self._axes if axis.angle)
-
-    @property
-    def lead(self) -> tuple[int, ...]:
-        """The leading axes: runs and steps."""
-        return self.values.shape[: self.values.ndim - len(self._axes)]
-
-    @cached_property
-    def mean(self) -> Array:
-        """The means, (..., n); those of angles within half a turn of their circular mean."""
+    def _mean(self) -> Array:
         each = [
             axis.reference + about + offset
-            for axis, (about, _, offset) in zip(self._axes, self._moments, strict=True)
+            for axis, (about, _, offset) in zip(self._parts, self._moments, strict=True)
         ]
-        return _frozen(np.stack(each, axis=-1))
+        return np.stack(each, axis=-1)
 
-    @cached_property
-    def cov(self) -> Array:
-        """The covariances, (..., n, n)."""
-        count = len(self._axes)
+    def _cov(self) -> Array:
+        count = len(self._parts)
         found = np.empty((*self.lead, count, count))
         for i, j in itertools.combinations_with_replacement(range(count), 2):
             first, second = self._centred(i), self._centred(j)
@@ -111,116 +212,49 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
                 both = self._marginal((i, j))
                 entry = np.einsum("...ab,...a,...b->...", both, first, second, optimize=True)
             found[..., i, j] = found[..., j, i] = entry
-        return _frozen(found)
-
-    @cached_property
-    def std(self) -> Array:
-        """The standard deviations, (..., n)."""
-        return _frozen(np.sqrt(np.einsum("...ii->...i", self.cov)))
+        return found
 
     @cached_property
     def mode(self) -> Array:
         """The centre of the likeliest cell, (..., n)."""
         flat = self.values.reshape(*self.lead, -1).argmax(axis=-1)
-        places = np.unravel_index(flat, self.values.shape[len(self.lead) :])
-        return _frozen(self._at(places))
+        return closed(self._centres(np.asarray(flat)))
 
-    def _at(self, places: Sequence[Integers]) -> Array:
+    def _centres(self, flat: Integers) -> Array:
+        """The centres (..., n) of cells by their places among all of a belief."""
+        # One axis: NumPy 2.4 gives others than these of (n, 1) places, n above 8192.
+        places = np.unravel_index(flat.reshape(-1), self.values.shape[len(self.lead) :])
         each = [centres[place] for centres, place in zip(self.centres, places, strict=True)]
-        return np.stack(each, axis=-1)
-
-    def marginal(self, *components: str) -> GridBelief:
-        """The belief over some components alone.
-
-        Parameters
-        ----------
-        *components : str
-            By name, in the order wanted.
-
-        Raises
-        ------
-        ModelError
-            If one is no component, or named twice, or none is named.
-        """
-        return self._over(places_of(self._axes, components, "a marginal"))
+        return np.stack(each, axis=-1).reshape(*flat.shape, -1)
 
     def _over(self, places: tuple[int, ...]) -> GridBelief:
-        axes = [self._axes[k] for k in places]
+        axes = [self._parts[k] for k in places]
         return GridBelief(axes, self._marginal(places), self.steps)
 
-    def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
-        """Draws of the centres of cells.
-
-        Parameters
-        ----------
-        size : int or tuple of int
-            How many of each belief.
-        rng : numpy.random.Generator or int
-            The generator of draws, or its seed.
-
-        Returns
-        -------
-        ndarray
-            (*size, ..., n).
-
-        Raises
-        ------
-        ModelError
-            If `size` is no number of draws, or `rng` is neither a generator nor a seed.
-        """
-        extra, generator = as_lengths(size, "of each belief"), as_generator(rng)
-        cells = self.values.shape[len(self.lead) :]
-        rows = self.values.reshape(-1, int(np.prod(cells)))
-        count = int(np.prod(extra))
+    def _drawn(self, count: int, rng: np.random.Generator) -> Array:
+        rows = self.values.reshape(int(np.prod(self.lead)), -1)
         drawn = np.empty((count, len(rows)), dtype=np.intp)
         for k, row in enumerate(rows):
             total = np.cumsum(row, dtype=np.float64)
             # Below one, so that no cell of probability zero is drawn.
-            level = generator.random(count) * total[-1]
+            level = rng.random(count) * total[-1]
             drawn[:, k] = np.minimum(np.searchsorted(total, level, side="right"), len(total) - 1)
-        return self._at(np.unravel_index(drawn.reshape(*extra, *self.lead), cells))
+        return self._centres(drawn)
 
-    def gaussian(self) -> Gaussian:
-        """The normal density of the same mean and covariance, over the variables of the components.
-
-        Raises
-        ------
-        ModelError
-            If the components are not all those of some variables, in their order.
-        """
-        variables = whole_variables(self._axes)
-        return Gaussian(variables, self.mean, self.cov, steps=self.steps)
-
-    def __getitem__(self, index: Any) -> GridBelief:
-        """The beliefs at some places of the leading axes: of a run, or of a step.
-
-        Parameters
-        ----------
-        index : int, slice or tuple of them
-            As of an array of the shape of the leading axes.
-
-        Raises
-        ------
-        ModelError
-            If the leading axes have no such place.
-        """
-        try:
-            kept = np.empty(self.lead, dtype=bool)[index]
-            places = (*(index if isinstance(index, tuple) else (index,)), ...)
-            values = self.values[(*places, *(slice(None),) * len(self._axes))]
-        except IndexError as error:
-            raise ModelError(f"a belief with the leading axes {self.lead}: {error}") from error
+    def _at(self, index: Any, chosen: Integers) -> GridBelief:
+        places = *(index if isinstance(index, tuple) else (index,)), ...
+        values = self.values[(*places, *(slice(None),) * len(self._parts))]
         steps = self.steps
         if steps is not None:
             wide = np.broadcast_to(steps, self.lead)[index]
-            steps = wide.reshape(-1, wide.shape[-1])[0].copy() if kept.ndim else None
+            steps = wide.reshape(-1, wide.shape[-1])[0].copy() if chosen.ndim else None
             if steps is not None and not (wide == steps).all():
                 steps = None
-        return GridBelief(self._axes, values, steps)
+        return GridBelief(self._parts, values, steps)
 
     @property
     def _title(self) -> str:
-        shape = " × ".join(f"{axis.label} {axis.cells}" for axis in self._axes)
+        shape = " × ".join(f"{axis.label} {axis.cells}" for axis in self._parts)
         return f"GridBelief({shape}{axes(self.lead, self.steps)})"
 
     def _summary(self) -> Summary:
@@ -230,7 +264,7 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
         """The probabilities (..., cells of the axes), in the order given."""
         if places not in self._marginals:
             count = len(self.lead)
-            others = tuple(count + k for k in range(len(self._axes)) if k not in places)
+            others = tuple(count + k for k in range(len(self._parts)) if k not in places)
             found = self.values.sum(axis=others, dtype=np.float64) if others else self.values
             order = [int(k) for k in np.argsort(np.argsort(places))]
             self._marginals[places] = found.transpose(*range(count), *(count + k for k in order))
@@ -244,7 +278,7 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
     def _moments(self) -> list[tuple[Array, Array, Array]]:
         """Of each axis: a place about which offsets count, the offsets, and their mean."""
         found = []
-        for k, axis in enumerate(self._axes):
+        for k, axis in enumerate(self._parts):
             marginal = self._marginal((k,))
             marginal = marginal / marginal.sum(axis=-1, keepdims=True)
             if axis.angle:
@@ -260,10 +294,6 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
         """The differences (..., cells) of centres from the mean along one axis."""
         _, offsets, mean = self._moments[k]
         return offsets - mean[..., None]
-
-    def __getstate__(self) -> dict[str, Any]:
-        # What was computed is not part of the value.
-        return {name: getattr(self, name) for name in GridBelief.__annotations__}
 
 
 def scope_axes(axes: Sequence[Axis], variables: Scope) -> tuple[int, ...]:
@@ -283,6 +313,7 @@ def require_step(variable: Variable, steps: int) -> int | None:
     return int(variable.step)
 
 
-def _frozen(array: Array) -> Array:
+def closed(array: Array) -> Array:
+    """The array itself, read-only from now on."""
     array.flags.writeable = False
     return array

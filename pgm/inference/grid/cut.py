@@ -4,8 +4,6 @@ A belief is carried up to a share of 10⁻¹⁵ along each axis, and kernels up 
 is beyond is lost, and no evidence brings it back, however much likelier it is there.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ integrals: by how much is found by shifting the centres by parts of a cell. With
 normalised over the lattice, continued beyond the bounds; what is missing besides has left them.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

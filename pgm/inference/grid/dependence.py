@@ -1,7 +1,5 @@
 """On which axes of a lattice functions depend: tested at every centre, not assumed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Set
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Displacements of states that move together, and the quadrature over the noise they share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

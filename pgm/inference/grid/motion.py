@@ -8,8 +8,6 @@ neighbours, and blurred by what is left of the variance. Noise that enters throu
 and correlated noise, is summed over the nodes of a quadrature.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

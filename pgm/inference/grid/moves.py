@@ -1,7 +1,5 @@
 """Operators that move probabilities on a lattice, and their exact transposes."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,11 +1,9 @@
 """Filtering on a grid in a robot's loop, one step at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +29,8 @@ from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
 
-class OnlineGridBelief(Shown, NoArray, Immutable):
+@dataclass(frozen=True, eq=False, repr=False)
+class OnlineGridBelief(Shown, NoArray):
     """The belief of an online filter at one step, on a grid.
 
     Attributes
@@ -42,8 +41,6 @@ class OnlineGridBelief(Shown, NoArray, Immutable):
     status : GridStatus
     kind : Kind
         Filtered after an update, predicted before.
-    lead : tuple of int
-        The axes of runs.
 
     Examples
     --------
@@ -57,47 +54,22 @@ class OnlineGridBelief(Shown, NoArray, Immutable):
     log_evidence: Array
     status: GridStatus
     kind: Kind
-    lead: tuple[int, ...]
-    # A window of steps behind it, which a grid has none of.
-    behind: None
     _lattice: Lattice
     _model: DynamicBayesianNetwork
     _values: npt.NDArray[Any]
+    # A window of steps behind it, which a grid has none of.
+    behind: ClassVar[None] = None
 
-    def __init__(
-        self,
-        model: DynamicBayesianNetwork,
-        lattice: Lattice,
-        step: int,
-        kind: Kind,
-        values: npt.NDArray[Any],
-        log_evidence: Array,
-        status: GridStatus,
-    ) -> None:
-        values.flags.writeable = log_evidence.flags.writeable = False
-        self._set(
-            step=step,
-            log_evidence=log_evidence,
-            status=status,
-            kind=kind,
-            lead=log_evidence.shape,
-            behind=None,
-            _lattice=lattice,
-            _model=model,
-            _values=values,
-        )
+    def __post_init__(self) -> None:
+        self._values.flags.writeable = self.log_evidence.flags.writeable = False
+
+    @property
+    def lead(self) -> tuple[int, ...]:
+        """The axes of runs."""
+        return self.log_evidence.shape
 
     def __getitem__(self, variable: Variable) -> GridBelief:
-        """The marginal of a state at the belief's step.
-
-        Parameters
-        ----------
-        variable : Variable
-
-        Returns
-        -------
-        GridBelief
-            Leading axes are runs.
+        """The marginal of a state at the belief's step, of leading axes of runs.
 
         Raises
         ------
@@ -111,13 +83,8 @@ class OnlineGridBelief(Shown, NoArray, Immutable):
                 variable=variable,
                 step=self.step,
             )
-        places = scope_axes(lattice.axes, lattice.states)
-        whole = GridBelief(
-            [lattice.axes[k] for k in places],
-            self._values.transpose(*range(len(self.lead)), *(len(self.lead) + k for k in places)),
-        )
-        own = [lattice.axes[k].label for k in scope_axes(lattice.axes, (template,))]
-        return whole if len(own) == len(places) else whole.marginal(*own)
+        places = scope_axes(lattice.axes, (template,))
+        return GridBelief(lattice.axes, self._values)._over(places)
 
     @property
     def _title(self) -> str:
@@ -315,6 +282,5 @@ class OnlineGrid(InCode, Immutable):
         status = GridStatus(outside, added, sharpest, narrowest, cut, sorted(split), uneven=uneven)
         status.warn(None if before is None else before.status)
         values = values.reshape(*lead, *lattice.shape)
-        return OnlineGridBelief(
-            self.model, lattice, step, kind, values, np.asarray(log_density), status
-        )
+        log_density = np.asarray(log_density)
+        return OnlineGridBelief(step, log_density, status, kind, lattice, self.model, values)

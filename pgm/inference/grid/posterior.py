@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -16,7 +17,6 @@ from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import Scope, as_scope, listed
-from pgm.immutable import Immutable
 from pgm.inference.associations import Found, collected
 from pgm.inference.grid.belief import GridBelief, require_step, scope_axes
 from pgm.inference.grid.dependence import centres
@@ -31,7 +31,8 @@ from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class GridPosterior(Labelled, Viewed, Shown, NoArray, Immutable):
+@dataclass(frozen=True, eq=False, repr=False)
+class GridPosterior(Labelled, Viewed, Shown, NoArray):
     """The beliefs of a dynamic network's states on a grid.
 
     Attributes
@@ -66,39 +67,17 @@ class GridPosterior(Labelled, Viewed, Shown, NoArray, Immutable):
     log_evidence: Array
     status: GridStatus
     _lattice: Lattice
-    _values: npt.NDArray[Any]
-    _filtered: npt.NDArray[Any] | None
     _bound: BoundEvidence
+    _values: npt.NDArray[Any]
+    _filtered: npt.NDArray[Any] | None = None
 
     # Python would else iterate by asking for the variables 0, 1, ...
     __iter__: ClassVar[None] = None
 
     _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
 
-    def __init__(
-        self,
-        graph: DynamicGraph,
-        grid: Grid,
-        kind: Kind,
-        log_evidence: Array,
-        status: GridStatus,
-        lattice: Lattice,
-        bound: BoundEvidence,
-        values: npt.NDArray[Any],
-        filtered: npt.NDArray[Any] | None = None,
-    ) -> None:
-        log_evidence.flags.writeable = False
-        self._set(
-            graph=graph,
-            grid=grid,
-            kind=kind,
-            log_evidence=log_evidence,
-            status=status,
-            _lattice=lattice,
-            _values=values,
-            _filtered=filtered,
-            _bound=bound,
-        )
+    def __post_init__(self) -> None:
+        self.log_evidence.flags.writeable = False
 
     @property
     def _hidden(self) -> Scope:
@@ -120,16 +99,7 @@ class GridPosterior(Labelled, Viewed, Shown, NoArray, Immutable):
         """The beliefs of the forward sweep."""
         if self._filtered is None:
             return self
-        return GridPosterior(
-            self.graph,
-            self.grid,
-            FILTERED,
-            self.log_evidence,
-            self.status,
-            self._lattice,
-            self._bound,
-            self._filtered,
-        )
+        return replace(self, kind=FILTERED, _values=self._filtered, _filtered=None)
 
     def __getitem__(self, variable: Variable) -> GridBelief:
         """The marginal of a state.
@@ -195,13 +165,8 @@ class GridPosterior(Labelled, Viewed, Shown, NoArray, Immutable):
         count = every.ndim - len(lattice.axes)
         steps = None if step is not None else np.arange(every.shape[count - 1])
         if step is not None:
-            every, count = every[(slice(None),) * (count - 1) + (step,)], count - 1
-        others = tuple(count + k for k in range(len(lattice.axes)) if k not in places)
-        if others:
-            every = every.sum(axis=others, dtype=np.float64)
-        order = np.argsort(np.argsort(places)).tolist()
-        every = every.transpose(*range(count), *(count + k for k in order))
-        return GridBelief([lattice.axes[k] for k in places], every, steps)
+            every = every[(slice(None),) * (count - 1) + (step,)]
+        return GridBelief(lattice.axes, every, steps)._over(places)
 
     @property
     def _title(self) -> str:

@@ -1,8 +1,7 @@
 """Running a schedule on a grid: run after run, and again on finer cells where that is asked for."""
 
-from __future__ import annotations
-
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -65,18 +64,7 @@ def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) 
         if settled or doubling == grid.doublings:
             break
         used = used.finer()
-    status = found.status.refined(record, settled)
-    return GridPosterior(
-        graph,
-        used,
-        found.kind,
-        found.log_evidence,
-        status,
-        found._lattice,
-        bound,
-        found._values,
-        found._filtered,
-    )
+    return replace(found, status=found.status.refined(record, settled))
 
 
 def _figure(grid: Grid, found: GridPosterior) -> Array:
@@ -140,14 +128,9 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         uneven=uneven,
     )
     filtered = filtered.reshape(*lead, *shape[1:])
-    if smoothed is None:
-        return GridPosterior(
-            graph, grid, kind, log_evidence.reshape(lead), status, lattice, bound, filtered
-        )
-    smoothed = smoothed.reshape(*lead, *shape[1:])
-    return GridPosterior(
-        graph, grid, kind, log_evidence.reshape(lead), status, lattice, bound, smoothed, filtered
-    )
+    values = (filtered,) if smoothed is None else (smoothed.reshape(filtered.shape), filtered)
+    log_evidence = log_evidence.reshape(lead)
+    return GridPosterior(graph, grid, kind, log_evidence, status, lattice, bound, *values)
 
 
 class _Kept(StateChain):

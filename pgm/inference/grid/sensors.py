@@ -6,8 +6,6 @@ bearing less a heading is, with those of either, which is tested at every centre
 of them with each measurement.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """CPDs at many points of a lattice, with a step's evidence bound: means, noise, densities."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator, Mapping
 

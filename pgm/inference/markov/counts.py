@@ -1,7 +1,5 @@
 """Expected counts of the states of each CPD's family, given all measurements."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Marginals of a chain of tables at all steps, joints of slices, and the most probable path."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The results of inference on a chain of tables: beliefs over time, joints, messages."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

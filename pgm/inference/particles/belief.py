@@ -9,20 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.boundary import as_generator, as_lengths
-from pgm.display import NoArray, Shown, Summary, axes
+from pgm.display import Summary, axes
 from pgm.errors import ModelError
-from pgm.factors import Gaussian
-from pgm.factors.listing import Framed
-from pgm.factors.scope import listed, places_of, whole_variables
-from pgm.immutable import Immutable
+from pgm.factors.scope import listed, places_of
+from pgm.inference.grid.belief import PointMasses, closed
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.model import Part
 from pgm.inference.summaries import moments_of, spread
 from pgm.kernels.arrays import TURN, Array, Integers, wrap
 
 
-class ParticleBelief(Framed, Shown, NoArray, Immutable):
+class ParticleBelief(PointMasses):
     r"""A belief as weighted draws.
 
     .. math:: p(x) = \sum_i w_i \, δ(x - x_i)
@@ -55,9 +52,6 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
     array(10000)
     """
 
-    components: tuple[str, ...]
-    steps: Integers | None
-    lead: tuple[int, ...]
     _parts: tuple[Part, ...]
     _clouds: tuple[Cloud, ...]
     _runs: tuple[int, ...]
@@ -79,11 +73,6 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
             _clouds=tuple(clouds),
             _runs=runs,
         )
-
-    @property
-    def angles(self) -> tuple[str, ...]:
-        """The components that are angles."""
-        return tuple(part.label for part in self._parts if part.angle)
 
     @cached_property
     def number(self) -> Integers:
@@ -111,51 +100,14 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
         found = np.stack([cloud.weights for cloud in self._clouds], axis=0)
         return self._by_lead(found.reshape(len(found), self._count, -1), first=True)
 
-    @cached_property
-    def mean(self) -> Array:
-        """The means, (..., d); those of angles within half a turn of their circular mean."""
+    def _mean(self) -> Array:
         return self._by_lead(np.stack([mean for mean, _ in self._moments], axis=0), first=True)
 
-    @cached_property
-    def cov(self) -> Array:
-        """The covariances, (..., d, d)."""
+    def _cov(self) -> Array:
         return self._by_lead(np.stack([cov for _, cov in self._moments], axis=0), first=True)
 
-    @cached_property
-    def std(self) -> Array:
-        """The standard deviations, (..., d)."""
-        return _frozen(np.sqrt(np.einsum("...ii->...i", self.cov)))
-
-    def gaussian(self) -> Gaussian:
-        """The normal density of the same mean and covariance.
-
-        Returns
-        -------
-        Gaussian
-            Over the variables whose components these are.
-
-        Raises
-        ------
-        ModelError
-            If the components are not all those of some variables, in their order.
-        """
-        variables = whole_variables(self._parts)
-        return Gaussian(variables, self.mean, self.cov, steps=self.steps)
-
-    def marginal(self, *components: str) -> ParticleBelief:
-        """The belief over some components alone.
-
-        Parameters
-        ----------
-        *components : str
-            By name, in the order wanted.
-
-        Raises
-        ------
-        ModelError
-            If one is no component, or named twice, or none is named.
-        """
-        each = [self._parts[k] for k in places_of(self._parts, components, "a marginal")]
+    def _over(self, places: tuple[int, ...]) -> ParticleBelief:
+        each = [self._parts[k] for k in places]
         return ParticleBelief(each, self._clouds, self._runs, self.steps)
 
     def histogram(
@@ -204,63 +156,22 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
             raise ModelError(f"a histogram of {listed(components)}: {error}") from error
         return found, tuple(edges)
 
-    def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
-        """Draws from the particles.
-
-        Parameters
-        ----------
-        size : int or tuple of int
-            How many of each belief.
-        rng : numpy.random.Generator or int
-            The generator of draws, or its seed.
-
-        Returns
-        -------
-        ndarray
-            (*size, ..., d).
-
-        Raises
-        ------
-        ModelError
-            If `size` is no number of draws, or `rng` is neither a generator nor a seed.
-        """
-        extra, generator = as_lengths(size, "of each belief"), as_generator(rng)
-        count, rows = int(np.prod(extra)), self._rows
+    def _drawn(self, count: int, rng: np.random.Generator) -> Array:
+        rows = self._rows
         found = np.empty((len(self._clouds), self._clouds[0].runs, count, len(rows)))
         for step, cloud in enumerate(self._clouds):
             for run in np.arange(cloud.runs).tolist():
                 place = cloud.of(run)
                 total = np.cumsum(cloud.weights[place])
-                level = generator.random(count) * total[-1]
+                level = rng.random(count) * total[-1]
                 chosen = np.minimum(np.searchsorted(total, level, side="right"), len(total) - 1)
                 found[step, run] = cloud.states[rows][:, place][:, chosen].T
-        drawn = self._by_lead(found, first=True)
-        drawn = np.moveaxis(drawn, -2, 0)
-        return drawn.reshape(*extra, *self.lead, len(rows))
+        return np.moveaxis(self._by_lead(found, first=True), -2, 0)
 
-    def __getitem__(self, index: Any) -> ParticleBelief:
-        """The beliefs at some places of the leading axes: of a run, or of a step.
-
-        Parameters
-        ----------
-        index : int, slice or tuple of them
-            As of an array of the shape of the leading axes.
-
-        Raises
-        ------
-        ModelError
-            If the leading axes have no such place.
-        """
-        runs, count = int(np.prod(self._runs)), len(self._clouds)
-        numbers = np.arange(runs * count).reshape(self.lead)
-        try:
-            chosen = numbers[index]
-        except IndexError as error:
-            raise ModelError(f"a belief with the leading axes {self.lead}: {error}") from error
-        chosen = np.asarray(chosen)
+    def _at(self, index: Any, chosen: Integers) -> ParticleBelief:
         if not chosen.size:
             raise ModelError(f"a belief with the leading axes {self.lead} has none at {index!r}")
-        run, step = np.divmod(chosen, count)
+        run, step = np.divmod(chosen, len(self._clouds))
         whole = len(self._runs) == chosen.ndim - 1
         if self.steps is None or not chosen.ndim or (len(np.unique(step)) == 1 and not whole):
             clouds = [self._gathered(int(step.flat[0]), run.reshape(-1))]
@@ -331,7 +242,7 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
         """Values (runs, steps, ...), or with steps first, by the leading axes; read-only."""
         if first:
             values = values.swapaxes(0, 1)
-        return _frozen(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))
+        return closed(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))
 
     def _require_equal(self, what: str) -> None:
         counts = {int(count) for cloud in self._clouds for count in cloud.counts}
@@ -348,10 +259,6 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
                 "run and a step first, as belief[3]"
             )
 
-    def __getstate__(self) -> dict[str, Any]:
-        # What was computed is not part of the value.
-        return {name: getattr(self, name) for name in ParticleBelief.__annotations__}
-
     @property
     def _title(self) -> str:
         least, most = int(self.number.min()), int(self.number.max())
@@ -362,8 +269,3 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
     def _summary(self) -> Summary:
         effective = f"effective {spread(self.effective, 4)}"
         return Summary(self._title, [effective, moments_of(self)])
-
-
-def _frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    array.flags.writeable = False
-    return array

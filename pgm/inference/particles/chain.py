@@ -8,8 +8,6 @@ a being the ancestor of each. The sum of what the weights are multiplied by esti
 p(z_t | z_0..t−1) without bias (Del Moral, Feynman–Kac formulae, 2004, section 7.4).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple, NoReturn
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -33,7 +33,8 @@ from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
 
-class OnlineParticleBelief(Shown, NoArray, Immutable):
+@dataclass(frozen=True, eq=False, repr=False)
+class OnlineParticleBelief(Shown, NoArray):
     """The belief of an online filter at one step, as particles.
 
     Attributes
@@ -45,8 +46,6 @@ class OnlineParticleBelief(Shown, NoArray, Immutable):
         Of this step, (*runs, 1).
     kind : Kind
         Filtered after an update, predicted before.
-    lead : tuple of int
-        The axes of runs.
 
     Examples
     --------
@@ -60,53 +59,26 @@ class OnlineParticleBelief(Shown, NoArray, Immutable):
     log_evidence: Array
     status: ParticleStatus
     kind: Kind
-    lead: tuple[int, ...]
-    # A window of steps behind it, which particles have none of.
-    behind: None
     _filter: OnlineParticles
     _cloud: Cloud
     _model: ParticleModel
     # The particles of the step before, and the inputs that moved them, where they are moved again
     # once the measurements are known.
-    _before: tuple[Cloud, BoundEvidence] | None
+    _before: tuple[Cloud, BoundEvidence] | None = None
+    # A window of steps behind it, which particles have none of.
+    behind: ClassVar[None] = None
 
-    def __init__(
-        self,
-        filter: OnlineParticles,
-        step: int,
-        kind: Kind,
-        cloud: Cloud,
-        model: ParticleModel,
-        log_evidence: Array,
-        status: ParticleStatus,
-        before: tuple[Cloud, BoundEvidence] | None = None,
-    ) -> None:
-        for array in (cloud.states, cloud.log_weights, log_evidence):
+    def __post_init__(self) -> None:
+        for array in (self._cloud.states, self._cloud.log_weights, self.log_evidence):
             array.flags.writeable = False
-        self._set(
-            step=step,
-            log_evidence=log_evidence,
-            status=status,
-            kind=kind,
-            lead=log_evidence.shape,
-            behind=None,
-            _filter=filter,
-            _cloud=cloud,
-            _model=model,
-            _before=before,
-        )
+
+    @property
+    def lead(self) -> tuple[int, ...]:
+        """The axes of runs."""
+        return self.log_evidence.shape
 
     def __getitem__(self, variable: Variable) -> ParticleBelief:
-        """The marginal of a state or hidden control at the belief's step.
-
-        Parameters
-        ----------
-        variable : Variable
-
-        Returns
-        -------
-        ParticleBelief
-            Leading axes are runs.
+        """The marginal of a state or hidden control at the belief's step, of leading axes of runs.
 
         Raises
         ------
@@ -300,4 +272,4 @@ class OnlineParticles(InCode, Immutable):
         status = record.status(bound.lead).at(step)
         status.warn(step)
         log_evidence = np.array(log_evidence).reshape(bound.lead)
-        return OnlineParticleBelief(self, step, kind, cloud, model, log_evidence, status, before)
+        return OnlineParticleBelief(step, log_evidence, status, kind, self, cloud, model, before)

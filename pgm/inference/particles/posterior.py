@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import ClassVar
@@ -14,7 +15,6 @@ from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors.scope import Scope, as_scope, listed
-from pgm.immutable import Immutable
 from pgm.inference.associations import Found, collected
 from pgm.inference.grid.belief import require_step
 from pgm.inference.particles.belief import ParticleBelief
@@ -30,7 +30,8 @@ from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class ParticlePosterior(Labelled, Viewed, Shown, NoArray, Immutable):
+@dataclass(frozen=True, eq=False, repr=False)
+class ParticlePosterior(Labelled, Viewed, Shown, NoArray):
     """The beliefs of a dynamic network as weighted draws.
 
     Attributes
@@ -70,30 +71,10 @@ class ParticlePosterior(Labelled, Viewed, Shown, NoArray, Immutable):
 
     _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
 
-    def __init__(
-        self,
-        graph: DynamicGraph,
-        particles: Particles,
-        kind: Kind,
-        log_evidence: Array,
-        status: ParticleStatus,
-        model: ParticleModel,
-        clouds: tuple[Cloud, ...],
-        filtered: tuple[Cloud, ...],
-    ) -> None:
-        log_evidence.flags.writeable = False
-        for cloud in (*clouds, *filtered):
+    def __post_init__(self) -> None:
+        self.log_evidence.flags.writeable = False
+        for cloud in (*self._clouds, *self._filtered):
             cloud.states.flags.writeable = cloud.log_weights.flags.writeable = False
-        self._set(
-            graph=graph,
-            particles=particles,
-            kind=kind,
-            log_evidence=log_evidence,
-            status=status,
-            _model=model,
-            _clouds=clouds,
-            _filtered=filtered,
-        )
 
     @property
     def _hidden(self) -> Scope:
@@ -135,16 +116,7 @@ class ParticlePosterior(Labelled, Viewed, Shown, NoArray, Immutable):
         """The beliefs of the forward sweep."""
         if self.kind == FILTERED:
             return self
-        return ParticlePosterior(
-            self.graph,
-            self.particles,
-            FILTERED,
-            self.log_evidence,
-            self.status,
-            self._model,
-            self._filtered,
-            self._filtered,
-        )
+        return replace(self, kind=FILTERED, _clouds=self._filtered)
 
     def __getitem__(self, variable: Variable) -> ParticleBelief:
         """The marginal of a state or hidden control.

@@ -1,7 +1,5 @@
 """Running a schedule with particles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pgm.compile import DynamicGraph

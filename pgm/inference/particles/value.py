@@ -1,7 +1,5 @@
 """The particles that a user asks for: how many, drawn from what, and drawn anew when."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The network that a file describes, put together and checked with the file's own lines."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Networks from and to those of pgmpy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Networks and evidence from the UAI format of inference competitions."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

@@ -1,7 +1,5 @@
 """Networks of tables to the Bayesian interchange format, BIF, and its XML form, XMLBIF 0.3."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

@@ -1,7 +1,5 @@
 """Beliefs over cells as moving pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cells in the plane: of maps of occupancy, and of beliefs over them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

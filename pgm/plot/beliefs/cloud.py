@@ -1,7 +1,5 @@
 """Clouds of particles: two components as points, an angle as ticks."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Beliefs in the plane: confidence ellipses, the path that a belief takes, and marks."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Beliefs over finitely many states through time: a row a step, one below the other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The places of the clusters and sepsets of a graph: chains in rows, other graphs in layers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise

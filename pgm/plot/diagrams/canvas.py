@@ -1,7 +1,5 @@
 """A canvas for diagrams, which are laid out in points so that every label fits its shape."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

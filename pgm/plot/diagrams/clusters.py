@@ -1,7 +1,5 @@
 """Cluster graphs, and the messages between their clusters."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The clusters and sepsets that a picture shows, and their texts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import networkx as nx

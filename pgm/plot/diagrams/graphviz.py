@@ -1,7 +1,5 @@
 """Networks and cluster graphs in DOT, the language of Graphviz, as text."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable
 from typing import cast

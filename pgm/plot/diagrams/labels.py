@@ -1,7 +1,5 @@
 """Labels of the shapes of a picture."""
 
-from __future__ import annotations
-
 import re
 from bisect import bisect_right
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """The places of the nodes of a directed acyclic graph, in layers, and the lines of its arrows."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ References
 Gansner, Koutsofios, North & Vo, A technique for drawing directed graphs, 1993.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Pictures of networks and cluster graphs for notebooks, as SVG within HTML."""
 
-from __future__ import annotations
-
 import io
 import re
 import warnings

@@ -1,7 +1,5 @@
 """Colours that stand for numbers: of clusters by size, of sepsets by residual."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The places of the nodes of an unrolled network, in slices alike, and the course of its arrows."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence

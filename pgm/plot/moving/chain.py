@@ -1,7 +1,5 @@
 """A window of a chain of clusters, in which the cluster at work is lit and messages flow."""
 
-from __future__ import annotations
-
 from itertools import product
 
 from matplotlib.artist import Artist

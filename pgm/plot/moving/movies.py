@@ -1,7 +1,5 @@
 """Moving pictures as files, written whole or not at all; GIFs with one palette for all pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from io import BytesIO
 from os import PathLike

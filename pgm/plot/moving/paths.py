@@ -1,7 +1,5 @@
 """The plane of a run: the path and the ellipses of the filter, and of the beliefs revised later."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator
 from typing import NamedTuple

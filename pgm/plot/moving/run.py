@@ -1,7 +1,5 @@
 """The run of a filter and a smoother as a moving picture."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from os import PathLike

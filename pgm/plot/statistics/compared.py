@@ -1,7 +1,5 @@
 """Comparisons over time: of linearisers and schedules, and of sensors by their innovations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Statistics of consistency: averages and coverage in their bands, and whiteness."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Errors over time: of one run against its own deviations, of many runs, and divergences."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,5 @@
 """The convergence of a schedule: the residual of each iteration."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

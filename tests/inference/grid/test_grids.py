@@ -70,6 +70,7 @@ def test_a_belief_and_its_moments():
     drawn = belief.sample(20_000, rng=0)
     assert_allclose(drawn.mean(axis=0), mean, atol=0.02)
     assert_allclose(np.cov(drawn.T), cov, atol=0.01)
+    assert_array_equal(belief[None].sample(20_000, rng=0)[:, 0], drawn)  # of one run
     assert isinstance(belief.gaussian(), pgm.Gaussian)
     both = belief.marginal("heading", "east")
     assert_allclose(both.values, belief.values.sum(axis=1).T)

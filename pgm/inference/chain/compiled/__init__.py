@@ -1,0 +1,1 @@
+"""The arithmetic of the Gaussian family in machine code."""

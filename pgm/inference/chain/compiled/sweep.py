@@ -1,0 +1,234 @@
+"""Sweeps of a plan in machine code: what they leave is what the general kernels leave."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from pgm.inference.chain.compiled.table import (
+    Integers64,
+    Rows,
+    Uncompiled,
+    address,
+    link_row,
+    require_compiled,
+    sensor_row,
+)
+from pgm.inference.chain.moments import MomentChain
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.options import LevenbergMarquardt
+from pgm.inference.schedule import Filtering
+from pgm.kernels.arrays import Array, Mask, vacant
+from pgm.kernels.moments import Conditional
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """How a sweep went: the runs that are left to the general kernels, and what it says of others.
+
+    `residuals` and `converged` are as of a `MomentChain`; `closest` as of a `Watch`.
+    """
+
+    left: list[slice]
+    residuals: list[Array]
+    converged: Mask
+    closest: float
+
+
+def is_used(plan: ChainPlan) -> bool:
+    """Whether a plan is to be swept in machine code."""
+    return plan.layout.compiled is not None and find_spec("numba") is not None
+
+
+def forward(
+    plan: ChainPlan,
+    schedule: Filtering | None,
+    known: tuple[Array, ...],
+    predicted: tuple[Array, ...] = (),
+    *,
+    keep: bool,
+) -> Swept | None:
+    """Sweep a plan forward into arrays of its record; None if it is not compiled.
+
+    Parameters
+    ----------
+    plan : ChainPlan
+    schedule : Filtering or None
+        None leaves all CPDs as they were linearised.
+    known, predicted : tuple of ndarray
+        Moments (T+1, runs, ...) and log-densities (T+1, runs) given measurements; moments before
+        them, if they are kept, without which the least shares of variance are looked at.
+    keep : bool
+        Whether the plan keeps how it is linearised.
+    """
+    if not is_used(plan):
+        return None
+    from pgm.kernels.compiled import sweeps as s
+
+    iterations, damping = 1, 0.0
+    if schedule is not None:
+        asked = schedule.damping
+        if schedule.gate is not None or isinstance(asked, LevenbergMarquardt):
+            return None
+        iterations, damping = schedule.iterations, asked
+    try:
+        chain = _Chain(plan)
+        chain.lay_out(schedule is None, keep)
+    except Uncompiled:
+        return None
+    begin = MomentChain(plan, schedule, keep=keep).start()
+    chain.put(s.BEGIN_MEAN, _by_row(plan, begin.mean, 1))
+    chain.put(s.BEGIN_COV, _by_row(plan, begin.cov, 2))
+    chain.put(s.MEAN, known[0])
+    chain.put(s.COV, known[1])
+    chain.put(s.DENSITY, known[2])
+    closest = np.ones(plan.runs)
+    if predicted:
+        chain.put(s.PREDICTED_MEAN, predicted[0])
+        chain.put(s.PREDICTED_COV, predicted[1])
+    else:
+        chain.fields[s.CLOSEST] = address(closest)
+    record = np.zeros((plan.runs, iterations + 1))
+    if iterations > 1 and schedule is not None:
+        settings = np.array([schedule.tolerance, damping])
+        chain.fields[s.ITERATIONS] = iterations
+        chain.fields[s.SETTINGS] = chain.rows.at(settings)
+        chain.fields[s.RESIDUALS] = address(record)
+    left = chain.run(s.forward)
+    longest = int(record[:, -2].max(initial=0.0)) if iterations > 1 else 0
+    converged = np.full(plan.runs, plan.linear)
+    if iterations > 1 and not plan.linear:
+        converged = record[:, -1] == 0.0
+    return Swept(left, list(record[:, :longest].T), converged, float(closest.min(initial=1.0)))
+
+
+def backward(
+    plan: ChainPlan,
+    ahead: Any,
+    transition: Conditional,
+    slices: Conditional | None,
+    *,
+    smooth: bool,
+) -> tuple[Conditional, tuple[Array, Array] | None] | None:
+    """The states given the slices after them, (T, runs, ...), and smoothed moments, if asked for.
+
+    None where the plan is not compiled, or a covariance is singular. `transition` and `slices` are
+    as of `Reverse`.
+    """
+    if not is_used(plan):
+        return None
+    from pgm.kernels.compiled import sweeps as s
+
+    chain, layout = _Chain(plan), plan.layout
+    lead, front, width = (plan.steps, plan.runs), layout.state_size, layout.slice_size
+    states = Conditional(*(vacant(lead, own) for own in ((front, width), (front,), (front, front))))
+    parts = {s.STEP_MATRIX: transition.matrix, s.STEP_NOISE: transition.cov}
+    parts |= dict(zip((s.GAIN, s.SHIFT, s.REST), states, strict=True))
+    for place, name in ((s.MEAN, "mean"), (s.PREDICTED_MEAN, "predicted_mean")):
+        parts |= {place: getattr(ahead, name), place + 4: getattr(ahead, name[:-4] + "cov")}
+    beliefs = None
+    if smooth:
+        every = plan.steps + 1, plan.runs
+        beliefs = vacant(every, (width,)), vacant(every, (width, width))
+        parts |= dict(zip((s.LATER_MEAN, s.LATER_COV), beliefs, strict=True))
+        if slices is not None:
+            places = s.CONTROL_GAIN, s.CONTROL_SHIFT, s.CONTROL_REST
+            parts |= dict(zip(places, slices, strict=True))
+    for place, array in parts.items():
+        chain.put(place, array)
+    return None if chain.run(s.backward) else (states, beliefs)
+
+
+def _by_row(plan: ChainPlan, array: Array, own: int) -> Array:
+    """Moments (own axes, *batch) as of one row, (1, runs, own axes)."""
+    if not plan.batch:
+        return array[None, None]
+    return array.transpose(own, *range(own))[None]
+
+
+class _Chain:
+    """A plan as a row of integers, the tables it tells of, and room to work in."""
+
+    def __init__(self, plan: ChainPlan) -> None:
+        from pgm.kernels.compiled import sweeps as s
+
+        layout = plan.layout
+        self.plan, self.rows = plan, Rows()
+        self.fields = np.zeros(s.FIELDS, dtype=np.int64)
+        self.status = np.zeros(plan.runs, dtype=np.int64)
+        fields = self.fields
+        fields[s.LAST], fields[s.SINGLE] = plan.steps, layout.single
+        fields[s.FRONT], fields[s.WIDTH] = layout.state_size, layout.slice_size
+        fields[s.STATES] = self.rows.places(layout.state_places, layout.slice_size)
+        fields[s.STATUS] = address(self.status)
+
+    def lay_out(self, stored: bool, keep: bool) -> None:
+        """The tables of CPDs; what is linearised is kept in the plan."""
+        from pgm.kernels.compiled import factors as f
+        from pgm.kernels.compiled import sweeps as s
+
+        plan, rows = self.plan, self.rows
+        require_compiled(plan)
+        read = plan.read
+        links = np.zeros((len(plan.transition), f.COLUMNS), dtype=np.int64)
+        sensors = np.zeros((len(read), f.COLUMNS), dtype=np.int64)
+        for link, row in zip(plan.transition, links, strict=True):
+            link_row(plan, link, rows, row, stored=stored)
+        for sensor, row in zip(read, sensors, strict=True):
+            sensor_row(plan, sensor, rows, row, stored=stored)
+        if keep and not stored:
+            for link, row in zip(plan.transition, links, strict=True):
+                _keep(link.family, row, rows)
+            for sensor, row in zip(read, sensors, strict=True):
+                _keep(sensor.family, row, rows)
+                if sensor.variable.angles:
+                    row[f.MOVED : f.MOVED + 4] = rows.told(sensor.moved, 1)
+        self.fields[s.LINKS], self.fields[s.LINK_COUNT] = rows.at(links), len(links)
+        self.fields[s.SENSORS], self.fields[s.SENSOR_COUNT] = rows.at(sensors), len(sensors)
+
+    def put(self, place: int, array: Array) -> None:
+        """Lay out an array (steps, runs, ...)."""
+        self.fields[place : place + 4] = self.rows.told(array, array.ndim - 2)
+
+    def run(self, kernel: Any) -> list[slice]:
+        """Run a kernel on all runs; those that it leaves."""
+        from pgm.kernels.compiled import sweeps as s
+
+        plan, rows = self.plan, self.rows
+        size = s.room(plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points)
+        chain, choice = address(self.fields), plan.layout.compiled
+        threads = 1 if choice is None else min(choice.threads, plan.runs)
+        edges = [k * plan.runs // threads for k in range(threads + 1)]
+        rooms = [np.empty(size) for _ in range(threads)]
+        jobs = [
+            (chain, first, last, address(room))
+            for first, last, room in zip(edges, edges[1:], rooms, strict=False)
+        ]
+        if threads > 1:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(lambda job: kernel(*job), jobs))
+        else:
+            kernel(*jobs[0])
+        return stretches(self.status != s.DONE)
+
+
+def _keep(family: Any, row: Integers64, rows: Rows) -> None:
+    from pgm.kernels.compiled import factors as f
+
+    if family.template is None:
+        return
+    row[f.MATRIX : f.MATRIX + 4] = rows.told(family.matrix, 2)
+    row[f.OFFSET : f.OFFSET + 4] = rows.told(family.offset, 1)
+    if row[f.KIND] == f.REGRESSION:
+        family.keep_errors()
+        row[f.KEPT_NOISE : f.KEPT_NOISE + 4] = rows.told(family.noise, 2)
+
+
+def stretches(mask: Mask) -> list[slice]:
+    """The stretches of a mask that are true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

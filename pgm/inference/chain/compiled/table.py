@@ -1,0 +1,197 @@
+"""Plans of chains as tables of integers, for sweeps in machine code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.inference.chain.compiled.functions import Functions, compiled
+from pgm.inference.chain.plan import ChainPlan, Link
+from pgm.inference.chain.sensor import Sensor
+from pgm.inference.family import Family
+from pgm.kernels import along_runs
+from pgm.kernels.arrays import Array, Index
+from pgm.linearisers import Cubature, GaussHermite, Taylor, Unscented
+from pgm.linearisers.points import Points
+from pgm.linearisers.regression import FEW, StatisticalRegression
+
+Integers64 = npt.NDArray[np.int64]
+# The rules whose points are the same at all steps.
+_RULES = Unscented, Cubature, GaussHermite
+# Angles and components without noise are told by the bits of a number.
+_MOST = 60
+
+
+class Uncompiled(Exception):
+    """A plan that machine code cannot sweep, and why."""
+
+
+def address(array: npt.NDArray[Any]) -> int:
+    """Where an array's memory begins."""
+    found: int = array.__array_interface__["data"][0]
+    return found
+
+
+class Rows:
+    """The arrays of a table, which have to stay in memory as long as it does."""
+
+    def __init__(self) -> None:
+        self.kept: list[object] = []
+        self.points, self.height = 0, 1
+
+    def at(self, array: npt.NDArray[Any]) -> int:
+        """The address of an array, which is kept."""
+        self.kept.append(array)
+        return address(array)
+
+    def told(self, array: Array, own: int) -> tuple[int, int, int, int]:
+        """The address of an array (rows or 1, runs or 1, own axes), and its strides, in floats."""
+        inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
+        for (outer, _), (stride, size) in pairwise(inner):
+            if outer != stride * size:
+                return self.told(np.ascontiguousarray(array), own)
+        down, across = (
+            0 if n == 1 else k // 8 for k, n in zip(array.strides, array.shape[:2], strict=False)
+        )
+        return self.at(array), down, across, inner[-1][0] // 8 if inner else 0
+
+    def places(self, index: Index, size: int) -> int:
+        """The address of the places that an index says."""
+        return self.at(np.arange(size)[index].astype(np.int64))
+
+
+def bits(mask: Sequence[int] | Integers64) -> int:
+    """Places as the bits of a number."""
+    return sum(1 << int(k) for k in mask)
+
+
+def require_compiled(plan: ChainPlan) -> None:
+    """Refuse a plan with anything in it that only the general kernels know."""
+    for sensor in plan.read:
+        if sensor.robust:
+            raise Uncompiled(f"{sensor.family.cpd!r} is of robust noise")
+        if sensor.gated is not None:
+            raise Uncompiled(f"{sensor.family.cpd!r} has a gate")
+        if sensor.exact:
+            raise Uncompiled(f"{sensor.family.cpd!r} has singular noise")
+        if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
+            raise Uncompiled(f"{sensor.family.cpd!r} is grouped")
+    if any(f.cpd.child.dimension > _MOST or f.shape[3] > _MOST for f in plan.families):
+        raise Uncompiled("its variables are large")
+
+
+def link_row(plan: ChainPlan, link: Link, rows: Rows, table: Integers64, *, stored: bool) -> None:
+    """Lay out a CPD of the transition."""
+    from pgm.kernels.compiled import factors as f
+
+    layout, family = plan.layout, link.family
+    _family(plan, family, link.parents, layout.state_size + layout.slice_size, rows, table, stored)
+    table[f.CHILD] = link.child.start
+    table[f.BARE] = bits(family.bare)
+    table[f.UNSURE] = not family.semidefinite
+    if stored or not link.turning:
+        return
+    size = layout.state_size + layout.slice_size
+    own = np.arange(size)[link.parents].tolist()
+    if any(before not in own for before in link.before.tolist()):
+        raise Uncompiled(f"{family.cpd!r} turns")
+    turning = [(new, before, own.index(before)) for new, before in link.turning]
+    table[f.TURNS] = len(turning)
+    table[f.TURNING] = rows.at(np.array(turning, dtype=np.int64))
+
+
+def sensor_row(
+    plan: ChainPlan, sensor: Sensor, rows: Rows, table: Integers64, *, stored: bool
+) -> None:
+    """Lay out a sensor with its measurements."""
+    from pgm.kernels.compiled import factors as f
+
+    family = sensor.family
+    _family(plan, family, sensor.parents, plan.layout.slice_size, rows, table, stored)
+    table[f.WHOLE] = sensor.whole
+    table[f.STEPS] = rows.at(np.array(sensor.bounds, dtype=np.int64))
+    values = sensor.moved if stored else sensor.values
+    if sensor.taken is not None:
+        values = np.where(sensor.taken, values, np.nan)
+    table[f.READINGS : f.READINGS + 4] = rows.told(values, 1)
+    noise, sharp = family.own_noise, np.zeros(1)
+    if noise.shape[:2] == (1, 1):
+        sharp = along_runs.sharpness(noise[0].transpose(1, 2, 0))
+    table[f.SHARP] = rows.at(sharp)
+
+
+def _family(
+    plan: ChainPlan,
+    family: Family,
+    parents: Index,
+    size: int,
+    rows: Rows,
+    table: Integers64,
+    stored: bool,
+) -> None:
+    from pgm.kernels.compiled import factors as f
+
+    _, _, height, width = family.shape
+    table[f.SIZE], table[f.HEIGHT] = width, height
+    table[f.PARENTS] = rows.places(parents, size)
+    rows.height = max(rows.height, height, width)
+    if stored or family.template is None:
+        table[f.KIND] = f.AFFINE
+        for place, array, own in (
+            (f.MATRIX, family.matrix, 2),
+            (f.OFFSET, family.offset, 1),
+            (f.NOISE, family.noise, 2),
+        ):
+            table[place : place + 4] = rows.told(array, own)
+    else:
+        _function(plan, family, rows, table)
+        table[f.NOISE : f.NOISE + 4] = rows.told(family.own_noise, 2)
+    if not stored:
+        table[f.ANGLES] = bits(np.flatnonzero(family.cpd.child.angle_mask))
+
+
+def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) -> None:
+    from pgm.kernels.compiled import factors as f
+
+    template, rule = family.template, family.lineariser
+    assert template is not None
+    known = plan.layout.functions
+    functions = known.get(template)
+    if functions is None:
+        functions = known[template] = compiled(template)
+    if not isinstance(functions, Functions):
+        raise Uncompiled(f"{family.cpd!r}: {functions}")
+    table[f.VALUE], table[f.FUNCTION] = functions.value, functions.slope
+    inputs = [
+        family.inputs[parent]
+        for parent, place in zip(template.given, template.places, strict=True)
+        if place is None
+    ]
+    if inputs:
+        lead = np.broadcast_shapes(*(values.shape[:2] for values in inputs))
+        wide = [np.broadcast_to(values, (*lead, values.shape[2])) for values in inputs]
+        joined = np.concatenate(wide, axis=-1) if len(wide) > 1 else np.ascontiguousarray(wide[0])
+        table[f.INPUTS : f.INPUTS + 4] = rows.told(joined, 1)
+    table[f.KIND] = f.TAYLOR
+    if not family.hidden or type(rule) is Taylor:
+        return
+    if type(rule) not in _RULES or not isinstance(rule, StatisticalRegression):
+        raise Uncompiled(f"{family.cpd!r} is linearised by {rule!r}")
+    points = rule.points(template.size, template.child.name, 0)
+    if len(points.points) > FEW:
+        raise Uncompiled(f"{family.cpd!r}: {rule!r} has many points")
+    table[f.KIND] = f.REGRESSION
+    table[f.COUNT], table[f.CENTRED] = len(points.points), points.centred
+    table[f.POINTS], table[f.LEAST] = _points(points, template.variances, rows)
+
+
+def _points(points: Points, variances: Sequence[float], rows: Rows) -> tuple[int, int]:
+    fit, count = points.fit, len(points.points)
+    rows.points = max(rows.points, count)
+    signs = np.ones(count) if fit.signs is None else fit.signs
+    numbers = np.concatenate([points.points.ravel(), fit.rows.ravel(), signs])
+    return rows.at(numbers), rows.at(np.array([*variances, points.rounding]))

@@ -1,0 +1,1 @@
+"""Sweeps of Gaussian chains in machine code, by Numba, which importing this loads."""

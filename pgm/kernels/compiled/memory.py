@@ -1,0 +1,55 @@
+"""Memory and functions by their addresses: kernels are compiled once, whatever they are given."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+Numbers = types.CPointer(types.float64)
+Places = types.CPointer(types.int64)
+
+
+def _viewed(pointer: Any) -> Any:
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+
+    return pointer(types.int64), made
+
+
+@intrinsic
+def numbers(typing: Any, address: Any) -> Any:
+    """The floats at an address."""
+    return _viewed(Numbers)
+
+
+@intrinsic
+def places(typing: Any, address: Any) -> Any:
+    """The integers at an address."""
+    return _viewed(Places)
+
+
+@intrinsic
+def past(typing: Any, pointer: Any, count: Any) -> Any:
+    """The floats, or integers, so many on."""
+
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.gep(arguments[0], [arguments[1]])
+
+    return pointer(pointer, types.int64), made
+
+
+@intrinsic
+def call(typing: Any, address: Any, x: Any, u: Any, value: Any, slope: Any) -> Any:
+    """Call the function at an address: ``f(x, u, value, slope)`` writes the last two."""
+
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointers = [argument.type for argument in arguments[1:]]
+        kind = ir.FunctionType(ir.VoidType(), pointers)
+        function = builder.inttoptr(arguments[0], kind.as_pointer())
+        builder.call(function, arguments[1:])
+        return context.get_dummy_value()
+
+    return types.void(types.int64, Numbers, Numbers, Numbers, Numbers), made
