@@ -18,8 +18,8 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.iteration import Point
 from pgm.kernels import canonical, roots
 from pgm.kernels.arrays import Array, apply, block, multiply, transpose
+from pgm.kernels.elements import in_chunks
 from pgm.kernels.roots import Tridiagonal
-from pgm.kernels.scan import in_chunks
 
 
 @dataclass(frozen=True, eq=False)
