@@ -21,7 +21,7 @@ from pgm.inference.schedule import Schedule
 from pgm.inference.status import SMOOTHED, Kind
 from pgm.kernels.arrays import Array
 from pgm.progress import counted
-from pgm.sizes import NUMBER, gibibytes, require_memory
+from pgm.resources import NUMBER, gibibytes, require_memory
 
 # Arrays of one belief's size that a step works with.
 _WORK = 12

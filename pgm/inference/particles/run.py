@@ -18,7 +18,7 @@ from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import Schedule
 from pgm.inference.status import FILTERED, Kind
 from pgm.networks import DynamicBayesianNetwork
-from pgm.sizes import gibibytes, require_memory
+from pgm.resources import gibibytes, require_memory
 
 
 def run(
