@@ -19,7 +19,7 @@ from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.inference.associations import Found, collected
-from pgm.inference.grid.belief import GridBelief, PointMasses, require_step, scope_axes
+from pgm.inference.grid.belief import GridBelief, PointMassBelief, require_step, scope_axes
 from pgm.inference.grid.dependence import centres
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.slices import GridModel, GridSlices, Worst
@@ -33,10 +33,10 @@ from pgm.inference.status import FILTERED, SMOOTHED, Kind
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.progress import counted
-from pgm.sizes import NUMBER, gibibytes, require_memory
+from pgm.resources import NUMBER, gibibytes, require_memory
 from pgm.variables import Variable
 
-Belief = TypeVar("Belief", bound=PointMasses)
+Belief = TypeVar("Belief", bound=PointMassBelief)
 
 
 class PointPosterior(Labelled, Viewed, Shown, NoArray, Generic[Belief]):

@@ -34,7 +34,7 @@ from pgm.inference.status import FILTERED, Kind
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
-from pgm.sizes import gibibytes, require_memory
+from pgm.resources import gibibytes, require_memory
 from pgm.variables import Variable
 
 
