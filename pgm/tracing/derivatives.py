@@ -58,8 +58,13 @@ def _zero(value: Any) -> bool:
 
 
 def _extreme(beyond: str, a: Any, b: Any, by_a: Any, by_b: Any) -> Any:
-    otherwise = scalar("where", scalar(beyond, b, a), by_b, 0.5 * (by_a + by_b))
-    return scalar("where", scalar(beyond, a, b), by_a, otherwise)
+    if _zero(by_a):
+        a, b, by_a, by_b = b, a, by_b, by_a
+    lesser, larger = scalar(beyond, b, a), scalar(beyond, a, b)
+    if _zero(by_b):  # the share is that of all columns
+        return scalar("where", larger, 1.0, scalar("where", lesser, 0.0, 0.5)) * by_a
+    otherwise = scalar("where", lesser, by_b, 0.5 * (by_a + by_b))
+    return scalar("where", larger, by_a, otherwise)
 
 
 def _divided(a: Any, b: Any, n: Any) -> tuple[Any, Any]:
