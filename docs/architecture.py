@@ -59,7 +59,7 @@ LAYERS = [
     Layer("cpds, maps", "means, noises, scans"),
     Layer("linearisers", "slope, value, error"),
     Layer("factors", "public densities"),
-    Layer("variables, errors, boundary, immutable, sizes, progress, optional, display", "names"),
+    Layer("variables, errors, boundary, immutable, resources, progress, display", "names"),
     Layer("kernels", "mathematics of arrays"),
 ]
 STATIONS = {

@@ -10,7 +10,7 @@ from pgm.display import Listing, Shown, Summary, count, few
 from pgm.errors import ModelError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
-from pgm.optional import FRAMES, optional
+from pgm.resources import FRAMES, optional
 from pgm.variables import Variable
 
 _NONE = "–"

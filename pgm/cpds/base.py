@@ -17,7 +17,7 @@ from pgm.errors import ModelError
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
 

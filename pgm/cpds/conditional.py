@@ -16,9 +16,8 @@ from pgm.cpds.robust import RobustNoise
 from pgm.cpds.values import Known, Values
 from pgm.display import InCode, Listing, called, named_matrix
 from pgm.errors import LinearisationError, ModelError, NumericalError
-from pgm.factors.arrays import IMPROPER, as_covariance, covariance_fault, symmetrised
+from pgm.factors.arrays import IMPROPER, as_covariance, covariance_fault, flat, symmetrised, unflat
 from pgm.factors.arrays import diagonal as on_diagonal
-from pgm.factors.runs import flat, unflat
 from pgm.factors.scope import Scope, as_scope, components, listed
 from pgm.kernels import normal, roots
 from pgm.kernels.arrays import (

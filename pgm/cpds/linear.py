@@ -14,7 +14,7 @@ from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, by_component, named_matrix, stacked, vector
 from pgm.errors import ModelError
-from pgm.factors.runs import flat
+from pgm.factors.arrays import flat
 from pgm.factors.scope import as_value, components
 from pgm.kernels.arrays import Array, apply, frozen
 from pgm.linearisers.calls import Call

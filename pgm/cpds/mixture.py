@@ -16,7 +16,7 @@ from pgm.cpds.linear import GaussianCPD
 from pgm.cpds.values import Known, Values
 from pgm.display import Listing, few, number
 from pgm.errors import ModelError
-from pgm.factors.runs import Shape, clash, unflat
+from pgm.factors.arrays import Shape, clash, unflat
 from pgm.factors.scope import Scope
 from pgm.kernels import normal, roots
 from pgm.kernels.arrays import Array, Integers, frozen

@@ -20,7 +20,7 @@ from pgm.factors.listing import shown
 from pgm.factors.scope import Scope, as_scope, listed, names
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.stochastic import Dense, Transition
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
 # The table of a function of inputs: values of each, (..., d) or states (...), to (..., sizes).

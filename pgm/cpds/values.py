@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from pgm.boundary import as_mapping
 from pgm.errors import ModelError
+from pgm.factors.arrays import Shape, clash, flat
 from pgm.factors.axes import as_known
-from pgm.factors.runs import Shape, clash, flat
 from pgm.factors.scope import as_value, listed
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:

@@ -29,9 +29,8 @@ from pgm.display import (
     stacked,
 )
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import IMPROPER, as_covariance, as_points, as_steps, as_vector
+from pgm.factors.arrays import IMPROPER, as_covariance, as_points, as_steps, as_vector, lead_index
 from pgm.factors.listing import Framed
-from pgm.factors.runs import lead_index
 from pgm.factors.scope import (
     Scope,
     angle_mask,
@@ -47,7 +46,7 @@ from pgm.factors.scope import (
 from pgm.immutable import Immutable
 from pgm.kernels import moments, normal, roots
 from pgm.kernels.arrays import Array, Integers, block, deviation, difference, frozen, wrap
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Variable
 
 

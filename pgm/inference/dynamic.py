@@ -15,9 +15,8 @@ from pgm.inference.grid.value import Grid
 from pgm.inference.options import Damping, Gate, Start, require_lineariser
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.value import Particles
-from pgm.inference.points import PointMasses
 from pgm.inference.schedule import Filtering, FixedLag, Smoothing
-from pgm.inference.temporal import TemporalPosterior, runner
+from pgm.inference.temporal import PointMasses, TemporalPosterior, runner
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.progress import Progress, reporting

@@ -19,10 +19,9 @@ from pgm.inference.grid.value import Grid
 from pgm.inference.options import Start, require_lineariser
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.value import Particles
-from pgm.inference.points import PointMasses
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule, Smoothing
-from pgm.inference.temporal import runner
+from pgm.inference.temporal import PointMasses, runner
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.progress import Progress, reporting
 from pgm.variables import Variable

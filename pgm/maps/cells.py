@@ -8,10 +8,10 @@ import numpy.typing as npt
 from pgm.boundary import as_floats
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
-from pgm.kernels import planar
+from pgm.kernels import rigid
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.maps.given import as_finite
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 
 
 class Cells(NamedTuple):
@@ -102,7 +102,7 @@ class CellGrid(Immutable):
                 "due"
             ) from None
         place = np.stack([column, row], axis=-1)
-        return planar.points_out_of(self.origin, (place + 0.5) * self.resolution)
+        return rigid.points_out_of(self.origin, (place + 0.5) * self.resolution)
 
     def _places(self, spacing: float, mask: Mask) -> Array:
         """Places a spacing apart along both axes, in cells of a mask, (n, 2)."""
@@ -115,10 +115,10 @@ class CellGrid(Immutable):
         columns, rows = np.floor(local / self.resolution).astype(np.intp).T
         inside = (rows < height) & (columns < width)
         local, rows, columns = local[inside], rows[inside], columns[inside]
-        found: Array = planar.points_out_of(self.origin, local[mask[rows, columns]])
+        found: Array = rigid.points_out_of(self.origin, local[mask[rows, columns]])
         return found
 
     def _to_cells(self, points: Array) -> Array:
         """Points (..., 2) as columns and rows, with fractions."""
-        found: Array = planar.points_from(self.origin, points) / self.resolution
+        found: Array = rigid.points_from(self.origin, points) / self.resolution
         return found

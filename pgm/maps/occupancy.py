@@ -13,14 +13,14 @@ from scipy.ndimage import distance_transform_edt, label
 from pgm.boundary import as_floats, is_whole
 from pgm.display import InCode
 from pgm.errors import FileError, ModelError
-from pgm.kernels import planar, rays
+from pgm.kernels import rays, rigid
 from pgm.kernels.arrays import Array, Mask, frozen
 from pgm.maps import files
 from pgm.maps.cells import CellGrid
 from pgm.maps.files import FREE, OCCUPIED
 from pgm.maps.given import as_angles, as_finite, as_mask, as_pose, as_positive, as_share
 from pgm.maps.uniform import UniformPose
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Variable
 
 
@@ -338,7 +338,7 @@ class OccupancyMap(InCode, CellGrid):
             part = poses[place]
             points = np.repeat(self._to_cells(part[:, :2]), angles.size, axis=0).T
             turns = (part[:, 2] - self.origin[2])[:, None] + angles
-            units = planar.directions(turns.ravel()).T
+            units = rigid.directions(turns.ravel()).T
             reach = rays.cast(clear, points, units, most / self.resolution)
             found[place] = np.minimum(reach * self.resolution, most).reshape(turns.shape)
         return found

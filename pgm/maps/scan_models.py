@@ -8,7 +8,7 @@ from scipy.special import ndtr, ndtri
 
 from pgm.cpds.values import Known, Values
 from pgm.errors import ModelError
-from pgm.kernels import planar, rays
+from pgm.kernels import rays, rigid
 from pgm.kernels.arrays import LOG_2PI, Array
 from pgm.maps.given import as_positive, as_share
 from pgm.maps.occupancy import OccupancyMap, blocks
@@ -140,7 +140,7 @@ class LikelihoodField(ScanCPD):
 
     @cached_property
     def _units(self) -> Array:
-        return planar.directions(self._angles).T
+        return rigid.directions(self._angles).T
 
     @cached_property
     def _table(self) -> rays.Single:

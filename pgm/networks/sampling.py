@@ -19,7 +19,7 @@ from pgm.evidence import Evidence, Reading, Sightings, bind, bind_values, sighti
 from pgm.evidence.rows import no_evidence_for
 from pgm.factors.scope import listed, unknown_name
 from pgm.immutable import Immutable
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from pgm.inference.status import Status
 from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.tables import exp
-from pgm.sizes import gibibytes
+from pgm.resources import gibibytes
 from pgm.variables import Discrete, Variable
 
 

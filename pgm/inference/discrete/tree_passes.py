@@ -9,8 +9,7 @@ import numpy as np
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.errors import EvidenceError
 from pgm.evidence.static import BoundStates
-from pgm.factors.runs import in_run
-from pgm.factors.scope import names
+from pgm.factors.scope import in_run, names
 from pgm.inference.discrete.evidence import enter_everywhere, multiply, some_runs
 from pgm.inference.discrete.storage import Storage, sepset_between
 from pgm.inference.discrete.tree_plan import TreePlan

@@ -9,12 +9,11 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
-from pgm.inference.grid.cut import Cut
 from pgm.inference.grid.densities import EVEN
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.measured import Sharpness
 from pgm.inference.grid.posterior import GridPosterior
-from pgm.inference.grid.slices import GridModel, GridSlices, Narrowness
+from pgm.inference.grid.slices import Cut, GridModel, GridSlices, Narrowness
 from pgm.inference.grid.status import GridStatus, Refinement
 from pgm.inference.grid.value import Grid
 from pgm.inference.markov.chain import StateChain, kind_of, require_chain
@@ -22,7 +21,7 @@ from pgm.inference.schedule import Schedule
 from pgm.inference.status import SMOOTHED, Kind
 from pgm.kernels.arrays import Array
 from pgm.progress import counted
-from pgm.sizes import NUMBER, gibibytes, require_memory
+from pgm.resources import NUMBER, gibibytes, require_memory
 
 # Arrays of one belief's size that a step works with.
 _WORK = 12

@@ -44,9 +44,9 @@ from pgm.inference.online.window import Passed, Sliding, Trail, look_again, trai
 from pgm.inference.options import Gate
 from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.value import Particles
-from pgm.inference.points import PointMasses, online_points
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.inference.status import FILTERED, PREDICTED, Status
+from pgm.inference.temporal import PointMasses, online_points
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
