@@ -2,6 +2,7 @@
 
 from pgm.cpds.base import CPD
 from pgm.cpds.conditional import ConditionalGaussian, Noise, noise
+from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.linear import AffineCPD, GaussianCPD, LinearGaussianCPD
 from pgm.cpds.mixture import MixtureCPD
 from pgm.cpds.nonlinear import NonlinearGaussianCPD
@@ -15,6 +16,7 @@ __all__ = [
     "AffineCPD",
     "Cauchy",
     "ConditionalGaussian",
+    "Derivatives",
     "GaussianCPD",
     "Huber",
     "Kronecker",

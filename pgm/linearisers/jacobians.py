@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.kernels.arrays import Array
-from pgm.linearisers.function import BoundFunction, FunctionTemplate, Source
+from pgm.linearisers.function import BoundFunction, Source
+from pgm.linearisers.template import FunctionTemplate
 from pgm.tracing.trace import around
 
 # Entries that are the same differ by less, of themselves and of the largest of their row.

@@ -15,7 +15,7 @@ from pgm.tracing.derivatives import derivatives
 from pgm.tracing.functions import traced
 from pgm.tracing.graph import Graph
 from pgm.tracing.program import Column, Program
-from pgm.tracing.traced import KINDS, Node, Recorder, Untraceable, bare, traced_elements
+from pgm.tracing.traced import STAND_INS, Node, Recorder, Untraceable, bare, traced_elements
 
 LIMIT = 2000  # operations
 
@@ -60,7 +60,7 @@ def trace(function: Callable[..., Any], widths: Sequence[int], due: tuple[int, .
     try:
         made = [_recorded(function, widths, due, 0)]
         if made[0][0].cast:
-            made += [_recorded(function, widths, due, kind) for kind in range(1, KINDS)]
+            made += [_recorded(function, widths, due, kind) for kind in range(1, len(STAND_INS))]
     except Untraceable as reason:
         return str(reason)
     (graph, outputs), *others = made

@@ -177,6 +177,15 @@ def compares_back(x):
     return np.where(written(x) > 0.0, written(x), 0.0)
 
 
+def limits_back(x):
+    out = written(x)
+    return np.where(out > 5.0, 5.0, out)
+
+
+def orders_back(x):
+    return np.sort(written(x), axis=-1)
+
+
 def cleans_back(x):
     return np.nan_to_num(written(x))
 
@@ -214,6 +223,8 @@ REASONS = {
     "arrays of floats": reads_back,
     "float(), math": compares_back,
     "float(), math, or arrays": cleans_back,
+    "math, or arrays": limits_back,
+    "or arrays of floats that": orders_back,
     "branches": catches,
     "looks a value up": lambda x: np.stack([[1.0, 2.0][x[..., 0].item()], x[..., 1]], -1),
     "makes an integer": lambda x: x[..., :2] * int(x[..., 0]),
