@@ -12,8 +12,8 @@ from pgm.tracing.traced import Node, Recorder, scalar
 
 def derivatives(
     graph: Graph, outputs: Sequence[int], inputs: Sequence[int]
-) -> tuple[Graph, list[dict[int, int]]]:
-    """The derivatives of outputs by inputs, in a graph that goes on from the given one.
+) -> list[dict[int, int]]:
+    """The derivatives of outputs by inputs, recorded in their graph.
 
     `where` chooses between the derivatives of its two values, so that one of them that is
     infinite or NaN does no harm where the other is chosen. At a kink they are the mean of those on
@@ -22,7 +22,6 @@ def derivatives(
 
     Returns
     -------
-    Graph
     list of dict
         Of each output: by the places of inputs, numbers of operations; zeros are left out.
     """
@@ -50,7 +49,8 @@ def derivatives(
         else:
             continue
         rows[number] = {j: slope for j, slope in found.items() if not _zero(slope)}
-    return g.copy(), [{j: d.number for j, d in rows.get(k, {}).items()} for k in outputs]
+    graph.take(g)
+    return [{j: d.number for j, d in rows.get(k, {}).items()} for k in outputs]
 
 
 def _zero(value: Any) -> bool:

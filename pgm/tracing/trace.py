@@ -49,8 +49,8 @@ class Trace:
         return {}
 
     def _made(self, columns: tuple[Column, ...]) -> Program:
-        places = [self.graph.input(*column) for column in columns]
-        graph, rows = derivatives(self.graph, self.outputs, places)
+        graph = self.graph.copy()
+        rows = derivatives(graph, self.outputs, [graph.input(*column) for column in columns])
         slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
         return Program(graph, self.widths, columns, self.outputs, slope)
 
