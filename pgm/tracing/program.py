@@ -46,9 +46,6 @@ class Program:
         keep = ("graph", "widths", "columns", "value", "slope")
         return {name: self.__dict__[name] for name in keep}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-
     @property
     def observed(self) -> list[Column]:
         """The components of observed arguments, in the order in which they are stacked."""

@@ -41,18 +41,16 @@ class Trace:
         """The value, and its derivative by some components of the arguments."""
         found = self._programs.get(columns)
         if found is None:
-            found = self._programs[columns] = self._made(columns)
+            graph = self.graph.copy()
+            rows = derivatives(graph, self.outputs, [graph.input(*column) for column in columns])
+            slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
+            found = Program(graph, self.widths, columns, self.outputs, slope)
+            self._programs[columns] = found
         return found
 
     @cached_property
     def _programs(self) -> dict[tuple[Column, ...], Program]:
         return {}
-
-    def _made(self, columns: tuple[Column, ...]) -> Program:
-        graph = self.graph.copy()
-        rows = derivatives(graph, self.outputs, [graph.input(*column) for column in columns])
-        slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
-        return Program(graph, self.widths, columns, self.outputs, slope)
 
 
 def trace(function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...]) -> Trace | str:
