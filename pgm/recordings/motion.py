@@ -29,18 +29,12 @@ _MOST = 1e8
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Rows of motion in order of time.
+    """Rows of motion that follow each other without gaps.
 
-    Attributes
-    ----------
-    what : str
-        Odometry or velocities, for messages.
-    starts, ends : ndarray
-        (n,): the time of each row, seconds; rows follow each other without gaps.
-    whole : ndarray
-        (n, 3): the motion of each row, forward [m], left [m], turn [rad].
-    steady : ndarray or None
-        (n, 3): its twist over its time; None where it follows from the motion.
+    what: Odometry or velocities, for messages.
+    starts, ends: (n,): the time of each row, seconds.
+    whole: (n, 3): forward [m], left [m], turn [rad].
+    steady: (n, 3): the twist of each row over its time; None where it follows from the motion.
     """
 
     what: str

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from pgm.kernels.arrays import Array
-from pgm.tracing.derivatives import reachable
 from pgm.tracing.graph import Graph
 from pgm.tracing.operations import BATCH, PYTHON, SCALAR
 
@@ -64,7 +63,7 @@ class Program:
     @property
     def size(self) -> int:
         """Operations that are computed."""
-        steps = reachable(self.graph, self._outputs)
+        steps = self.graph.reachable(self._outputs)
         return sum(self.graph.operations[k][0] not in ("constant", "input") for k in steps)
 
     @property
@@ -124,7 +123,7 @@ class Program:
         # The first cell of each operation, which a ufunc writes to by itself.
         first = dict(reversed(cells)) if batch else {}
         taken = set()
-        for number in reachable(self.graph, self._outputs):
+        for number in self.graph.reachable(self._outputs):
             name, *operands = self.graph.operations[number]
             if name == "constant":
                 names[number] = _literal(operands[0])

@@ -9,12 +9,11 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
-from pgm.inference.grid.cut import Cut
 from pgm.inference.grid.densities import EVEN
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.measured import Sharpness
 from pgm.inference.grid.posterior import GridPosterior
-from pgm.inference.grid.slices import GridModel, GridSlices, Narrowness
+from pgm.inference.grid.slices import Cut, GridModel, GridSlices, Narrowness
 from pgm.inference.grid.status import GridStatus, Refinement
 from pgm.inference.grid.value import Grid
 from pgm.inference.markov.chain import StateChain, kind_of, require_chain

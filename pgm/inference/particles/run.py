@@ -10,9 +10,9 @@ from pgm.inference.markov.chain import kind_of, require_chain
 from pgm.inference.particles.backward import Backward
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
-from pgm.inference.particles.guided import require_guidable
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.posterior import ParticlePosterior
+from pgm.inference.particles.proposals import require_guidable
 from pgm.inference.particles.status import Record
 from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import Schedule

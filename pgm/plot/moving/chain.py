@@ -10,10 +10,18 @@ from matplotlib.text import Text
 
 from pgm.compile import DynamicGraph
 from pgm.plot.colours import INK, MUTED, SEPSET
-from pgm.plot.diagrams.canvas import Box, Canvas, Size, open_canvas, readable, room, text_size
+from pgm.plot.diagrams.canvas import (
+    Box,
+    Canvas,
+    Size,
+    open_canvas,
+    readable,
+    room,
+    scope_label,
+    text_size,
+)
 from pgm.plot.diagrams.clusters import cluster_name, message_name
 from pgm.plot.diagrams.contents import contents
-from pgm.plot.diagrams.labels import scope_label
 from pgm.plot.moving.paths import Frame
 
 _GAP, _AWAY, _APART = 8.0, 6.0, 3.0
