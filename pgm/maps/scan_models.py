@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
-from pgm.cpds.values import Known, Values
+from pgm.cpds.base import Known, Values
 from pgm.errors import ModelError
 from pgm.kernels import rays, rigid
 from pgm.kernels.arrays import LOG_2PI, Array

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from pgm.boundary import is_whole
 from pgm.cpds import CPD
-from pgm.cpds.values import Known, Values
+from pgm.cpds.base import Known, Values
 from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.kernels import rigid
 from pgm.kernels.arrays import Array, Mask, frozen
