@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pgm.cpds.base import CPD
-from pgm.cpds.linear import AffineCPD
-from pgm.cpds.nonlinear import NonlinearGaussianCPD
+from pgm.cpds.gaussian import AffineCPD, NonlinearGaussianCPD
 from pgm.errors import ModelError
 from pgm.factors.scope import components
 from pgm.kernels.arrays import Array, Mask

@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats
-from pgm.cpds.base import CPD
+from pgm.cpds.base import CPD, Known, Values
 from pgm.cpds.structured import as_transition, is_structured, rounding
-from pgm.cpds.values import Known, Values
 from pgm.display import Listing, called, count
 from pgm.errors import ModelError
 from pgm.factors.listing import shown

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds import CPD
-from pgm.cpds.values import Known, Values
+from pgm.cpds.base import Known, Values
 from pgm.errors import ModelError
 from pgm.kernels import rigid
 from pgm.kernels.arrays import TURN, Array, Integers, Mask

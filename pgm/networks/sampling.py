@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from pgm.boundary import as_tuple, is_whole
-from pgm.cpds.values import Known, Values
+from pgm.cpds.base import Known, Values
 from pgm.display import Listing, NoArray, Shown, Summary, vector
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, bind_values, sightings
