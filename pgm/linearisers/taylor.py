@@ -18,9 +18,9 @@ class Taylor(ArrayLineariser):
     """First-order Taylor expansion at the mean: F = f'(μ), b = f(μ) − F μ.
 
     Uses the Jacobians given with the CPD; the others are exact derivatives of the function's trace
-    or, where it has none, fourth-order central differences. With
-    filtering it is the extended Kalman filter, with smoothing the extended RTS smoother, and
-    iterated smoothing is Gauss–Newton on the posterior.
+    or, where it has none, fourth-order central differences. With filtering it is the extended
+    Kalman filter, with smoothing the extended RTS smoother, and iterated smoothing is Gauss–Newton
+    on the posterior.
 
     Examples
     --------
