@@ -294,5 +294,6 @@ def unravelled(index: Integers, shape: Sequence[int]) -> tuple[Integers, ...]:
 
     NumPy's function is wrong for more than 8,192 indices whose last axis has length one.
     """
-    flat = np.asarray(index)
-    return tuple(k.reshape(flat.shape) for k in np.unravel_index(flat.reshape(-1), shape))
+    if np.ndim(index) < 2:
+        return np.unravel_index(index, shape)
+    return tuple(k.reshape(index.shape) for k in np.unravel_index(index.reshape(-1), shape))
