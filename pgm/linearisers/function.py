@@ -458,6 +458,10 @@ class BoundFunction(NamedTuple):
 
 def _alike(a: Array, b: Array, angles: Mask) -> bool:
     """Whether two values (..., d) are the same but for rounding."""
+    if a.ndim == 1:  # of one run, mostly without a turn
+        pairs = zip(a.tolist(), b.tolist(), strict=True)
+        if all(abs(p - q) <= 1e-9 * (1.0 + abs(p)) for p, q in pairs):
+            return True
     with quiet():
         error = np.abs(difference(a, b, angles))
         return bool(((error <= 1e-9 * (1.0 + np.abs(a))) | (np.isnan(a) & np.isnan(b))).all())

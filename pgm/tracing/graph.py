@@ -79,6 +79,12 @@ class Graph:
         self, name: str, operands: tuple[int, ...], known: list[float | bool | None]
     ) -> int | None:
         first, last = operands[0], operands[-1]
+        if name in ("multiply", "divide"):  # signs are taken out
+            for k in (0, 1):
+                if self.operations[operands[k]][0] == "negative":
+                    bare = [*operands]
+                    bare[k] = self.operations[operands[k]][1]
+                    return self.add("negative", self.add(name, *bare))
         if name == "where":
             if known[0] is not None:
                 return operands[1 if known[0] else 2]

@@ -155,6 +155,8 @@ class Tracer:
             return False
         self.compared = set()
         points = around(centres)
+        for point in points:
+            point[-1, -1] = np.nan  # by which a function shows what it does about such
         if self.trace is not None and self._equal(self.trace, points):
             return True
         found = trace(self.function, self.widths, (self.angles.size,))

@@ -6,19 +6,19 @@ import pytest
 from models import motion, sensors, tracking
 from pgm.tracing import Trace, trace
 
-WIDTHS = {"state": 3, "control": 3, "bias": 1, "landmark": 2}
+WIDTHS = {"state": 3, "control": 3, "other": 3, "bias": 1, "landmark": 2, "sight": 2}
 PAIRS = ("turn_after_move",)  # of two components
 
 
 def collected():
-    """Each function of motion and sensors with its derivatives, the widths and rows."""
-    for module, others in ((motion, ("control", "bias")), (sensors, ("landmark",))):
+    """Each function with its derivatives, and the components of its arguments."""
+    for module in (motion, sensors):
         for name in module.__all__:
-            by = [getattr(module, f"{name}_by_{p}", None) for p in ("state", *others)]
-            if by[0] is not None:
-                widths = [WIDTHS[p] for p, f in zip(("state", *others), by, strict=True) if f]
-                widths[1:2] = [2] if name in PAIRS else widths[1:2]
-                yield name, getattr(module, name), [f for f in by if f], widths
+            by = {p: getattr(module, f"{name}_by_{p}", None) for p in WIDTHS}
+            by = {p: function for p, function in by.items() if function}
+            if by:
+                widths = [2 if p == "control" and name in PAIRS else WIDTHS[p] for p in by]
+                yield name, getattr(module, name), list(by.values()), widths
     drive, wheels = motion.Velocity(0.3), motion.DifferentialDrive(0.8, 0.5, 0.3)
     turn = tracking.CoordinatedTurn(0.7)
     yield "Velocity", drive, [drive.by_state, drive.by_control], [3, 2]
@@ -79,5 +79,8 @@ def test_traced_derivatives_are_those_given(name):
             np.testing.assert_allclose(traced / scale, given / scale, rtol=0, atol=1e-12)
 
 
-def test_all_functions_are_there():
-    assert len(CASES) == 7 + 6 + 4 + 20
+def test_every_derivative_there_is_compared():
+    found = {f for _, derivatives, _ in CASES.values() for f in derivatives}
+    for module in (motion, sensors):
+        for name in module.__all__:
+            assert "_by_" not in name or getattr(module, name) in found
