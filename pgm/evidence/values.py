@@ -52,10 +52,9 @@ class Sightings(Shown, Immutable):
     def __init__(
         self, values: Any, step: Any = None, given: Mapping[Variable, Any] = MappingProxyType({})
     ) -> None:
-        put = object.__setattr__
-        put(self, "values", values)
-        put(self, "step", step)
-        put(self, "given", given)
+        _put_values(self, values)
+        _put_step(self, step)
+        _put_given(self, given)
 
     @property
     def _title(self) -> str:
@@ -74,6 +73,11 @@ class Sightings(Shown, Immutable):
         which = [f"run {', '.join(map(str, first))}:"] if first else []
         return Summary(self._title, [*which, table(columns)])
 
+
+# Quicker than `object.__setattr__`: sightings are made at each step online.
+_put_values, _put_step, _put_given = (
+    Sightings.__dict__[name].__set__ for name in ("values", "step", "given")
+)
 
 # By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.
 Evidence = Mapping[Variable, Any]
@@ -151,7 +155,7 @@ def sightings(
             f"sightings: given maps parents to their values, given={{m: landmarks}}; found "
             f"{type(given).__name__}"
         )
-    return Sightings(values, step, MappingProxyType(dict(given or {})))
+    return Sightings(values, step, MappingProxyType({**given} if given else {}))
 
 
 # The ways of answering for what is not known.

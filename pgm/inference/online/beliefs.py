@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 
@@ -35,6 +35,11 @@ from pgm.variables import Variable
 
 # The share of its variance below which a component counts as determined.
 _REGULAR = 1.0 / certificate.MODERATE
+
+
+# The steps of its filter, its number, mean and covariance in rows (n + 1, n), log-evidence, kind
+# and status.
+Core = tuple[Any, int, Array, float, Kind, Status]
 
 
 class OnlineBelief(Shown, NoArray, Immutable):
@@ -80,7 +85,10 @@ class OnlineBelief(Shown, NoArray, Immutable):
     associations: Found = NONE
     _gated: tuple[Decided, ...] = ()
     watch: Watch | None = None
+    # Of which all else is made, when it is asked for, after a step in machine code.
+    _core: Core | None
 
+    __slots__ = ("__dict__", "__weakref__", "_core")
     _arrays: ClassVar[str] = ".mean and .cov by variable, belief[x].mean"
 
     def __init__(
@@ -110,6 +118,22 @@ class OnlineBelief(Shown, NoArray, Immutable):
         values["kind"] = kind
         values["careful"] = careful
         values["behind"] = behind
+        put_core(self, None)
+
+    def __getattr__(self, name: str) -> Any:
+        core = None if name.startswith("_") else self._core
+        if core is None or name in self.__dict__:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        steps, step, both, log_evidence, kind, status = core
+        set_writeable(both, False)
+        parts = step, steps.layout, (), both[0], both[1:], np.array(log_evidence), status, kind
+        OnlineBelief.__init__(self, *parts)
+        put_core(self, core)
+        return getattr(self, name)
+
+    def __getstate__(self) -> dict[str, Any]:
+        assert self.step >= 0  # which makes all the rest
+        return super().__getstate__() | {"_core": None}
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a hidden variable at the belief's step, (*runs, d).
@@ -119,6 +143,11 @@ class OnlineBelief(Shown, NoArray, Immutable):
         EvidenceError
             If the belief is not over the variable, or of another step.
         """
+        core = self._core
+        if core is not None and variable is core[0].only:
+            both = core[2]
+            set_writeable(both, False)
+            return Gaussian._sealed(core[0].scope, both[0], both[1:])
         if type(variable) is not Variable:
             require_variable(variable)
         layout, template = self.layout, variable.template
@@ -227,6 +256,9 @@ class OnlineBelief(Shown, NoArray, Immutable):
             since = self.lost_since[self.lost].min()
             told.append(f"lost since step {since}, {int(self.lost.sum())} of {self.lost.size} runs")
         return Summary(found.title, [*told, *found.parts]) if told else found
+
+
+put_core: Callable[[OnlineBelief, Core | None], None] = OnlineBelief.__dict__["_core"].__set__
 
 
 def belief_of(

@@ -4,22 +4,31 @@ from __future__ import annotations
 
 from typing import Any
 
+from pgm.compile.machine import Compiled
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.inference.chain.gate import require_sensors
 from pgm.inference.options import Gate, require_gaussian, require_lineariser, require_plain
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.networks import DynamicBayesianNetwork
+from pgm.optional import optional
 
 
-def require_neither(gate: object, watch: object) -> None:
+def require_neither(gate: object, watch: object, compiled: object) -> None:
     """Refuse what beliefs that are no Gaussians have no use of."""
-    for name, value in (("gate", gate), ("watch", watch or None)):
+    for name, value in (("gate", gate), ("watch", watch or None), ("compiled", compiled or None)):
         if value is not None:
-            raise ModelError(
-                f"{name}= is for beliefs that are Gaussian, whose innovations have a covariance: "
-                "leave it out"
-            )
+            own = "are computed by its kernels" if name == "compiled" else "have innovations"
+            raise ModelError(f"{name}= is for Gaussian beliefs, which {own}: leave it out")
+
+
+def is_compiled(compiled: object) -> bool:
+    """Whether steps are made in machine code, for which there has to be Numba."""
+    if not isinstance(compiled, bool | Compiled | None):
+        raise ModelError(f"compiled={compiled!r}: True, False or a pgm.Compiled(...) was due")
+    if compiled:
+        optional("numba", "OnlineFilter(..., compiled=True)", "sepset[fast]")
+    return bool(compiled)
 
 
 def require_settings(
