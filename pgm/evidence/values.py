@@ -52,9 +52,7 @@ class Sightings(Shown, Immutable):
     def __init__(
         self, values: Any, step: Any = None, given: Mapping[Variable, Any] = MappingProxyType({})
     ) -> None:
-        _put_values(self, values)
-        _put_step(self, step)
-        _put_given(self, given)
+        self._set(values=values, step=step, given=given)
 
     @property
     def _title(self) -> str:
@@ -74,7 +72,8 @@ class Sightings(Shown, Immutable):
         return Summary(self._title, [*which, table(columns)])
 
 
-# Quicker than `object.__setattr__`: sightings are made at each step online.
+# Quicker than `Sightings(...)`: they are made at each step online.
+_new = object.__new__
 _put_values, _put_step, _put_given = (
     Sightings.__dict__[name].__set__ for name in ("values", "step", "given")
 )
@@ -155,7 +154,11 @@ def sightings(
             f"sightings: given maps parents to their values, given={{m: landmarks}}; found "
             f"{type(given).__name__}"
         )
-    return Sightings(values, step, MappingProxyType({**given} if given else {}))
+    found = _new(Sightings)
+    _put_values(found, values)
+    _put_step(found, step)
+    _put_given(found, MappingProxyType({**given} if given else {}))
+    return found
 
 
 # The ways of answering for what is not known.

@@ -207,8 +207,12 @@ class OnlineFilter(InCode, Immutable):
 
     def initial(self) -> OnlineBelief:
         """The prior, at step 0; runs are those of the model."""
-        found = self._initial()
-        return found if self._steps is None else self._steps.adopted(found)
+        return self._initial() if self._steps is None else self._first
+
+    @cached_property
+    def _first(self) -> OnlineBelief:
+        assert self._steps is not None
+        return self._steps.adopted(self._initial())
 
     @_quiet
     def _initial(self) -> OnlineBelief:
