@@ -50,6 +50,10 @@ class SliceLayout:
     model: DynamicBayesianNetwork
     compiled: Compiled | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Machine code stays where it is.
+        return {name: value for name, value in self.__dict__.items() if name != "functions"}
+
     @cached_property
     def functions(self) -> dict[FunctionTemplate, Any]:
         """The functions that have been compiled, or why not."""

@@ -42,7 +42,15 @@ _REGULAR = 1.0 / certificate.MODERATE
 Core = tuple[Any, int, Array, float, Kind, Status]
 
 
-class OnlineBelief(Shown, NoArray, Immutable):
+class _Kept:
+    """Of which a belief's attributes are made when they are asked for, after a compiled step."""
+
+    __slots__ = ("_core",)
+
+    _core: Core | None
+
+
+class OnlineBelief(_Kept, Shown, NoArray, Immutable):
     """The belief of an online filter at one step.
 
     Attributes
@@ -85,10 +93,6 @@ class OnlineBelief(Shown, NoArray, Immutable):
     associations: Found = NONE
     _gated: tuple[Decided, ...] = ()
     watch: Watch | None = None
-    # Of which all else is made, when it is asked for, after a step in machine code.
-    _core: Core | None
-
-    __slots__ = ("__dict__", "__weakref__", "_core")
     _arrays: ClassVar[str] = ".mean and .cov by variable, belief[x].mean"
 
     def __init__(
@@ -118,22 +122,23 @@ class OnlineBelief(Shown, NoArray, Immutable):
         values["kind"] = kind
         values["careful"] = careful
         values["behind"] = behind
-        put_core(self, None)
 
     def __getattr__(self, name: str) -> Any:
+        if name == "_core":
+            return None
         core = None if name.startswith("_") else self._core
-        if core is None or name in self.__dict__:
+        if core is None or "step" in self.__dict__:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         steps, step, both, log_evidence, kind, status = core
         set_writeable(both, False)
         parts = step, steps.layout, (), both[0], both[1:], np.array(log_evidence), status, kind
         OnlineBelief.__init__(self, *parts)
-        put_core(self, core)
         return getattr(self, name)
 
     def __getstate__(self) -> dict[str, Any]:
-        assert self.step >= 0  # which makes all the rest
-        return super().__getstate__() | {"_core": None}
+        state = {"step": self.step} | super().__getstate__()  # the step first: it makes the rest
+        del state["_core"]
+        return state
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a hidden variable at the belief's step, (*runs, d).
@@ -258,7 +263,7 @@ class OnlineBelief(Shown, NoArray, Immutable):
         return Summary(found.title, [*told, *found.parts]) if told else found
 
 
-put_core: Callable[[OnlineBelief, Core | None], None] = OnlineBelief.__dict__["_core"].__set__
+put_core: Callable[[OnlineBelief, Core | None], None] = _Kept.__dict__["_core"].__set__
 
 
 def belief_of(

@@ -11,7 +11,7 @@ from pgm.compile import SliceLayout
 from pgm.evidence import Sightings
 from pgm.inference.chain.compiled.table import Uncompiled
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.online.beliefs import OnlineBelief, put_core
+from pgm.inference.online.beliefs import OnlineBelief, is_plain, put_core
 from pgm.inference.online.layout import Layout, Shapes
 from pgm.inference.online.step_evidence import numbers
 from pgm.inference.status import FILTERED, PREDICTED, Status
@@ -134,7 +134,7 @@ class CompiledSteps:
 
     def adopted(self, belief: OnlineBelief) -> OnlineBelief:
         """A belief made the general way, from which steps may go on here."""
-        if not belief.lead and belief.careful is None:
+        if not belief.lead and is_plain(belief):
             both = np.vstack([belief.mean, belief.cov])
             told = belief.log_evidence.item(), belief.kind, belief.status
             put_core(belief, (self, belief.step, both, *told))

@@ -18,8 +18,8 @@ def require_neither(gate: object, watch: object, compiled: object) -> None:
     """Refuse what beliefs that are no Gaussians have no use of."""
     for name, value in (("gate", gate), ("watch", watch or None), ("compiled", compiled or None)):
         if value is not None:
-            own = "are computed by its kernels" if name == "compiled" else "have innovations"
-            raise ModelError(f"{name}= is for Gaussian beliefs, which {own}: leave it out")
+            own = "innovations have a covariance" if name != "compiled" else "steps are its kernels"
+            raise ModelError(f"{name}= is for beliefs that are Gaussian, whose {own}: leave it out")
 
 
 def is_compiled(compiled: object) -> bool:
