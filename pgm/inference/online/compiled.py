@@ -69,7 +69,7 @@ class CompiledSteps:
 
     def predicted(self, belief: OnlineBelief, inputs: Values | None) -> OnlineBelief | None:
         """The belief one step later."""
-        core = belief._core
+        core = getattr(belief, "_core", None)
         if core is None or core[0] is not self:
             return None
         _, step, known, log_evidence, _, _ = core
@@ -98,7 +98,7 @@ class CompiledSteps:
 
     def updated(self, belief: OnlineBelief, readings: Values) -> OnlineBelief | None:
         """The belief given measurements of its step."""
-        core = belief._core
+        core = getattr(belief, "_core", None)
         if core is None or core[0] is not self:
             return None
         _, step, known, log_evidence, _, _ = core
