@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 
 # Numbers of memory that the name of a state takes.
 _STATE = 8

@@ -65,17 +65,13 @@ class Drive:
 
     @property
     def labels(self) -> dict[pgm.Variable, npt.NDArray[np.str_]]:
-        """Whom each reading of the evidence is of, (M,): its landmark, or else its sensor."""
+        """The landmark that each sighting of the evidence is of, (M,)."""
         places = {tuple(place[:2]): str(key) for key, place in self.recording.landmarks.items()}
         found = {}
         for variable, sensor in self.sensors.items():
-            read = self.evidence[variable]
-            if not sensor.kind.of_landmarks:
-                found[variable] = np.array([sensor.stream] * len(read.step))
-                continue
-            before = f"{sensor.stream} " * (len(self.sensors) > 1)
-            rows = np.asarray(read.given[landmark]).tolist()
-            found[variable] = np.array([before + places[tuple(row)] for row in rows])
+            if sensor.kind.of_landmarks:
+                rows = np.asarray(self.evidence[variable].given[landmark]).tolist()
+                found[variable] = np.array([places[tuple(row)] for row in rows])
         return found
 
     def network(
@@ -117,15 +113,15 @@ class Drive:
 
 
 def named(sensors: tuple[Sensor, ...]) -> dict[pgm.Variable, Sensor]:
-    """Sensors by variables; of several each has a variable of its own."""
-    if len(sensors) == 1:
+    """Sensors by variables; of a lone one of landmarks its kind's, else one of its name."""
+    if len(sensors) == 1 and sensors[0].kind.of_landmarks:
         return {sensors[0].kind.variable: sensors[0]}
     found = {}
     for sensor in sensors:
-        alike = sensor.kind.variable
-        variable = pgm.Variable(
-            f"z of {sensor.stream}", components=alike.components, angles=alike.angles
-        )
+        alike, name = sensor.kind.variable, sensor.stream
+        if name in (pose.name, moved.name, landmark.name):
+            name = f"z of {name}"
+        variable = pgm.Variable(name, components=alike.components, angles=alike.angles)
         found[variable] = sensor
     return found
 

@@ -22,6 +22,7 @@ from experiments.recordings.setting_file import READERS, described
 from experiments.recordings.settings import SETTINGS
 from models.networks import pose
 from pgm import consistency
+from pgm.consistency import Ranked
 from pgm.recordings import Recording
 
 QUICK: dict[str, Any] = {"data": "labyrinth", "linearisers": "Taylor"}
@@ -186,12 +187,14 @@ def estimated(drive: Drive, linearisers: list[str]) -> tuple[dict[str, Any], dic
 
 def _judged(drive: Drive, belief: pgm.Gaussian) -> dict[str, float]:
     """Against the truth; nothing where there is none."""
-    if drive.truth is None:
+    if drive.truth is None or not (known := np.isfinite(drive.truth[:, 0])).any():
         return {}
+    away = np.linalg.norm(belief.mean[known, :2] - drive.truth[known, :2], axis=-1)
     nees = consistency.anees(belief, drive.truth, PLANE).per_dof().overall()
     return {
         "rmse": float(consistency.rmse(belief, drive.truth, PLANE)),
         "nees": float(nees.value),
+        "end": float(away[-1]),
     }
 
 
@@ -202,6 +205,7 @@ def _tables(record: Record, drive: Drive, results: dict[str, Any]) -> None:
             lineariser,
             found.get("rmse", ""),
             found.get("nees", ""),
+            found.get("end", ""),
             # Of an improper density the figure compares with no other noise's.
             "" if found.get("log_evidence_kind", _NONE) == _NONE else found["log_evidence"],
             found.get("lost", ""),
@@ -212,11 +216,11 @@ def _tables(record: Record, drive: Drive, results: dict[str, Any]) -> None:
     ways = methods(drive.setting.ways) if drive.sensors else {}
     about = "; ".join(f"{label}: {method.about}" for label, method in ways.items())
     record.table(
-        f"{drive.name}: position against the truth",
-        ("method", "lineariser", "RMSE [m]", "NEES", "log-evidence", "steps lost"),
+        f"{drive.name}: {'position against the truth' if drive.truth is not None else 'no truth'}",
+        ("method", "lineariser", "RMSE [m]", "NEES", "end [m]", "log-evidence", "steps lost"),
         rows,
-        about="NEES is a component's, 1 of a right belief. A robust noise without a density has no "
-        "log-evidence that compares with others. "
+        about="NEES is a component's, 1 of a right belief; end, the last error. A robust noise "
+        "without a density has no log-evidence that compares with others. "
         + (f"{about}." if about else "There is no sensor: the motion alone."),
         best={"RMSE [m]": -np.inf, "NEES": 1.0},
     )
@@ -255,7 +259,7 @@ def _pictures(
         ("of", "components", "NIS", "low", "high", "bias", "first", "last", "p at most"),
         [
             (
-                str(row.group),
+                _of(row, drive),
                 int(row.average.count),
                 float(row.average.value),
                 float(row.average.low),
@@ -272,6 +276,11 @@ def _pictures(
         "and a bound on the probability that a right model has such a stretch.",
     )
     rankings[drive.name] = [
-        {"landmark": str(row.group), "nis": float(row.average.value), "p": row.probability}
+        {"landmark": _of(row, drive), "nis": float(row.average.value), "p": row.probability}
         for row in ranked.rows
     ]
+
+
+def _of(row: Ranked, drive: Drive) -> str:
+    """The landmark of a row of the ranking, with its sensor where there are several."""
+    return row.name if len(drive.sensors) > 1 or row.group is None else str(row.group)

@@ -31,7 +31,8 @@ def paths(drive: Drive, shown: dict[str, pgm.ChainPosterior]) -> Figure:
         if "east" in variable.components:
             read = np.asarray(drive.evidence[variable].values)[:, :2]
             known.append(read[np.isfinite(read).all(axis=1)])
-            ax.plot(*read.T, ".", color=PALETTE[3], ms=2.5, label=sensor.stream)
+            colour = PALETTE[3 + (len(known) - 2) % 3]
+            ax.plot(*read.T, ".", color=colour, ms=3.5, label=sensor.stream)
     for label in ("filter", "smoother") if shown else ():
         mean = shown[label][pose].mean
         ax.plot(*mean[:, :2].T, color=DRAWN[label], lw=0.9, label=label)

@@ -98,6 +98,7 @@ def run(
     if about:
         record.note(about)
     record.note(_held(made))
+    record.note(compiled._title)
     if graph.scans is not None:
         record.note("Scans are not taken; the experiment killian finds the robot by them.")
     starts = {"the file's poses": (graph.poses, graph.landmarks), "the tree alone": made.reckoned()}

@@ -1,7 +1,6 @@
 """Compiling networks to cluster graphs."""
 
-from pgm.compile.balanced import Balanced, BalancedGraph
-from pgm.compile.compiling import Method, compile
+from pgm.compile.compiling import Balanced, BalancedGraph, Method, compile
 from pgm.compile.dynamic import DynamicGraph, SliceGraph, SliceLayout
 from pgm.compile.methods import LTRIP, Bethe, JoinGraph, JunctionTree
 from pgm.compile.orders import (

@@ -1,4 +1,4 @@
-"""Cluster graphs of dynamic networks, and the vectors of their slices."""
+"""Cluster graphs of dynamic networks, templates for any number of steps, and slices' vectors."""
 
 from __future__ import annotations
 

@@ -81,11 +81,11 @@ class StochasticMinFill(Rule):
     """The order of `MinFill`, or the cheapest of many that are drawn, if that is cheaper.
 
     Of a discrete network whose tables are large, there are tries with other weights, then with
-    fills of each variable that are multiplied by a random number near one, and the order whose
-    tables have the fewest entries is taken, the same each time. The search takes about as long as
-    two first passes of messages over the tables, and with 200 tries less than a second. Where a try
-    would cost more than it could spare, where nothing would make the tables fit in memory, and of a
-    continuous network there is none.
+    fills that are multiplied by random numbers near one, and the order whose tables have the fewest
+    entries is taken, the same each time. The search takes about as long as two first passes of
+    messages over the tables, and with 200 tries less than a second. There is none where a try would
+    cost more than it could spare or nothing would make the tables fit in memory, nor of a
+    continuous network.
 
     Parameters
     ----------
@@ -129,9 +129,8 @@ class NestedDissection(Rule):
 
     The set is the smallest middle level of a breadth-first search from the edge of the network.
     The tree is shallow, about log₂ n clusters deep for a chain of n variables where `MinFill` gives
-    n, for cliques that may be larger: a little on chains and grids, by powers of ten on networks
-    that branch; compare `graph.cost`. Inside a set, and in small parts, the next variable is the
-    one of least weighted fill.
+    n, but cliques may be larger: a little on chains and grids, by powers of ten on networks that
+    branch. Inside a set, and in small parts, the next variable is the one of least weighted fill.
 
     Parameters
     ----------

@@ -2,9 +2,9 @@
 
 from pgm.cpds.base import CPD
 from pgm.cpds.conditional import ConditionalGaussian, Noise, noise
-from pgm.cpds.linear import AffineCPD, GaussianCPD, LinearGaussianCPD
+from pgm.cpds.derivatives import Derivatives
+from pgm.cpds.gaussian import AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
 from pgm.cpds.mixture import MixtureCPD
-from pgm.cpds.nonlinear import NonlinearGaussianCPD
 from pgm.cpds.robust import Cauchy, Huber, RobustNoise, StudentT, TruncatedLeastSquares
 from pgm.cpds.sampled import SampledCPD
 from pgm.cpds.structured import Kronecker, shifts
@@ -15,6 +15,7 @@ __all__ = [
     "AffineCPD",
     "Cauchy",
     "ConditionalGaussian",
+    "Derivatives",
     "GaussianCPD",
     "Huber",
     "Kronecker",

@@ -11,16 +11,14 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from pgm.cpds.base import CPD
+from pgm.cpds.base import CPD, Known, Values
 from pgm.cpds.robust import RobustNoise
-from pgm.cpds.values import Known, Values
 from pgm.display import InCode, Listing, called, named_matrix
 from pgm.errors import LinearisationError, ModelError, NumericalError
-from pgm.factors.arrays import IMPROPER, as_covariance, covariance_fault, symmetrised
+from pgm.factors.arrays import IMPROPER, as_covariance, covariance_fault, flat, symmetrised, unflat
 from pgm.factors.arrays import diagonal as on_diagonal
-from pgm.factors.runs import flat, unflat
 from pgm.factors.scope import Scope, as_scope, components, listed
-from pgm.kernels import normal, roots
+from pgm.kernels import roots
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
@@ -216,7 +214,7 @@ class ConditionalGaussian(CPD):
         seen = ~np.isnan(child)
         if not seen.all():
             return self._marginal(child, known, seen, centre, lower)
-        error = normal.INEXACT * (np.abs(child) + np.abs(centre))
+        error = roots.INEXACT * (np.abs(child) + np.abs(centre))
         error = error + ROUNDING * unflat(self._summed(known.values), known.lead, 1)
         if self.noise is not None:
             return self._robust(lower, difference(child, centre, angles), child.shape[-1])
@@ -238,7 +236,7 @@ class ConditionalGaussian(CPD):
         cov = independent(lower @ transpose(lower), seen)
         alone = roots.root(cov)
         residual = np.where(seen, difference(child, centre, self.child.angle_mask), 0.0)
-        error = normal.INEXACT * (np.abs(np.where(seen, child, 0.0)) + np.abs(centre))
+        error = roots.INEXACT * (np.abs(np.where(seen, child, 0.0)) + np.abs(centre))
         residual = np.broadcast_to(residual, (*lead, child.shape[-1]))
         if self.noise is not None:
             return self._robust(alone, residual, seen.sum(axis=-1))
@@ -268,7 +266,7 @@ class ConditionalGaussian(CPD):
         if self.noise is not None:
             self.noise.require_proper(self.child.dimension, self)
             white = self.noise.draw(white, rng)
-        return normal.draw(mean, lower, white)
+        return roots.draw(mean, lower, white)
 
     def _law(self, known: Known) -> tuple[Array, Array]:
         """The mean, and the root of the noise: they broadcast to (*shape, d) and (*shape, d, d)."""
@@ -325,10 +323,10 @@ def _log_density(lower: Array, residual: Array, error: Array) -> Array:
     """The value ln N(r; 0, L Lᵀ), (...); −∞ where r is off its subspace by more than an error."""
     size = residual.shape[-1]
     points = (-1, size) if lower.ndim == 2 else (*residual.shape[:-1], 1, size)
-    white, left = normal.whitened(lower, residual.reshape(points))
-    value = normal.log_density(lower, white)
+    white, left = roots.whitened(lower, residual.reshape(points))
+    value = roots.log_density(lower, white)
     if left is not None:
         error = np.broadcast_to(error, residual.shape).reshape(points)
-        value = np.where(normal.off(lower, left, error), -np.inf, value)
+        value = np.where(roots.off(lower, left, error), -np.inf, value)
     value = np.where(np.isnan(value), -np.inf, value) + 0.0  # no -0
     return value.reshape(residual.shape[:-1])

@@ -12,7 +12,7 @@ from pgm.display.summary import Summary
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
-    from pgm.cpds.nonlinear import NonlinearGaussianCPD
+    from pgm.cpds.gaussian import NonlinearGaussianCPD
 
 
 class Derivatives(Shown, Mapping[Variable, str]):

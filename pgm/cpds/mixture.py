@@ -10,15 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, as_tuple
-from pgm.cpds.base import CPD
+from pgm.cpds.base import CPD, Known, Values
 from pgm.cpds.conditional import ConditionalGaussian, Noise
-from pgm.cpds.linear import GaussianCPD
-from pgm.cpds.values import Known, Values
+from pgm.cpds.gaussian import GaussianCPD
 from pgm.display import Listing, few, number
 from pgm.errors import ModelError
-from pgm.factors.runs import Shape, clash, unflat
+from pgm.factors.arrays import Shape, clash, unflat
 from pgm.factors.scope import Scope
-from pgm.kernels import normal, roots
+from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.tables import log_sum
 from pgm.variables import Variable
@@ -272,7 +271,7 @@ class UnidentifiedCPD(CPD):
         seen = ~np.isnan(child)
         middle = np.where(seen, unflat(mean, known.lead, 1), np.nan)
         square = 2.0 * (self.sensor._log_density(middle, known) - density)
-        limit = normal.square_within(gate, np.maximum(seen.sum(axis=-1), 1))
+        limit = roots.square_within(gate, np.maximum(seen.sum(axis=-1), 1))
         return np.where(square > limit, -np.inf, density)
 
     def __repr__(self) -> str:

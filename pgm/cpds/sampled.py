@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pgm.cpds.base import CPD
-from pgm.cpds.values import Known, Values
+from pgm.cpds.base import CPD, Known, Values
 from pgm.display import Listing, called
 from pgm.errors import LinearisationError, ModelError
 from pgm.kernels.arrays import Array

@@ -13,7 +13,7 @@ from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.kernels.stochastic import Dense, Product, Sparse, Transition
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 
 if TYPE_CHECKING:
     from scipy import sparse

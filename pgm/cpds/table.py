@@ -11,16 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats
-from pgm.cpds.base import CPD
+from pgm.cpds.base import CPD, Known, Values
 from pgm.cpds.structured import as_transition, is_structured, rounding
-from pgm.cpds.values import Known, Values
 from pgm.display import Listing, called, count
 from pgm.errors import ModelError
 from pgm.factors.listing import shown
 from pgm.factors.scope import Scope, as_scope, listed, names
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.stochastic import Dense, Transition
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
 # The table of a function of inputs: values of each, (..., d) or states (...), to (..., sizes).

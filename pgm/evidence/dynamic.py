@@ -25,10 +25,10 @@ from pgm.evidence.rows import (
     unread,
 )
 from pgm.evidence.values import Constant, Evidence, Sightings, Unknown, opened, require_whole
-from pgm.factors.runs import common_runs, flat
+from pgm.factors.arrays import common_runs, flat
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
 # Values of parents with evidence, (rows, runs or 1, d): a row is a step or a sighting.

@@ -12,8 +12,7 @@ from pgm.boundary import as_floats, as_wholes
 from pgm.errors import EvidenceError
 from pgm.evidence.values import Constant, Soft
 from pgm.factors.axes import MISSING, as_indices
-from pgm.factors.runs import Place, in_row, in_run
-from pgm.factors.scope import listed, unknown_name
+from pgm.factors.scope import Place, in_row, in_run, listed, unknown_name
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete, Variable
 

@@ -13,8 +13,8 @@ from pgm.cpds import CPD
 from pgm.errors import EvidenceError
 from pgm.evidence.rows import as_rows, as_weights, no_evidence_for, require_finite, taken_readings
 from pgm.evidence.values import Constant, Evidence, Sightings, Soft
+from pgm.factors.arrays import common_runs, flat
 from pgm.factors.axes import as_indices
-from pgm.factors.runs import common_runs, flat
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete, Variable

@@ -276,19 +276,18 @@ def unknown(
     .. math:: \sum_k w_k (1 - s - n) \, p(z \mid x, m_k) + \frac{s + n}{V}
 
     with ``association="sum"``, where what was seen is summed out; with ``"likelihood"`` it is the
-    largest of these terms. Beliefs of Gaussians take the likelihood alone: at the predicted belief
-    of each step, given also what of its measurements leaves nothing open, every sighting is given
-    its likeliest candidate, of ln w_k + ln N(z; ẑ_k, S_k) with the innovation's covariance S_k, and
-    the network is then inferred as if that had been known. One sensor's are taken in before the
-    next one's, in the order of the network.
-    ``posterior.associations`` tells what each sighting was taken for. Sightings are associated one
-    by one: two of a step may be given the same candidate.
+    largest of these terms. Beliefs of Gaussians take no sum: at the predicted belief of each step,
+    given also what of its measurements leaves nothing open, every sighting is given its likeliest
+    candidate, of ln w_k + ln N(z; ẑ_k, S_k) with the innovation's covariance S_k, and the network
+    is then inferred as if that had been known; sensors are taken in one after the other, in the
+    order of the network. Two sightings of a step may be given the same candidate.
+    ``posterior.associations`` tells what each was taken for.
 
     With ``"joint"``, for beliefs of Gaussians, the sightings of a sensor at a step are associated
     together, no candidate being given twice: as many as can be whose innovations, stacked, lie
-    within the gate together, and of several such sets the likeliest, by Σ ln w_k + ln N(ν; 0, S).
-    It sees that the sightings of a robot whose heading is off are all turned alike. The others are
-    spurious or new; ``probability`` is then of the decision, 1 of what was taken.
+    within the gate together, and of several such sets the likeliest, by Σ ln w_k + ln N(ν; 0, S):
+    those of a robot whose heading is off are all turned alike. The others are spurious or new;
+    ``probability`` is then of the decision, 1 of what was taken.
 
     Parameters
     ----------
@@ -297,19 +296,17 @@ def unknown(
     weights : array_like, optional
         w_k, (k,), relative to each other; equal, if not given.
     spurious, new : float
-        s and n, the prior probabilities that a sighting is of nothing, and that it is of something
-        that is no candidate.
+        s and n, the prior probabilities of sightings of nothing, and of what is no candidate.
     volume : float
         V, over which such sightings are uniform: the product of the ranges of the measurement's
         components, in its units; 188 m rad of ranges up to 30 m all round. Due with `spurious` or
         `new`.
     gate : float, optional
-        A probability, .999 for instance: a candidate is out of the question where the squared
-        Mahalanobis distance of the innovation exceeds the χ² quantile of that probability, with as
-        many degrees of freedom as components were measured; of grids and particles that of the
-        residual, at each point. A sighting without a candidate is spurious or new, whichever
-        was likelier; where neither is declared Gaussian beliefs leave it out of the density, and to
-        point masses it is impossible.
+        A probability, such as 0.999, within whose χ² quantile, with as many degrees of freedom as
+        components were measured, the squared Mahalanobis distance of a candidate's innovation has
+        to lie; of grids and particles that of the residual, at each point. A sighting without a
+        candidate is spurious or new, whichever was likelier; where neither is declared Gaussian
+        beliefs leave it out of the density, and to point masses it is impossible.
     association : str
         ``"likelihood"``, ``"joint"`` or ``"sum"``.
 

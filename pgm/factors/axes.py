@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from pgm.boundary import as_floats, is_whole, masked_whole
 from pgm.errors import EvidenceError, ModelError, NumericalError
-from pgm.factors.runs import Place, in_run
-from pgm.factors.scope import Scope, as_scope, listed, names
+from pgm.factors.scope import Place, Scope, as_scope, in_run, listed, names
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete, Variable
 

@@ -29,9 +29,8 @@ from pgm.display import (
     stacked,
 )
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import IMPROPER, as_covariance, as_points, as_steps, as_vector
+from pgm.factors.arrays import IMPROPER, as_covariance, as_points, as_steps, as_vector, lead_index
 from pgm.factors.listing import Framed
-from pgm.factors.runs import lead_index
 from pgm.factors.scope import (
     Scope,
     angle_mask,
@@ -45,9 +44,9 @@ from pgm.factors.scope import (
     positions,
 )
 from pgm.immutable import Immutable
-from pgm.kernels import moments, normal, roots
+from pgm.kernels import moments, roots
 from pgm.kernels.arrays import Array, Integers, block, deviation, difference, frozen, wrap
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Variable
 
 
@@ -325,7 +324,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         if not roots.is_proper(lower):
             raise NumericalError(f"Gaussian over {names(self.scope)}: no draws, since {IMPROPER}")
         white = as_generator(rng).standard_normal((*shape, *self.mean.shape))
-        return normal.draw(self.mean, lower, white)
+        return roots.draw(self.mean, lower, white)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
         """The log-density at values (..., n), in nats, (...); differences of angles are wrapped.

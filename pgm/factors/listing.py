@@ -15,7 +15,7 @@ from pgm.factors.scope import MOST, Scope, components, listed, names
 from pgm.kernels import tables as kernel
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.tables import entries
-from pgm.optional import FRAMES, optional
+from pgm.resources import FRAMES, optional
 
 # How many states a row lists, and how many rows a table.
 STATES = 6

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
 from pgm.boundary import as_floats, as_tuple, is_unordered
 from pgm.errors import ModelError
-from pgm.factors.runs import in_run
 from pgm.kernels.arrays import Array, Index, Mask, as_index
 from pgm.variables import Discrete, Variable
 
 Scope = tuple[Variable, ...]
+
+# The place of the first bad one, for messages.
+Place = Callable[[Mask | np.bool_], str]
 
 # How many of many items a message lists.
 MOST = 8
@@ -235,3 +237,18 @@ def whole_variables(each: Sequence[Component]) -> Scope:
             f"{listed(variables)} in their order; take .mean and .cov"
         )
     return variables
+
+
+def in_row(bad: Mask | np.bool_) -> str:
+    """The place of the first bad one of rows, whose axis is the last, behind those of runs."""
+    *runs, row = map(int, np.argwhere(bad)[0]) if np.ndim(bad) else (None,)
+    if row is None:
+        return ""
+    of = f" of run {runs[0] if len(runs) == 1 else tuple(runs)}" if runs else ""
+    return f" (first in row {row}{of})"
+
+
+def in_run(bad: Mask | np.bool_) -> str:
+    """The place of the first bad one of some runs, for messages."""
+    first = tuple(map(int, np.argwhere(bad)[0]))
+    return f" (first in run {first[0] if len(first) == 1 else first})" if first else ""

@@ -19,10 +19,10 @@ from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
 from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.particles.belief import ParticleBelief
-from pgm.inference.particles.cells import CellProposal
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
 from pgm.inference.particles.online import OnlineParticleBelief, OnlineParticles
 from pgm.inference.particles.posterior import ParticlePosterior
+from pgm.inference.particles.proposals import CellProposal
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Injection, Particles
 from pgm.inference.posterior import Posterior

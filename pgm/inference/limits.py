@@ -13,7 +13,7 @@ from pgm.display import titled
 from pgm.errors import GraphError
 from pgm.factors.axes import AXES
 from pgm.factors.scope import names
-from pgm.sizes import gibibytes
+from pgm.resources import gibibytes
 from pgm.variables import Discrete
 
 # Entries of all tables, or covariances, of a graph, or of one answer over all runs: a gibibyte.

@@ -12,10 +12,7 @@ A sighting of unknown identity that is taken for none of its candidates counts a
 then at least the share that was declared to be such, and q₁ as far between ½ and 1 as q₀ between
 a tenth and 1.
 
-Each is summed up by Page's test, C ← min(h, max(0, C + x)). The belief is lost where one of the two
-reaches h, and has recovered where both are at h − h' or below, from where they begin again at zero.
-Each cries wrongly once in eʰ steps at the most often, on average (Lorden, 1971). No step weighs
-more than h/3, so that one outlier does not make a belief lost.
+Each is summed up by Page's test; see `Lost`. From recovery on both begin again at zero.
 """
 
 from __future__ import annotations
@@ -74,15 +71,7 @@ class Read(NamedTuple):
 
     def and_(self, other: Read) -> Read:
         """The readings of two updates of a step."""
-        return Read(
-            self.nis + other.nis,
-            self.dof + other.dof,
-            self.rejected + other.rejected,
-            self.judged + other.judged,
-            self.strange + other.strange,
-            self.open + other.open,
-            self.odds + other.odds,
-        )
+        return Read._make(mine + its for mine, its in zip(self, other, strict=True))
 
     @property
     def weights(self) -> Array:

@@ -19,8 +19,7 @@ from pgm.factors.listing import run_names
 from pgm.factors.scope import Scope, dimension, distinct_labels, listed
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
-from pgm.optional import FRAMES, optional
-from pgm.sizes import require_memory
+from pgm.resources import FRAMES, optional, require_memory
 from pgm.variables import Discrete, Variable
 
 

@@ -106,8 +106,8 @@ class Status(Shown, Immutable):
         The convergence record. Of a tree, (iterations − 1, *runs): the largest move of a mean at
         each relinearisation, in standard deviations (on a balanced tree, with `Taylor`, given
         Jacobians and regular noise, those of a component given all others). Of other graphs,
-        (iterations, *runs): the largest change of a message in each iteration, or the largest move
-        of a mean, if larger, where CPDs were linearised anew.
+        (iterations, *runs): the largest change of a message in each iteration, or move of a mean
+        where CPDs were linearised anew.
     converged : ndarray of bool
         (*runs): whether the last residual was within the tolerance, or nothing was to iterate. Of
         nonlinear CPDs that were linearised once it is False.

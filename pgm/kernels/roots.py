@@ -1,21 +1,28 @@
-"""Roots of symmetric positive semidefinite matrices, and solving with them.
+"""Roots of symmetric positive semidefinite matrices, and normal densities by them.
 
 A root is a lower triangular L with A = L Lᵀ. Where a component is determined by those before it,
-its column in L is zero; a matrix and the same matrix in other units have the same zero columns.
+its column in L is zero; a matrix and the same matrix in other units have the same zero columns. To
+the density such a component adds nothing, which is that of the others. Points stand along the last
+axis but one, (..., S, d), so that one root (..., d, d) serves all of them.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pgm.kernels.arrays import (
+    LOG_2PI,
     Array,
+    Integers,
     Mask,
     apply,
     by_runs,
     components_first,
     components_last,
     deviation,
+    room,
     symmetric,
     transpose,
     variances,
@@ -213,3 +220,123 @@ def semidefinite(cov: Array, largest: float) -> Array:
         return cov
     kept = (axes * np.maximum(values, 0.0)[..., None, :]) @ axes.mT
     return np.where(blurred[..., None, None], kept * unit[..., None] * unit[..., None, :], cov)
+
+
+class Tridiagonal(NamedTuple):
+    """The symmetric equations Aₖ₋₁ᵀ xₖ₋₁ + Dₖ xₖ + Aₖ xₖ₊₁ = rₖ, for stacks with the steps k first.
+
+    D (N, R, n, n) is positive definite as a whole.
+    """
+
+    diagonal: Array
+    above: Array
+    right: Array
+
+
+def solve_tridiagonal(system: Tridiagonal) -> Array:
+    """The solution, (N, R, n); NaN in runs whose system is not positive definite."""
+    from scipy.linalg.lapack import dpbsv  # here, since LAPACK is slow to import
+
+    steps, runs, size = system.right.shape
+    solution = room((steps, runs), (size,))
+    band = np.zeros((steps, size, 2 * size))
+    for run in range(runs):
+        # Column (k, j) of the matrix, from its diagonal entry down.
+        for j in range(size):
+            band[:, j, : size - j] = system.diagonal[:, run, j:, j]
+            band[:-1, j, size - j : 2 * size - j] = system.above[:, run, j, :]
+        columns = band.reshape(steps * size, 2 * size).T
+        right = np.array(system.right[:, run]).reshape(-1)
+        _, found, failed = dpbsv(columns, right, lower=1)
+        solution[:, run] = np.nan if failed else found.reshape(steps, size)
+    return solution
+
+
+# The part of a point and of the mean by which what users compute may take it off a subspace.
+INEXACT = 1e-9
+# The part of its deviation by which a component may differ from what those before it determine:
+# three times what a root takes for zero.
+SLACK = 3.0 * NEGLIGIBLE**0.5
+
+
+def draw(mean: Array, lower: Array, white: Array) -> Array:
+    """Points of N(mean, L Lᵀ), (..., d), for white noise."""
+    return mean + apply(lower, white)
+
+
+def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
+    """White residuals, (..., S, d), zero where determined; and what is left there."""
+    white = transpose(solve_lower(lower, transpose(residual)))
+    fixed = determined(lower)
+    if not fixed.any():
+        return white, None
+    return _without(fixed, white), _without(~fixed, white)
+
+
+def whitener(lower: Array) -> Array | None:
+    """L⁻¹, by which many residuals are whitened at once; None where a component is determined."""
+    if determined(lower).any():
+        return None
+    return solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape))
+
+
+def _without(gone: Mask, vectors: Array) -> Array:
+    return np.where(gone[..., None, :], 0.0, vectors)
+
+
+def log_density(lower: Array, white: Array) -> Array:
+    """The log-density −½ (|s|² + ln |2π L Lᵀ|) of the open components, (..., S), at white s."""
+    fixed = determined(lower)
+    dimension: int | Integers = lower.shape[-1]
+    if fixed.any():
+        dimension = dimension - fixed.sum(axis=-1)
+    constant = log_determinant(lower) + dimension * LOG_2PI
+    value: Array = -0.5 * ((white * white).sum(axis=-1) + constant[..., None])
+    return value
+
+
+def off(lower: Array, left: Array, error: Array) -> Mask:
+    """Whether residuals (..., S, d), wrong by at most `error`, leave the subspace of the noise."""
+    # What is left depends linearly on the residuals: by this matrix.
+    spread = np.abs(solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))
+    deviations = np.sqrt((lower * lower).sum(axis=-1))
+    allowed = error @ transpose(spread) + SLACK * deviations[..., None, :]
+    far: Mask = (np.abs(left) > allowed).any(axis=-1)
+    return far
+
+
+def square_within(probability: float, dimension: Integers) -> Array:
+    """The squared length, in deviations, within which a normal vector is with a probability."""
+    from scipy.special import chdtri  # here, since it is slow to import
+
+    return np.asarray(chdtri(dimension, 1.0 - probability), dtype=np.float64)
+
+
+def squares(residual: Array, cov: Array) -> Array:
+    """The value νᵀ S⁻¹ ν of stacked innovations ν (k, d, *batch), S (k, d, d, *batch).
+
+    Components are eliminated one after another, all of the stack at once.
+    """
+    size = residual.shape[1]
+    if size == 1:
+        return _share(residual[:, 0], cov[:, 0, 0], cov[:, 0, 0])
+    residual, cov = residual.copy(), cov.copy()
+    diagonal = np.einsum("kii...->ki...", cov).copy()
+    total = np.zeros(residual[:, 0].shape)
+    for j in range(size):
+        pivot, left = cov[:, j, j].copy(), residual[:, j].copy()
+        total = total + _share(left, pivot, diagonal[:, j])
+        if j + 1 == size:
+            break
+        proper = pivot > NEGLIGIBLE * diagonal[:, j]
+        factor = cov[:, j + 1 :, j] / np.where(proper, pivot, np.inf)[:, None]
+        residual[:, j + 1 :] -= factor * left[:, None]
+        cov[:, j + 1 :, j + 1 :] -= factor[:, :, None] * cov[:, None, j, j + 1 :]
+    return total
+
+
+def _share(left: Array, pivot: Array, diagonal: Array) -> Array:
+    proper = pivot > NEGLIGIBLE * diagonal
+    if proper.all():
+        return left * left / pivot
+    return np.where(proper, left * left / np.where(proper, pivot, 1.0), 0.0)

@@ -1,4 +1,7 @@
-"""Tables as arrays: semirings of passes over them; arithmetic of stacks with log-scales."""
+"""Tables as arrays: semirings of passes over them; arithmetic of stacks with log-scales.
+
+Stacked tables are non-negative arrays times exp(log-scale); the last `axes` axes are a table.
+"""
 
 from __future__ import annotations
 

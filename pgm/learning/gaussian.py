@@ -13,8 +13,8 @@ from pgm.errors import ModelError
 from pgm.factors.scope import Scope, listed
 from pgm.inference.chain.families import FamilyBelief
 from pgm.kernels.arrays import Array, Mask, transpose
-from pgm.learning.covariances import CovarianceStep
 from pgm.learning.residuals import Known, Residuals, residuals
+from pgm.learning.steps import CovarianceStep
 from pgm.learning.values import Coefficients, Covariance, Offset
 
 # Coordinate ascent over coefficients and noise, where neither alone has a closed form.

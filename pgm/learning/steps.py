@@ -1,4 +1,4 @@
-"""The M steps of tables, and of parameters of functions."""
+"""M steps: of covariances, of tables, and of parameters of functions."""
 
 from __future__ import annotations
 
@@ -8,14 +8,218 @@ from typing import Any
 import numpy as np
 
 from pgm.boundary import as_floats
-from pgm.cpds import TableCPD
+from pgm.cpds import ConditionalGaussian, Noise, TableCPD
+from pgm.display import called, number
 from pgm.errors import ModelError
 from pgm.factors.scope import as_value
 from pgm.inference.chain.families import FamilyBelief
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, symmetric
 from pgm.learning.residuals import Known, residuals
-from pgm.learning.values import Parameter, Table
+from pgm.learning.values import Covariance, Parameter, Table
 from pgm.variables import Variable
+
+# Smaller parts of the largest variance are none of a singular covariance.
+_NONE = 1e-14
+# The part of a deviation at the start that is next to nothing.
+_GONE = 1e-12
+
+
+class ScaledNoise:
+    """A function of noise times a factor."""
+
+    def __init__(self, function: Any, factor: float) -> None:
+        self.function, self.factor = function, factor
+        self.__name__ = f"{factor:.6g} {called(function)}"
+
+    def __call__(self, *given: Array) -> Array:
+        """The noise at some values of its parents."""
+        return self.factor * np.asarray(self.function(*given))
+
+
+class CovarianceStep:
+    """The M step of one covariance, and its unbounded coordinates.
+
+    These are roots: of the factor, of variances, or the Cholesky factor of the covariance on its
+    range, where it stays as EM itself keeps it. Where the likeliest variance is zero the
+    log-evidence is smooth in its root, while a logarithm would have no end.
+    """
+
+    def __init__(self, cpd: ConditionalGaussian, declared: Covariance) -> None:
+        self.declared = declared
+        self.start: Any = cpd.cov
+        kind = declared.kind
+        if kind == "scaled":
+            self._require_within(cpd, np.ones(1))
+        if isinstance(cpd.cov, Noise):
+            if kind != "scaled":
+                raise ModelError(
+                    f"{cpd!r}: its noise is a function of parents, of which a factor alone can be "
+                    f'learnt: pgm.learning.Covariance("scaled"), not "{kind}"',
+                    cpd=cpd,
+                )
+            return
+        if cpd.cov.ndim > 2 or not np.isfinite(cpd.cov).all():
+            raise ModelError(
+                f"{cpd!r}: its covariance differs by run or is infinite, and one finite one is "
+                "learnt of all runs; give it one to start with",
+                cpd=cpd,
+            )
+        if not cpd.cov.any():
+            raise ModelError(
+                f"{cpd!r}: its covariance is zero, and would stay so, as a factor of nothing or "
+                "for want of room; give it one to start with",
+                cpd=cpd,
+            )
+        off = cpd.cov - np.diag(np.diagonal(cpd.cov))
+        if kind == "diagonal" and off.any():
+            raise ModelError(
+                f"{cpd!r}: its covariance has correlations, and a diagonal one is to be learnt; "
+                'start with one, or learn pgm.learning.Covariance("full")',
+                cpd=cpd,
+            )
+        self.there = np.diagonal(cpd.cov) > 0.0
+        values, vectors = np.linalg.eigh(cpd.cov)
+        self.range = vectors[:, values > _NONE * values[-1]]
+        self._require_rank(cpd)
+        if kind != "scaled":
+            diagonal = kind == "diagonal"
+            inside = (
+                np.diagonal(cpd.cov)[self.there] if diagonal else values[-self.range.shape[1] :]
+            )
+            self._require_within(cpd, inside)
+        self.factor_of = np.linalg.pinv(cpd.cov, rcond=_NONE, hermitian=True)
+
+    def _require_rank(self, cpd: ConditionalGaussian) -> None:
+        """Refuse variances so far apart that the small ones would be taken for none."""
+        if self.declared.kind == "diagonal":
+            return
+        std = np.sqrt(np.diagonal(self.start)[self.there])
+        alike = np.linalg.eigvalsh(self.start[np.ix_(self.there, self.there)] / np.outer(std, std))
+        if (alike > _NONE * alike[-1]).sum() > self.range.shape[1]:
+            raise ModelError(
+                f"{cpd!r}: its deviations go from {number(std.min())} to {number(std.max())}, too "
+                "far apart to be learnt together; give its components other units, or learn "
+                'pgm.learning.Covariance("diagonal")',
+                cpd=cpd,
+            )
+
+    def vanishes(self, cpd: Any) -> bool:
+        """Whether next to nothing is left of a deviation of the start."""
+        if self.declared.kind == "scaled":
+            return self.factor(cpd) < _GONE**2
+        kept = np.diagonal(cpd.cov)[self.there] / np.diagonal(self.start)[self.there]
+        return bool((kept < _GONE**2).any())
+
+    def _require_within(self, cpd: ConditionalGaussian, values: Array) -> None:
+        low, high = self.declared.lower, self.declared.upper
+        slack = 1e-9 * np.abs(values)
+        if ((values < low - slack) | (values > high + slack)).any():
+            what = {"full": "eigenvalues", "diagonal": "variances", "scaled": "factor"}
+            raise ModelError(
+                f"{cpd!r}: at the start the {what[self.declared.kind]}, "
+                f"{', '.join(map(number, values))}, are not within {number(low)} to "
+                f"{number(high)}, the bounds of its covariance; give it one that is",
+                cpd=cpd,
+            )
+
+    def likeliest(self, own: Array, count: int) -> Any:
+        """The covariance that makes sums E[r rᵀ] of so many residuals likeliest, within bounds.
+
+        −½ (N ln |Q| + tr Q⁻¹ S) is largest at S/N, of which variances, the factor, or eigenvalues
+        are moved to the nearest bound.
+        """
+        declared, mean = self.declared, symmetric(own) / count
+        if declared.kind == "scaled":
+            rank = self.range.shape[1]
+            factor = float(np.sum(self.factor_of * mean)) / rank
+            return np.clip(factor, declared.lower, declared.upper) * self.start
+        if declared.kind == "diagonal":
+            return np.diag(self._bounded(np.diagonal(mean)))
+        inner = self.range.T @ mean @ self.range
+        values, vectors = np.linalg.eigh(symmetric(inner))
+        low = max(declared.lower, 0.0)
+        vectors = self.range @ vectors
+        return symmetric((vectors * np.clip(values, low, declared.upper)) @ vectors.T)
+
+    def _bounded(self, variances: Array) -> Array:
+        found = np.clip(variances, self.declared.lower, self.declared.upper)
+        return np.where(self.there, found, 0.0)
+
+    def factor(self, cpd: Any) -> float:
+        """The factor on the covariance at the start."""
+        if isinstance(cpd.cov, Noise):
+            function: Any = cpd.cov.function
+            own = isinstance(function, ScaledNoise) and function is not self.start.function
+            return float(function.factor) if own else 1.0
+        return float(np.trace(cpd.cov) / np.trace(self.start))
+
+    def scaled(self, factor: float) -> Any:
+        """The covariance at the start times a factor."""
+        factor = float(np.clip(factor, self.declared.lower, self.declared.upper))
+        if isinstance(self.start, Noise):
+            function = ScaledNoise(self.start.function, factor)
+            return Noise(function, self.start.given, self.start.diagonal)
+        return factor * self.start
+
+    def vector(self, cpd: Any) -> Array:
+        """The coordinates of a CPD's covariance."""
+        if self.declared.kind == "scaled":
+            return np.array([np.sqrt(self.factor(cpd))])
+        if self.declared.kind == "diagonal":
+            deviations: Array = np.sqrt(np.diagonal(cpd.cov)[self.there])
+            return deviations
+        lower = self._lower(cpd)
+        return lower[np.tril_indices(len(lower))]
+
+    def _lower(self, cpd: Any) -> Array:
+        """A root of the covariance on its range, lower triangular."""
+        values, vectors = np.linalg.eigh(symmetric(self.range.T @ cpd.cov @ self.range))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        lower: Array = np.transpose(np.linalg.qr(root.T, mode="r"))
+        found: Array = lower * np.where(np.diagonal(lower) < 0.0, -1.0, 1.0)
+        return found
+
+    def gradient(self, cpd: Any, own: Array, count: int) -> Array:
+        """The derivatives of the expected log-density by the coordinates.
+
+        By L that of −½ (N ln |L Lᵀ| + tr (L Lᵀ)⁻¹ S) is L⁻ᵀ (L⁻¹ S L⁻ᵀ − N).
+        """
+        if self.declared.kind == "scaled":
+            factor, rank = self.factor(cpd), self.range.shape[1]
+            total = float(np.sum(self.factor_of * own))
+            return np.array([(total / factor - count * rank) / np.sqrt(factor)])
+        if self.declared.kind == "diagonal":
+            variances = np.diagonal(cpd.cov)[self.there]
+            slopes: Array = np.diagonal(own)[self.there] / variances - count
+            slopes /= np.sqrt(variances)
+            return slopes
+        lower = self._lower(cpd)
+        # At a root of zero, which the M step may reach, nothing is to be gained along it.
+        regular = bool(np.diagonal(lower).all())
+        inverse = np.linalg.inv(lower) if regular else np.linalg.pinv(lower)
+        inner = inverse @ self.range.T @ own @ self.range @ inverse.T
+        whole = inverse.T @ (inner - count * np.eye(len(lower)))
+        found: Array = whole[np.tril_indices(len(lower))]
+        return found
+
+    def at(self, vector: Array) -> Any:
+        """The covariance of some coordinates, moved within the bounds."""
+        if self.declared.kind == "scaled":
+            return self.scaled(float(vector[0]) ** 2)
+        if self.declared.kind == "diagonal":
+            variances = np.zeros(len(self.there))
+            variances[self.there] = vector**2
+            return np.diag(self._bounded(variances))
+        size = self.range.shape[1]
+        lower = np.zeros((size, size))
+        lower[np.tril_indices(size)] = vector
+        inner = lower @ lower.T
+        bounds = self.declared
+        if bounds.lower > 0.0 or np.isfinite(bounds.upper):
+            values, vectors = np.linalg.eigh(inner)
+            inner = (vectors * np.clip(values, bounds.lower, bounds.upper)) @ vectors.T
+        return symmetric(self.range @ inner @ self.range.T)
+
 
 _TINY = 1e-300
 

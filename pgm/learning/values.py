@@ -161,6 +161,7 @@ Learn = Mapping[Variable, Any]
 FEW = 8
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class FitStatus(Shown, Immutable):
     """The course of a search for the likeliest parameters.
 
@@ -195,26 +196,6 @@ class FitStatus(Shown, Immutable):
     halved: int
     converged: bool
     stopped: str
-
-    def __init__(
-        self,
-        iterations: int,
-        e_steps: int,
-        accepted: int,
-        refused: int,
-        halved: int,
-        converged: bool,
-        stopped: str,
-    ) -> None:
-        self._set(
-            iterations=iterations,
-            e_steps=e_steps,
-            accepted=accepted,
-            refused=refused,
-            halved=halved,
-            converged=converged,
-            stopped=stopped,
-        )
 
     @property
     def _title(self) -> str:

@@ -19,7 +19,7 @@ from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers
 from pgm.linearisers.points import Points
 from pgm.linearisers.regression import StatisticalRegression
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 
 Words = npt.NDArray[np.uint64]
 

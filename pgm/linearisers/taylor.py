@@ -8,8 +8,9 @@ import numpy as np
 
 from pgm.kernels.arrays import Array, components_first, components_last
 from pgm.kernels.gaussian import deviations
-from pgm.linearisers.function import BoundFunction, FunctionTemplate
+from pgm.linearisers.function import BoundFunction
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared
+from pgm.linearisers.template import FunctionTemplate
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from scipy.special import expit, logit
 
 from pgm.boundary import as_floats, as_tuple, is_number, is_whole
 from pgm.errors import ModelError
-from pgm.kernels import planar, rays
+from pgm.kernels import rays, rigid
 from pgm.kernels.arrays import Array, Mask
-from pgm.maps.given import as_angles, as_finite, as_pose, as_positive
+from pgm.maps.cells import as_angles, as_finite, as_pose, as_positive
 from pgm.maps.occupancy import OccupancyMap
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 
 # Beams that are traced at a time: the cells that they enter stay in a core's cache.
 _BLOCK = 2**12
@@ -98,7 +98,7 @@ def log_odds_map(
     beams = _traced(poses, scans, angles, most, as_pose(mount, "mount"))
     frame = np.zeros(3) if corner is None else corner
     with np.errstate(over="ignore"):  # refused below
-        begins, ends = (planar.points_from(frame, each) / resolution for each in beams[:2])
+        begins, ends = (rigid.points_from(frame, each) / resolution for each in beams[:2])
     # All cells are counted, and then those that are wanted taken.
     low = np.floor(np.minimum(begins.min(axis=0), ends.min(axis=0)))
     high = np.floor(np.maximum(begins.max(axis=0), ends.max(axis=0)))
@@ -157,8 +157,8 @@ def _traced(
     if not measured.any():
         raise ModelError("scans have no beam that was measured; a map needs some")
     require_memory(ranges.size * 8, "the beams of all scans", "give some of the scans")
-    sensors = planar.mounted(places, mount)
-    units = planar.directions(sensors[:, None, 2] + turns)
+    sensors = rigid.mounted(places, mount)
+    units = rigid.directions(sensors[:, None, 2] + turns)
     ends = sensors[:, None, :2] + units * np.minimum(ranges, most)[..., None]
     begins = np.broadcast_to(sensors[:, None, :2], ends.shape)
     return _Beams(begins[measured], ends[measured], (ranges < most)[measured])

@@ -7,11 +7,11 @@ import numpy.typing as npt
 
 from pgm.boundary import is_whole
 from pgm.cpds import CPD
-from pgm.cpds.values import Known, Values
+from pgm.cpds.base import Known, Values
 from pgm.errors import EvidenceError, LinearisationError, ModelError
-from pgm.kernels import planar
+from pgm.kernels import rigid
 from pgm.kernels.arrays import Array, Mask, frozen
-from pgm.maps.given import as_angles, as_pose, as_positive, as_share
+from pgm.maps.cells import as_angles, as_pose, as_positive, as_share
 from pgm.maps.occupancy import OccupancyMap
 from pgm.variables import Variable
 
@@ -140,7 +140,7 @@ class ScanCPD(CPD):
                 cpd=self,
                 step=_step(known),
             )
-        return planar.mounted(poses, self.mount) if self.mount.any() else poses
+        return rigid.mounted(poses, self.mount) if self.mount.any() else poses
 
 
 def _step(known: Known) -> int | None:

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds import CPD
-from pgm.cpds.values import Known, Values
+from pgm.cpds.base import Known, Values
 from pgm.errors import ModelError
-from pgm.kernels import planar
+from pgm.kernels import rigid
 from pgm.kernels.arrays import TURN, Array, Integers, Mask
 from pgm.variables import Variable
 
@@ -88,6 +88,6 @@ class UniformPose(CPD):
         rows, columns = np.divmod(chosen, self.map.shape[1])
         place = np.stack([columns, rows], axis=-1) + rng.random((*shape, 2))
         found = np.empty((*shape, 3))
-        found[..., :2] = planar.points_out_of(self.map.origin, place * self.map.resolution)
+        found[..., :2] = rigid.points_out_of(self.map.origin, place * self.map.resolution)
         found[..., 2] = rng.uniform(-np.pi, np.pi, size=shape)
         return found

@@ -11,7 +11,7 @@ import numpy as np
 from pgm.boundary import as_tuple
 from pgm.cpds import CPD, TableCPD
 from pgm.errors import ModelError
-from pgm.factors.runs import clash
+from pgm.factors.arrays import clash
 from pgm.factors.scope import MOST, Scope
 from pgm.variables import Variable
 

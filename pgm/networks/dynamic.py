@@ -17,7 +17,7 @@ from pgm.immutable import Immutable
 from pgm.networks import checks
 from pgm.networks.sampling import Sample, draw_steps
 from pgm.networks.static import FEW, BayesianNetwork, factors
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Discrete
 
 if TYPE_CHECKING:

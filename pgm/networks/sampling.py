@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from pgm.boundary import as_tuple, is_whole
-from pgm.cpds.values import Known, Values
+from pgm.cpds.base import Known, Values
 from pgm.display import Listing, NoArray, Shown, Summary, vector
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, bind_values, sightings
 from pgm.evidence.rows import no_evidence_for
 from pgm.factors.scope import listed, unknown_name
 from pgm.immutable import Immutable
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pgm.boundary import as_generator, as_mapping
 from pgm.cpds import CPD
-from pgm.cpds.values import Values
+from pgm.cpds.base import Values
 from pgm.display import Drawn, Summary
 from pgm.errors import ModelError
 from pgm.evidence import Evidence

@@ -14,7 +14,7 @@ from pgm.boundary import is_number
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.io.stamped import SAME, clock, rows_text
-from pgm.kernels import planar
+from pgm.kernels import rigid
 from pgm.kernels.arrays import Array, Integers
 from pgm.recordings.stream import Stream
 
@@ -29,18 +29,12 @@ _MOST = 1e8
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Rows of motion in order of time.
+    """Rows of motion that follow each other without gaps.
 
-    Attributes
-    ----------
-    what : str
-        Odometry or velocities, for messages.
-    starts, ends : ndarray
-        (n,): the time of each row, seconds; rows follow each other without gaps.
-    whole : ndarray
-        (n, 3): the motion of each row, forward [m], left [m], turn [rad].
-    steady : ndarray or None
-        (n, 3): its twist over its time; None where it follows from the motion.
+    what: Odometry or velocities, for messages.
+    starts, ends: (n,): the time of each row, seconds.
+    whole: (n, 3): forward [m], left [m], turn [rad].
+    steady: (n, 3): the twist of each row over its time; None where it follows from the motion.
     """
 
     what: str
@@ -80,7 +74,7 @@ class Spans:
         found = np.zeros((len(times) - 1, 3))
         moved, first = np.unique(step, return_index=True)
         if moved.size:
-            found[moved] = planar.composed(self._parts(row, share), first)
+            found[moved] = rigid.composed(self._parts(row, share), first)
         return found
 
     def arcs(self, times: Array) -> Array | None:
@@ -120,21 +114,21 @@ class Spans:
         found = self.whole[row]
         cut = np.flatnonzero(share != 1.0)
         if cut.size:
-            found[cut] = planar.motions(self._twists()[row[cut]], share[cut])
+            found[cut] = rigid.motions(self._twists()[row[cut]], share[cut])
         return found
 
     def _twists(self) -> Array:
         if self.steady is not None:
             return self.steady
         turn = np.abs(self.whole[:, 2])
-        if (around := turn >= planar.WHOLE).any():
+        if (around := turn >= rigid.WHOLE).any():
             row = int(around.argmax())
             raise EvidenceError(
                 f"{self.what}, row {row}: a turn of {self.whole[row, 2]:.4g} rad, a whole one, "
                 "from which no course in between follows; keep to the stamps, or give distance "
                 "and turn"
             )
-        return planar.twists(self.whole)
+        return rigid.twists(self.whole)
 
 
 def of_odometry(stream: Stream) -> Spans:
@@ -155,7 +149,7 @@ def of_odometry(stream: Stream) -> Spans:
         )
     else:
         steady = np.insert(values, 1, 0.0, axis=1)
-        whole = planar.motions(steady)
+        whole = rigid.motions(steady)
     return Spans("odometry", edges[:-1], edges[1:], whole, steady)
 
 
@@ -165,9 +159,7 @@ def of_velocities(stream: Stream) -> Spans:
     if stream.components == SPEEDS:
         values = np.insert(values, 1, 0.0, axis=1)
     steady = values * np.diff(stream.stamps)[:, None]
-    return Spans(
-        "velocities", stream.stamps[:-1], stream.stamps[1:], planar.motions(steady), steady
-    )
+    return Spans("velocities", stream.stamps[:-1], stream.stamps[1:], rigid.motions(steady), steady)
 
 
 def of_wheels(left: Array, right: Array, wheelbase: float) -> Array:

@@ -9,8 +9,7 @@ import numpy as np
 
 from pgm.display import NoArray, Shown, Summary, count
 from pgm.errors import EvidenceError
-from pgm.immutable import Immutable
-from pgm.kernels import planar
+from pgm.kernels import rigid
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.recordings.mending import Dropped
 from pgm.recordings.motion import PLANAR
@@ -26,9 +25,10 @@ class Edges(Shown):
     Attributes
     ----------
     first, second : ndarray of int
-        (E,): rows of the vertices; the second is seen from the first.
+        (E,): rows of the vertices.
     motions : ndarray
-        (E, 3): forward [m], left [m], turn [rad]; (E, 2) of landmarks.
+        (E, 3), the second seen from the first: forward [m], left [m], turn [rad]; (E, 2) of
+        landmarks.
     information : ndarray
         (E, 3, 3) or (E, 2, 2): inverse covariances.
 
@@ -64,21 +64,18 @@ class Edges(Shown):
             ) from None
 
 
-class PoseGraph(Shown, NoArray, Immutable):
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseGraph(Shown, NoArray):
     r"""A pose graph as a file tells it; it has no stamps.
 
     Attributes
     ----------
     names, landmark_names : ndarray of int
-        (N,), (L,): the numbers of poses and landmarks in the file, increasing.
-    poses : ndarray
-        (N, 3): first guesses, east [m], north [m], heading [rad].
-    landmarks : ndarray
-        (L, 2): first guesses.
-    edges : Edges
-        Between poses, rows of `poses`; those of odometry and loop closures.
-    sightings : Edges
-        From poses to landmarks, rows of `poses` and of `landmarks`.
+        (N,), (L,): their numbers in the file, increasing.
+    poses, landmarks : ndarray
+        First guesses: (N, 3), east [m], north [m], heading [rad]; (L, 2).
+    edges, sightings : Edges
+        Between poses; from poses to landmarks.
     fixed : ndarray of int
         Rows of the poses that are held.
     scans : Scans or None
@@ -105,34 +102,14 @@ class PoseGraph(Shown, NoArray, Immutable):
     landmarks: Array
     sightings: Edges
     fixed: Integers
-    scans: Scans | None
-    dropped: tuple[Dropped, ...]
+    scans: Scans | None = None
+    dropped: tuple[Dropped, ...] = ()
 
     _arrays: ClassVar[str] = ".poses and .edges"
 
-    def __init__(
-        self,
-        names: Integers,
-        poses: Array,
-        edges: Edges,
-        landmark_names: Integers,
-        landmarks: Array,
-        sightings: Edges,
-        fixed: Integers,
-        scans: Scans | None = None,
-        dropped: tuple[Dropped, ...] = (),
-    ) -> None:
-        self._set(
-            names=names,
-            poses=frozen(poses),
-            edges=edges,
-            landmark_names=landmark_names,
-            landmarks=frozen(landmarks),
-            sightings=sightings,
-            fixed=fixed,
-            scans=scans,
-            dropped=tuple(dropped),
-        )
+    def __post_init__(self) -> None:
+        for name in ("poses", "landmarks"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def loops(self) -> Integers:
@@ -145,11 +122,6 @@ class PoseGraph(Shown, NoArray, Immutable):
         An edge that is told from the later pose is turned round. Loop closures stay here, `loops`.
         Of several edges between two poses the first one counts.
         Sightings of landmarks are the sensor ``landmark``, (forward, left), at the steps.
-
-        Raises
-        ------
-        EvidenceError
-            If two poses that follow each other have no edge.
         """
         edges, steps = self.edges, len(self.poses) - 1
         chain = np.setdiff1d(np.arange(len(edges)), self.loops)
@@ -168,7 +140,7 @@ class PoseGraph(Shown, NoArray, Immutable):
             assert rest.size == again
         motions, cov = edges.motions[chosen], edges.covariances[chosen]
         back = edges.second[chosen] < edges.first[chosen]
-        motions[back], slope = planar.inverse(motions[back])
+        motions[back], slope = rigid.inverse(motions[back])
         cov[back] = slope @ cov[back] @ slope.swapaxes(1, 2)
         spread = np.diagonal(cov, axis1=1, axis2=2) if steps else None
         seen = self.sightings

@@ -15,7 +15,7 @@ from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.io.stamped import as_stamps, clock
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
-from pgm.optional import FRAMES, optional
+from pgm.resources import FRAMES, optional
 
 Subjects = npt.NDArray[Any]
 _SUBJECTS = {int: np.dtype(int), str: np.dtype(np.str_), type(None): np.dtype(object)}

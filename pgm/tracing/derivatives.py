@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from pgm.tracing.graph import Graph
-from pgm.tracing.operations import BOOLEAN
-
-# By input component: the number of a derivative. One that is not there is zero.
-Row = dict[int, int]
-
-# Derivatives are zero wherever there are any.
-_STEPS = {*BOOLEAN, "sign", "floor", "ceil", "trunc", "rint", "floor_divide"}
+from pgm.tracing.traced import Node, Recorder, scalar
 
 
-def derivatives(graph: Graph, outputs: Sequence[int], inputs: Sequence[int]) -> list[Row]:
+def derivatives(
+    graph: Graph, outputs: Sequence[int], inputs: Sequence[int]
+) -> list[dict[int, int]]:
     """The derivatives of outputs by inputs, recorded in their graph.
 
     `where` chooses between the derivatives of its two values, so that one of them that is
@@ -23,187 +20,113 @@ def derivatives(graph: Graph, outputs: Sequence[int], inputs: Sequence[int]) -> 
     both sides, as central differences have it: 0 of |a| at 0, half of each of a maximum of
     equals. The derivative of a step is zero.
 
-    Parameters
-    ----------
-    graph : Graph
-    outputs, inputs : sequence of int
-        Numbers of operations.
-
     Returns
     -------
     list of dict
         Of each output: by the places of inputs, numbers of operations; zeros are left out.
     """
-    needed = reachable(graph, outputs)
-    rows: dict[int, Row] = {}
+    g = Recorder()
+    g.take(graph)
+    rows: dict[int, dict[int, Any]] = {}
     for column, number in enumerate(inputs):
-        rows.setdefault(number, {})[column] = graph.constant(1.0)
-    rule = _Rules(graph)
-    for number in needed:
+        rows.setdefault(number, {})[column] = Node(g, g.constant(1.0))
+    for number in graph.reachable(outputs):
         name, *operands = graph.operations[number]
-        if name in ("constant", "input") or name in _STEPS:
-            continue
         parts = [rows.get(k, {}) for k in operands]
-        columns = sorted(set().union(*parts[1:] if name == "where" else parts))
-        if columns:
-            row = rule.row(number, name, operands, parts, columns)
-            rows[number] = {j: k for j, k in row.items() if graph.value(k) != 0.0}
-    return [rows.get(number, {}) for number in outputs]
+        if name in _CHOICES and (parts[-2] or parts[-1]):
+            nodes = [Node(g, k) for k in operands]
+            found = {
+                j: _CHOICES[name](*nodes, parts[-2].get(j, 0.0), parts[-1].get(j, 0.0))
+                for j in {**parts[-2], **parts[-1]}
+            }
+        elif name in _PARTIALS and any(parts):
+            partials = _PARTIALS[name](*(Node(g, k) for k in (*operands, number)))
+            found = {}
+            for partial, part in zip(partials, parts, strict=True):
+                for j, slope in part.items() if not _zero(partial) else ():
+                    term = partial * slope
+                    found[j] = found[j] + term if j in found else term
+        else:
+            continue
+        rows[number] = {j: slope for j, slope in found.items() if not _zero(slope)}
+    graph.take(g)
+    return [{j: d.number for j, d in rows.get(k, {}).items()} for k in outputs]
 
 
-def reachable(graph: Graph, outputs: Iterable[int]) -> list[int]:
-    """The operations that outputs are made of, in order."""
-    needed: set[int] = set()
-    stack = list(outputs)
-    while stack:
-        number = stack.pop()
-        if number not in needed:
-            needed.add(number)
-            name, *operands = graph.operations[number]
-            if name not in ("constant", "input"):
-                stack += operands
-    return sorted(needed)
+def _zero(value: Any) -> bool:
+    return (value.graph.value(value.number) if isinstance(value, Node) else value) == 0.0
 
 
-class _Rules:
-    """The derivatives of single operations."""
+def _extreme(beyond: str, a: Any, b: Any, by_a: Any, by_b: Any) -> Any:
+    if _zero(by_a):
+        a, b, by_a, by_b = b, a, by_b, by_a
+    lesser, larger = scalar(beyond, b, a), scalar(beyond, a, b)
+    if _zero(by_b):  # the share is that of all columns
+        return scalar("where", larger, 1.0, scalar("where", lesser, 0.0, 0.5)) * by_a
+    otherwise = scalar("where", lesser, by_b, 0.5 * (by_a + by_b))
+    return scalar("where", larger, by_a, otherwise)
 
-    def __init__(self, graph: Graph) -> None:
-        self.graph = graph
 
-    def row(
-        self, number: int, name: str, operands: list[int], parts: list[Row], columns: list[int]
-    ) -> Row:
-        g = self.graph
-        if name in ("where", "maximum", "minimum"):
-            zero = g.constant(0.0)
-            *_, first, last = parts
-            pairs = {j: (first.get(j, zero), last.get(j, zero)) for j in columns}
-            if name == "where":
-                return {j: g.add("where", operands[0], *pair) for j, pair in pairs.items()}
-            return {j: self._extreme(name, operands, *pair) for j, pair in pairs.items()}
-        if name == "divide" and g.operations[operands[0]] == ("sin", operands[1]):
-            slope = self._sinc_slope(operands[1], number)
-            return {j: self._times(slope, parts[1][j]) for j in columns}
-        partials: list[int | None] = [None, None]
-        row: Row = {}
-        for j in columns:
-            for i, part in enumerate(parts):
-                if j not in part:
-                    continue
-                partial = partials[i]
-                if partial is None:
-                    partial = partials[i] = self._partial(number, name, operands, i)
-                term = self._times(partial, part[j])
-                row[j] = g.add("add", row[j], term) if j in row else term
-        return row
-
-    def _times(self, partial: int, slope: int) -> int:
-        g = self.graph
-        return g.constant(0.0) if g.value(partial) == 0.0 else g.add("multiply", partial, slope)
-
-    def _extreme(self, name: str, operands: list[int], a: int, b: int) -> int:
-        g, (first, last) = self.graph, operands
-        beyond = "greater" if name == "maximum" else "less"
-        half = g.add("multiply", g.constant(0.5), g.add("add", a, b))
-        otherwise = g.add("where", g.add(beyond, last, first), b, half)
-        return g.add("where", g.add(beyond, first, last), a, otherwise)
-
-    def _sinc_slope(self, a: int, sinc: int) -> int:
-        """The derivative of sin a / a: its series below 1/4, where the quotient cancels."""
-        add, c = self.graph.add, self.graph.constant
-        square, series = add("multiply", a, a), c(1.0)
+def _divided(a: Any, b: Any, n: Any) -> tuple[Any, Any]:
+    if a.graph.operations[a.number] == ("sin", b.number):
+        # Of sin b / b the quotient's rule cancels near 0; there it is a series.
+        s, series = b * b, 1.0
         for divisor in (88.0, 54.0, 28.0, 10.0):
-            part = add("divide", square, c(divisor))
-            series = add("subtract", c(1.0), add("multiply", part, series))
-        series = add("multiply", add("divide", a, c(-3.0)), series)
-        quotient = add("divide", add("subtract", add("cos", a), sinc), a)
-        return add("where", add("less", add("absolute", a), c(0.25)), series, quotient)
-
-    def _partial(self, number: int, name: str, operands: list[int], i: int) -> int:
-        """The derivative by operand i."""
-        g, add, c = self.graph, self.graph.add, self.graph.constant
-        a, b = operands[0], operands[-1]
-        if len(operands) == 1:
-            return _UNARY[name](g, a, number)
-        if name == "add":
-            return c(1.0)
-        if name == "subtract":
-            return c((1.0, -1.0)[i])
-        if name == "multiply":
-            return (b, a)[i]
-        if name == "divide":
-            inverse = add("divide", c(1.0), b)
-            return inverse if i == 0 else add("negative", add("multiply", number, inverse))
-        if name == "hypot":
-            return add("divide", operands[i], number)
-        if name == "arctan2":
-            square = add("add", add("multiply", a, a), add("multiply", b, b))
-            return add("divide", b if i == 0 else add("negative", a), square)
-        if name == "power":
-            if i == 0:
-                less = add("power", a, add("subtract", b, c(1.0)))
-                return add("multiply", b, less)
-            log = add("multiply", number, add("log", a))
-            return add("where", add("equal", number, c(0.0)), c(0.0), log)
-        if name in ("remainder", "fmod"):
-            whole = "floor" if name == "remainder" else "trunc"
-            return c(1.0) if i == 0 else add("negative", add(whole, add("divide", a, b)))
-        assert name == "copysign"
-        if i == 1:
-            return c(0.0)
-        return add("where", add("equal", a, number), c(1.0), c(-1.0))
+            series = 1.0 - s / divisor * series
+        near = abs(b) < 0.25
+        return 0.0, scalar("where", near, b / -3.0 * series, (b.cos() - n) / b)
+    inverse = 1.0 / b
+    return inverse, -(n * inverse)
 
 
-def _over(g: Graph, above: float, below: int) -> int:
-    return g.add("divide", g.constant(above), below)
+def _angle(a: Any, b: Any, n: Any) -> tuple[Any, Any]:
+    square = a * a + b * b
+    return b / square, -(a / square)
 
 
-def _one_and(g: Graph, name: str, a: int, b: int) -> int:
-    return g.add(name, g.constant(1.0), g.add("multiply", a, b))
+def _power(a: Any, b: Any, n: Any) -> tuple[Any, Any]:
+    return b * a ** (b - 1.0), scalar("where", n == 0.0, 0.0, n * a.log())
 
 
-def _circle(g: Graph, a: int) -> int:
-    """1 − a², without cancellation."""
-    one = g.constant(1.0)
-    return g.add("multiply", g.add("subtract", one, a), g.add("add", one, a))
-
-
-def _arccosh(g: Graph, a: int) -> int:
-    one = g.constant(1.0)
-    both = [g.add("sqrt", g.add(name, a, one)) for name in ("subtract", "add")]
-    return _over(g, 1.0, g.add("multiply", *both))
-
-
-def _sech_square(g: Graph, a: int) -> int:
-    sech = _over(g, 1.0, g.add("cosh", a))
-    return g.add("multiply", sech, sech)
-
-
+_CHOICES: dict[str, Callable[..., Any]] = {
+    "where": lambda c, a, b, by_a, by_b: scalar("where", c, by_a, by_b),
+    "maximum": lambda *at: _extreme("greater", *at),
+    "minimum": lambda *at: _extreme("less", *at),
+}
 _LN2, _LN10 = math.log(2.0), math.log(10.0)
-# Of the graph, the operand and the operation itself.
-_UNARY: dict[str, Callable[[Graph, int, int], int]] = {
-    "negative": lambda g, a, n: g.constant(-1.0),
-    "absolute": lambda g, a, n: g.add("sign", a),
-    "sin": lambda g, a, n: g.add("cos", a),
-    "cos": lambda g, a, n: g.add("negative", g.add("sin", a)),
-    "tan": lambda g, a, n: _one_and(g, "add", n, n),
-    "arcsin": lambda g, a, n: _over(g, 1.0, g.add("sqrt", _circle(g, a))),
-    "arccos": lambda g, a, n: _over(g, -1.0, g.add("sqrt", _circle(g, a))),
-    "arctan": lambda g, a, n: _over(g, 1.0, _one_and(g, "add", a, a)),
-    "sinh": lambda g, a, n: g.add("cosh", a),
-    "cosh": lambda g, a, n: g.add("sinh", a),
-    "tanh": lambda g, a, n: _sech_square(g, a),
-    "arcsinh": lambda g, a, n: _over(g, 1.0, g.add("hypot", g.constant(1.0), a)),
-    "arccosh": lambda g, a, n: _arccosh(g, a),
-    "arctanh": lambda g, a, n: _over(g, 1.0, _circle(g, a)),
-    "exp": lambda g, a, n: n,
-    "exp2": lambda g, a, n: g.add("multiply", n, g.constant(_LN2)),
-    "expm1": lambda g, a, n: g.add("exp", a),
-    "log": lambda g, a, n: _over(g, 1.0, a),
-    "log2": lambda g, a, n: _over(g, 1.0 / _LN2, a),
-    "log10": lambda g, a, n: _over(g, 1.0 / _LN10, a),
-    "log1p": lambda g, a, n: _over(g, 1.0, g.add("add", a, g.constant(1.0))),
-    "sqrt": lambda g, a, n: _over(g, 0.5, n),
-    "cbrt": lambda g, a, n: _over(g, 1.0 / 3.0, g.add("multiply", n, n)),
+# By each operand, of the operands and the operation itself; what is not here is a step.
+_PARTIALS: dict[str, Callable[..., tuple[Any, ...]]] = {
+    "add": lambda a, b, n: (1.0, 1.0),
+    "subtract": lambda a, b, n: (1.0, -1.0),
+    "multiply": lambda a, b, n: (b, a),
+    "divide": _divided,
+    "hypot": lambda a, b, n: (a / n, b / n),
+    "arctan2": _angle,
+    "power": _power,
+    "remainder": lambda a, b, n: (1.0, -(a / b).floor()),
+    "fmod": lambda a, b, n: (1.0, -(a / b).trunc()),
+    "copysign": lambda a, b, n: (scalar("where", a == n, 1.0, -1.0), 0.0),
+    "negative": lambda a, n: (-1.0,),
+    "absolute": lambda a, n: (a.sign(),),
+    "sin": lambda a, n: (a.cos(),),
+    "cos": lambda a, n: (-a.sin(),),
+    "tan": lambda a, n: (1.0 + n * n,),
+    "arcsin": lambda a, n: (1.0 / ((1.0 - a) * (1.0 + a)).sqrt(),),
+    "arccos": lambda a, n: (-1.0 / ((1.0 - a) * (1.0 + a)).sqrt(),),
+    "arctan": lambda a, n: (1.0 / (1.0 + a * a),),
+    "sinh": lambda a, n: (a.cosh(),),
+    "cosh": lambda a, n: (a.sinh(),),
+    "tanh": lambda a, n: ((1.0 / a.cosh()) ** 2.0,),
+    "arcsinh": lambda a, n: (1.0 / a.hypot(1.0),),
+    "arccosh": lambda a, n: (1.0 / ((a - 1.0).sqrt() * (a + 1.0).sqrt()),),
+    "arctanh": lambda a, n: (1.0 / ((1.0 - a) * (1.0 + a)),),
+    "exp": lambda a, n: (n,),
+    "exp2": lambda a, n: (n * _LN2,),
+    "expm1": lambda a, n: (a.exp(),),
+    "log": lambda a, n: (1.0 / a,),
+    "log2": lambda a, n: (1.0 / _LN2 / a,),
+    "log10": lambda a, n: (1.0 / _LN10 / a,),
+    "log1p": lambda a, n: (1.0 / (1.0 + a),),
+    "sqrt": lambda a, n: (0.5 / n,),
+    "cbrt": lambda a, n: (1.0 / 3.0 / (n * n),),
 }

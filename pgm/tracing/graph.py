@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,12 @@ class Graph:
     def copy(self) -> Graph:
         """A graph to which more can be added."""
         found = Graph()
-        found.operations, found._places = self.operations.copy(), self._places.copy()
+        found.take(self)
         return found
+
+    def take(self, other: Graph) -> None:
+        """Begin with the operations of another graph."""
+        self.operations, self._places = other.operations.copy(), other._places.copy()
 
     def constant(self, value: float | bool | np.bool_) -> int:
         """The number of a constant."""
@@ -66,6 +71,18 @@ class Graph:
         if name in COMMUTATIVE:
             operands = tuple(sorted(operands))
         return self._placed((name, *operands))
+
+    def reachable(self, outputs: Iterable[int]) -> list[int]:
+        """The operations that outputs are made of, in order."""
+        needed: set[int] = set()
+        stack = list(outputs)
+        while stack:
+            number = stack.pop()
+            if number not in needed:
+                needed.add(number)
+                name, *operands = self.operations[number]
+                stack += operands if name not in ("constant", "input") else []
+        return sorted(needed)
 
     def _placed(self, operation: Operation, key: Any = None) -> int:
         key = operation if key is None else key

@@ -15,7 +15,7 @@ from pgm.tracing.derivatives import derivatives
 from pgm.tracing.functions import traced
 from pgm.tracing.graph import Graph
 from pgm.tracing.program import Column, Program
-from pgm.tracing.traced import KINDS, Node, Recorder, Untraceable, bare, traced_elements
+from pgm.tracing.traced import STAND_INS, Node, Recorder, Untraceable, bare, traced_elements
 
 LIMIT = 2000  # operations
 
@@ -41,19 +41,16 @@ class Trace:
         """The value, and its derivative by some components of the arguments."""
         found = self._programs.get(columns)
         if found is None:
-            found = self._programs[columns] = self._made(columns)
+            graph = self.graph.copy()
+            rows = derivatives(graph, self.outputs, [graph.input(*column) for column in columns])
+            slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
+            found = Program(graph, self.widths, columns, self.outputs, slope)
+            self._programs[columns] = found
         return found
 
     @cached_property
     def _programs(self) -> dict[tuple[Column, ...], Program]:
         return {}
-
-    def _made(self, columns: tuple[Column, ...]) -> Program:
-        graph = self.graph.copy()
-        inputs = [graph.input(*column) for column in columns]
-        rows = derivatives(graph, self.outputs, inputs)
-        slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
-        return Program(graph, self.widths, columns, self.outputs, slope)
 
 
 def trace(function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...]) -> Trace | str:
@@ -61,7 +58,7 @@ def trace(function: Callable[..., Any], widths: Sequence[int], due: tuple[int, .
     try:
         made = [_recorded(function, widths, due, 0)]
         if made[0][0].cast:
-            made += [_recorded(function, widths, due, kind) for kind in range(1, KINDS)]
+            made += [_recorded(function, widths, due, kind) for kind in range(1, len(STAND_INS))]
     except Untraceable as reason:
         return str(reason)
     (graph, outputs), *others = made

@@ -8,9 +8,10 @@ the array comes back; computing with one is found out by tracing again with othe
 
 from __future__ import annotations
 
-import random
+import math
 import struct
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,8 @@ from pgm.tracing.operations import SCALAR
 
 # NumPy's functions that are done here in another way than NumPy's (`functions.py`).
 OWN: dict[Any, Callable[..., Any]] = {}
-# Kinds of stand-ins: small and positive, large and negative, not finite.
-KINDS = 3
+# Stand-ins that differ in size, sign and order, so that a comparison turns out in two ways.
+STAND_INS = (1e-3, -1e100, 1e100, math.nan)
 
 
 class Untraceable(Exception):
@@ -31,14 +32,12 @@ class Untraceable(Exception):
 class Recorder(Graph):
     """A graph that is being recorded, with the stand-ins that were given out."""
 
-    def __init__(self, limit: int, kind: int = 0) -> None:
+    def __init__(self, limit: float = np.inf, kind: int = 0) -> None:
         super().__init__()
         self.limit, self.kind = limit, kind
         self.refusal: str | None = None
         self.errors = np.geterr()
         self._numbers: dict[bytes, int] = {}
-        self._stand_ins: dict[int, float] = {}
-        self._random = random.Random(kind)
 
     def refuse(self, reason: str) -> Untraceable:
         """The error of a function without a trace; where a user's code catches it, too."""
@@ -69,22 +68,17 @@ class Recorder(Graph):
 
     def stand_in(self, number: int) -> float:
         """A float that stands for a traced number in arrays of floats."""
-        found = self._stand_ins.get(number)
-        if found is None:
-            draw = self._random.random()
-            if self.kind == 2:
-                # The payload of a NaN; it survives copies.
-                found = struct.unpack("<d", struct.pack("<Q", 0x7FF8_5A00_0000_0001 + number))[0]
-            else:
-                found = 1e-3 * (1.0 + draw) if self.kind == 0 else -1e100 * (1.0 + draw)
-            self._stand_ins[number] = found
-            self._numbers[struct.pack("d", found)] = number
+        size = STAND_INS[self.kind]
+        found = size * (1.0 + (number + 1) * 0.6180339887498949 % 1.0)
+        if math.isnan(size):  # its payload survives copies
+            found = struct.unpack("<d", struct.pack("<Q", 0x7FF8_5A00_0000_0001 + number))[0]
+        self._numbers[struct.pack("d", found)] = number
         return found
 
     @property
     def cast(self) -> bool:
         """Whether any stand-in was given out."""
-        return bool(self._stand_ins)
+        return bool(self._numbers)
 
 
 class Node:
@@ -121,23 +115,16 @@ class Node:
 
     def __getattr__(self, name: str) -> Any:
         # NumPy calls a method of each element of a plain array of objects, such as `sin`.
-        ufunc = None if name.startswith("_") else getattr(np, name, None)
-        if isinstance(ufunc, np.ufunc):
-            return lambda *others: _scalar(ufunc, self, *others)
+        if not name.startswith("_") and isinstance(getattr(np, name, None), np.ufunc):
+            return lambda *others: scalar(name, self, *others)
         raise AttributeError(f"a traced number has no {name!r}")
 
 
-def _scalar(ufunc: np.ufunc, *operands: Any) -> Any:
-    return _handler(ufunc)(*operands)
-
-
 def _operator(name: str, *, swapped: bool = False) -> Callable[..., Any]:
-    ufunc = getattr(np, name)
-
     def apply(self: Node, *others: Any) -> Any:
-        if others and isinstance(others[0], np.ndarray):
-            return ufunc(*others, self) if swapped else ufunc(self, *others)
-        return _scalar(ufunc, *others, self) if swapped else _scalar(ufunc, self, *others)
+        operands = (*others, self) if swapped else (self, *others)
+        arrays = any(isinstance(other, np.ndarray) for other in others)
+        return getattr(np, name)(*operands) if arrays else scalar(name, *operands)
 
     return apply
 
@@ -156,6 +143,76 @@ for _name, _own in _pairs(_BINARY):
 for _name, _own in _pairs(_OTHERS):
     setattr(Node, f"__{_name}__", _operator(_own))
 Node.__hash__ = object.__hash__  # type: ignore[method-assign]
+
+
+def scalar(name: str, *operands: Any) -> Any:
+    """One of NumPy's functions, of single elements: traced numbers and constants."""
+    name = _ALIASES.get(name, name)
+    g = next((each.graph for each in operands if isinstance(each, Node)), None)
+    if g is None:
+        with np.errstate(all="ignore"):
+            return np.asarray(getattr(np, name)(*operands)).item()
+    if name in _COMPOSED:
+        return _COMPOSED[name](*operands)
+    numbers = [g.number(each) for each in operands]
+    exponent = g.value(numbers[1]) if name == "power" else None
+    if exponent in _POWERS:
+        return _POWERS[exponent](operands[0])
+    truths = [g.is_boolean(k) for k in numbers]
+    if name in _TRUTHS:  # NumPy takes any number but zero for true
+        pairs = zip(numbers, truths, strict=True)
+        numbers = [k if t else g.add("not_equal", k, g.constant(0.0)) for k, t in pairs]
+        name = _TRUTHS[name]
+    elif all(truths) and name in ("add", "multiply"):
+        name = {"add": "logical_or", "multiply": "logical_and"}[name]
+    elif all(truths) and name in ("subtract", "negative"):
+        raise g.refuse(f"it takes np.{name} of truth values")
+    elif any(truths) and not (name == "where" and all(truths)):
+        for i in range(1 if name == "where" else 0, len(numbers)):
+            if truths[i]:
+                numbers[i] = g.add("where", numbers[i], g.constant(1.0), g.constant(0.0))
+    if name not in SCALAR:
+        raise g.refuse(f"np.{name} is not traced")
+    return Node(g, g.add(name, *numbers))
+
+
+_ALIASES = dict(
+    _pairs(
+        "radians=deg2rad degrees=rad2deg float_power=power bitwise_and=logical_and fabs=absolute "
+        "bitwise_or=logical_or bitwise_xor=logical_xor invert=logical_not conjugate=positive"
+    )
+)
+_TRUTHS = {name: name for name in ("logical_and", "logical_or", "logical_not")}
+_TRUTHS["logical_xor"] = "not_equal"
+_POWERS: dict[Any, Callable[[Any], Any]] = {
+    2.0: lambda a: a * a,
+    1.0: lambda a: a,
+    0.5: lambda a: a.sqrt(),
+    -1.0: lambda a: 1.0 / a,
+}
+# Functions that are made of others.
+_COMPOSED: dict[str, Callable[..., Any]] = {
+    "positive": lambda a: a,
+    "square": lambda a: a * a,
+    "reciprocal": lambda a: 1.0 / a,
+    "clip": lambda a, low, high: scalar("minimum", scalar("maximum", a, low), high),
+    "deg2rad": lambda a: a * (np.pi / 180.0),
+    "rad2deg": lambda a: a * (180.0 / np.pi),
+    "isnan": lambda a: a != a,
+    "isfinite": lambda a: a - a == 0.0,
+    "isinf": lambda a: abs(a) == np.inf,
+    "heaviside": lambda a, b: scalar(
+        "where", scalar("equal", a, 0.0), b, 0.5 * (scalar("sign", a) + 1.0)
+    ),
+    "fmax": lambda a, b: _numeric(a, b, "maximum"),
+    "fmin": lambda a, b: _numeric(a, b, "minimum"),
+}
+
+
+def _numeric(a: Any, b: Any, name: str) -> Any:
+    """The larger or smaller number, where one is a NaN the other."""
+    unless = scalar("where", scalar("not_equal", b, b), a, scalar(name, a, b))
+    return scalar("where", scalar("not_equal", a, a), b, unless)
 
 
 class Traced(np.ndarray[Any, Any]):
@@ -233,104 +290,10 @@ def wrapped(value: Any) -> Any:
     return value
 
 
-# Of the operands' numbers: functions that are made of others.
-def _composed(g: Recorder) -> dict[str, Callable[..., int]]:
-    constant, add = g.constant, g.add
-    return {
-        "positive": lambda a: a,
-        "conjugate": lambda a: a,
-        "square": lambda a: add("multiply", a, a),
-        "reciprocal": lambda a: add("divide", constant(1.0), a),
-        "fabs": lambda a: add("absolute", a),
-        "clip": lambda a, low, high: add("minimum", add("maximum", a, low), high),
-        "deg2rad": lambda a: add("multiply", a, constant(np.pi / 180.0)),
-        "rad2deg": lambda a: add("multiply", a, constant(180.0 / np.pi)),
-        "isnan": lambda a: add("not_equal", a, a),
-        "isfinite": lambda a: add("equal", add("subtract", a, a), constant(0.0)),
-        "isinf": lambda a: add("equal", add("absolute", a), constant(np.inf)),
-        "logical_xor": lambda a, b: add("not_equal", a, b),
-        "heaviside": lambda a, b: add(
-            "where", add("equal", a, constant(0.0)), b, _half(g, add("sign", a))
-        ),
-        "fmax": lambda a, b: add("where", add("not_equal", a, a), b, _except(g, "maximum", a, b)),
-        "fmin": lambda a, b: add("where", add("not_equal", a, a), b, _except(g, "minimum", a, b)),
-    }
-
-
-def _half(g: Recorder, sign: int) -> int:
-    return g.add("multiply", g.constant(0.5), g.add("add", sign, g.constant(1.0)))
-
-
-def _except(g: Recorder, name: str, a: int, b: int) -> int:
-    return g.add("where", g.add("not_equal", b, b), a, g.add(name, a, b))
-
-
-_ALIASES = dict(
-    _pairs(
-        "radians=deg2rad degrees=rad2deg float_power=power bitwise_and=logical_and "
-        "bitwise_or=logical_or bitwise_xor=logical_xor invert=logical_not"
-    )
-)
-_TRUTHS = {"logical_and", "logical_or", "logical_not", "logical_xor"}
-_MADE_OF_TRUTHS = {"add": "logical_or", "multiply": "logical_and"}
-
-
-def _recorded(g: Recorder, name: str, operands: list[int]) -> int:
-    """Record one of NumPy's functions, of numbers of operations."""
-    name = _ALIASES.get(name, name)
-    truths = [g.is_boolean(k) for k in operands]
-    if name in _TRUTHS:
-        # NumPy takes any number but zero for true.
-        pairs = zip(operands, truths, strict=True)
-        operands = [k if t else g.add("not_equal", k, g.constant(0.0)) for k, t in pairs]
-    elif all(truths) and name in _MADE_OF_TRUTHS:
-        name = _MADE_OF_TRUTHS[name]
-    elif any(truths):
-        if all(truths) and name in ("subtract", "negative"):
-            raise g.refuse(f"it takes np.{name} of truth values")
-        start = 1 if name == "where" else 0
-        if not (name == "where" and all(truths[1:])):
-            operands = [
-                g.add("where", k, g.constant(1.0), g.constant(0.0)) if t and i >= start else k
-                for i, (k, t) in enumerate(zip(operands, truths, strict=True))
-            ]
-    if name == "power":
-        exponent = g.value(operands[1])
-        if exponent == 2.0:
-            return g.add("multiply", operands[0], operands[0])
-        if exponent == 1.0:
-            return operands[0]
-        if exponent == -1.0:
-            return g.add("divide", g.constant(1.0), operands[0])
-        if exponent == 0.5:
-            return g.add("sqrt", operands[0])
-    composed = _composed(g).get(name)
-    if composed is not None:
-        return composed(*operands)
-    if name not in SCALAR:
-        raise g.refuse(f"np.{name} is not traced")
-    return g.add(name, *operands)
-
-
-def _handler(ufunc: np.ufunc, name: str | None = None) -> Callable[..., Any]:
-    """One of NumPy's functions, of single elements."""
-    own = name or ufunc.__name__
-
-    def apply(*operands: Any) -> Any:
-        for operand in operands:
-            if isinstance(operand, Node):
-                g = operand.graph
-                return Node(g, _recorded(g, own, [g.number(each) for each in operands]))
-        with np.errstate(all="ignore"):
-            return np.where(*operands).item() if own == "where" else ufunc(*operands)
-
-    return apply
-
-
 def elementwise(name: str, *operands: Any) -> Any:
     """One of NumPy's functions, of arrays that are broadcast against each other."""
-    handler = np.frompyfunc(_handler(getattr(np, name), name), len(operands), 1)
-    return wrapped(bare(handler(*map(bare, operands))))
+    handler = np.frompyfunc(partial(scalar, name), len(operands), 1)
+    return wrapped(handler(*map(bare, operands)))
 
 
 def _applied(ufunc: np.ufunc, method: str, inputs: Any, options: dict[str, Any]) -> Any:
@@ -341,35 +304,27 @@ def _applied(ufunc: np.ufunc, method: str, inputs: Any, options: dict[str, Any])
     if g is not None and np.geterr() != g.errors and {"raise", "call"} & {*np.geterr().values()}:
         raise g.refuse("it makes NumPy raise errors")
     arrays = [_known(g, a) for a in arrays]
-    name = ufunc.__name__
     out, where = options.pop("out", None), options.pop("where", True)
     for ignored in ("dtype", "casting", "order", "subok"):
         options.pop(ignored, None)
-    if name in ("matmul", "vecdot", "matvec", "vecmat"):
-        result = ufunc(*arrays, **options)
+    if ufunc.signature is not None:  # matmul and its like know objects
+        result = bare(ufunc(*arrays, **options))
     else:
         identity = {} if ufunc.identity is None else {"identity": ufunc.identity}
-        handler = np.frompyfunc(_handler(ufunc), ufunc.nin, 1, **identity)
-        if method == "reduce":
-            if ufunc is np.add and where is True:  # truth values are counted
-                arrays[0] = bare(elementwise("multiply", arrays[0], 1.0))
-            elif where is not True:
-                options["where"] = where
-        result = (
-            handler(*arrays, **options)
-            if method == "__call__"
-            else (getattr(handler, method)(*arrays, **options))
-        )
-    result = bare(result)
+        handler = np.frompyfunc(partial(scalar, ufunc.__name__), ufunc.nin, 1, **identity)
+        if method == "reduce" and ufunc is np.add:  # truth values are counted
+            arrays[0] = bare(elementwise("multiply", arrays[0], 1.0))
+        if method != "__call__" and where is not True:
+            options["where"], where = where, True
+        result = bare(getattr(handler, method)(*arrays, **options))
     if out is None:
-        if where is not True and method == "__call__":
-            raise (g or Recorder(0)).refuse("it takes where= without out=")
+        if where is not True:
+            raise (g or Recorder()).refuse("it takes where= without out=")
         return wrapped(result)
-    (target,) = out
-    if where is not True and method == "__call__":
-        result = bare(elementwise("where", where, result, target))
-    target[...] = wrapped(result)
-    return target
+    if where is not True:
+        result = bare(elementwise("where", where, result, out[0]))
+    out[0][...] = wrapped(result)
+    return out[0]
 
 
 def _known(g: Recorder | None, array: Any) -> Any:

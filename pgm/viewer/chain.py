@@ -17,8 +17,18 @@ from pgm.kernels.arrays import Array, Integers, block, cut, quiet
 from pgm.kernels.canonical import Canonical
 from pgm.kernels.moments import Conditional
 from pgm.variables import Variable
-from pgm.viewer.limits import Limits, Run
-from pgm.viewer.numbers import EXACT, SHOWN, Numbers, cpd, lower, number, variable, went
+from pgm.viewer.numbers import (
+    EXACT,
+    SHOWN,
+    Limits,
+    Numbers,
+    Run,
+    cpd,
+    lower,
+    number,
+    variable,
+    went,
+)
 
 
 def head(

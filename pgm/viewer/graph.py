@@ -17,8 +17,18 @@ from pgm.inference import Posterior
 from pgm.inference.discrete.posterior import DiscretePosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.variables import Variable
-from pgm.viewer.limits import Limits, Run
-from pgm.viewer.numbers import SHOWN, Numbers, cpd, listed, lower, number, variable, went
+from pgm.viewer.numbers import (
+    SHOWN,
+    Limits,
+    Numbers,
+    Run,
+    cpd,
+    listed,
+    lower,
+    number,
+    variable,
+    went,
+)
 from pgm.viewer.placing import place
 
 # Letters of a label: names that do not fit are counted.

@@ -13,8 +13,7 @@ from pgm.inference.status import FILTERED, SMOOTHED
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 from pgm.viewer.chain import head, readings, sighted
-from pgm.viewer.limits import Limits, Run
-from pgm.viewer.numbers import SHOWN, Numbers, lower, number, went
+from pgm.viewer.numbers import SHOWN, Limits, Numbers, Run, lower, number, went
 
 # Entries of beliefs of all runs together, up to which messages back are made.
 _MOST = 20_000_000

@@ -24,8 +24,7 @@ from pgm.inference import (
 )
 from pgm.inference.chain.balanced import BalancedPosterior
 from pgm.viewer import chain, graph, states
-from pgm.viewer.limits import CELL, FILE, Limits, Run, chosen_runs, chosen_steps
-from pgm.viewer.numbers import Numbers
+from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.scripts import script
 
 Viewable = Posterior | GridPosterior | ParticlePosterior

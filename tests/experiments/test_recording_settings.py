@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 import pgm
 from experiments import recordings
 from experiments.recordings import drives, setting_file
-from experiments.recordings.setting_file import READERS, described
+from experiments.recordings.setting_file import described
+from experiments.recordings.settings import Sensor
 from models import motion
-from models.networks import pose
+from models.networks import distance, pose
 from pgm import consistency
 from tests.models.test_pose_graphs import written
 
@@ -101,6 +103,8 @@ def test_dead_reckoning_of_one_trajectory_against_another(tmp_path):
     placed = motion.increment(np.tile(TRUE[4], (37, 1)), seen)
     due = np.sqrt(np.mean(np.sum((placed - TRUE[4:])[:, :2] ** 2, axis=1)))
     assert found["dead reckoning"][""]["rmse"] == pytest.approx(due, rel=1e-9)
+    end = np.linalg.norm((placed - TRUE[4:])[-1, :2])
+    assert found["dead reckoning"][""]["end"] == pytest.approx(end, rel=1e-9)
 
 
 def test_a_trajectory_is_odometry_and_another_a_sensor(tmp_path):
@@ -108,7 +112,7 @@ def test_a_trajectory_is_odometry_and_another_a_sensor(tmp_path):
     told = described(trajectories(tmp_path, more), "tum")
     drive = drives.laid(told.name, told.setting, drives.read(told.setting, told.path))
     assert drive.timeline.times[0] == TIMES[4]
-    assert set(np.concatenate(list(drive.labels.values()))) == {"poses"}
+    assert [variable.name for variable in drive.sensors] == ["poses"]
     errors = [
         consistency.rmse(pgm.smooth(drive.network(), e)[pose], drive.truth, ("east", "north"))
         for e in (drive.motion, drive.evidence)
@@ -152,14 +156,84 @@ def test_a_bag_with_fixes_and_a_laser(tmp_path, capsys):
     assert "the recording's variances they are [1.0, 2.0]" in told
 
 
-@pytest.mark.parametrize("reader", sorted(set(READERS) - {"bag", "csv", "tum"}))
-def test_readers_of_known_recordings_take_settings(tmp_path, reader):
-    (tmp_path / "log").write_text("")
+def plaza(path):
+    poses = [[0.0, 0, 0, 0], [1.0, 2, 0, 0], [2.0, 4, 0, 0]]
+    heard = [[t, 2, 7, np.hypot(3.0 - 2.0 * t, 3.0)] for t in (0.0, 1.0, 2.0)]
+    tables = {"GT": poses, "DR": [[1.0, 2, 0], [2.0, 2, 0]], "TL": [[7.0, 3, 3]], "TD": heard}
+    savemat(path / "log", tables, appendmat=False)
+    return "[sensors.radio]\nreads = 'range'"
+
+
+def freiburg(path):
+    (path / "log").mkdir()
+    (path / "log" / "world.dat").write_text("1 3 3\n")
+    seen = "ODOMETRY 0 2 0\nSENSOR 1 3.2 1.3\nODOMETRY 0 2 0\nSENSOR 1 3.2 1.9\n"
+    (path / "log" / "sensor_data.dat").write_text(seen)
+    return "[start]\nmean = [0, 0, 0]\n[sensors.landmark]\nreads = 'range and bearing'"
+
+
+def labyrinth(path):
+    lines = []
+    for t in (0.0, 1.0, 2.0):
+        away = np.hypot(3.0 - 2.0 * t, 3.0)
+        lines += [f"range2 {t} {away} 0.01 3 3 105 0", f"odom2diff {t} 2 2 0 0.0785 0 0 0"]
+    (path / "log").write_text("\n".join(lines))
+    (path / "truth").write_text("".join(f"point2 {t} {2 * t} 0 1 0 0 1\n" for t in (0, 1, 2)))
+    return (
+        "[reader]\ntruth = 'truth'\n[start]\nmean = [nan, nan, 0]\n[sensors.uwb]\nreads = 'range'"
+    )
+
+
+def mrclam(path):
+    (path / "log").mkdir()
+    for name, text in {
+        "Barcodes": "6 72\n2 14\n",
+        "Landmark_Groundtruth": "6 3 3 0.001 0.002\n",
+        "Robot2_Odometry": "0 2 0\n1 2 0\n2 2 0\n",
+        "Robot2_Measurement": "0 72 4.2 0.8\n1 72 3.2 1.2\n1 14 1 0\n2 72 3.2 1.9\n",
+        "Robot2_Groundtruth": "0 0 0 0\n1 2 0 0\n2 4 0 0\n",
+    }.items():
+        (path / "log" / f"{name}.dat").write_text(text)
+    return "[reader]\nrobot = 2\n[sensors.camera]\nreads = 'range and bearing'"
+
+
+def barfoot(path):
+    t, steady = np.array([[0.0], [1.0], [2.0]]), np.full((3, 1), 2.0)
+    here = 2.0 * t + 0.5  # of the laser
+    savemat(
+        path / "log",
+        {
+            "t": t,
+            "x_true": 2.0 * t,
+            "y_true": 0 * t,
+            "th_true": 0 * t,
+            "l": [[3.0, 3.0]],
+            "r": np.hypot(3.0 - here, 3.0),
+            "b": np.arctan2(3.0, 3.0 - here),
+            "d": 0.5,
+            "v": steady,
+            "om": 0 * t,
+        },
+        appendmat=False,
+    )
+    return "[sensors.laser]\nreads = 'range and bearing'"
+
+
+@pytest.mark.parametrize("write", [plaza, freiburg, labyrinth, mrclam, barfoot])
+def test_known_recordings_with_settings(tmp_path, write):
+    """Each is of a robot that goes 2 m/s east from (0, 0), and sees (3, 3)."""
+    more = write(tmp_path)
     file = tmp_path / "own.toml"
-    file.write_text('path = "log"\n' + NOISE)
-    told = described(file, reader)
-    with pytest.raises(pgm.PgmError):
-        drives.read(told.setting, told.path)
+    std = "[0.1, 0.1]" if "bearing" in more else "0.1"
+    file.write_text(f'path = "log"\n[motion]\nstd = [0.1, 0.1, 0.1]\n{more}\nstd = {std}\n')
+    told = described(file, write.__name__)
+    drive = drives.laid(told.name, told.setting, drives.read(told.setting, told.path))
+    posterior = pgm.smooth(drive.network(), drive.evidence)
+    steady = [[2.0 * t, 0.0, 0.0] for t in range(3)]
+    np.testing.assert_allclose(posterior[pose].mean[-3:], steady, atol=0.1)
+    assert np.abs(posterior.innovations[next(iter(drive.sensors))].residual[1:]).max() < 0.15
+    (labels,) = drive.labels.values()
+    assert len(set(labels)) == 1
 
 
 def examples():
@@ -284,3 +358,9 @@ def test_refusals(tmp_path):
         recordings.run(data="pose_graph")
     with pytest.raises(pgm.errors.FileError, match=r"none.toml: it cannot be read \(No such file"):
         setting_file.described(tmp_path / "none.toml", "csv")
+
+
+def test_sensors_have_variables_of_their_own():
+    two = tuple(Sensor(name, "range", (1.0,)) for name in ("x", "radio"))
+    assert [variable.name for variable in drives.named(two)] == ["z of x", "radio"]
+    assert list(drives.named(two[:1])) == [distance]

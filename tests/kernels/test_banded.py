@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pgm.kernels import banded
-from pgm.kernels.banded import System
+from pgm.kernels import roots
+from pgm.kernels.roots import Tridiagonal
 
 
 def system(rng, count, runs, size):
@@ -19,7 +19,7 @@ def system(rng, count, runs, size):
             if k + 1 < count:
                 diagonal[k + 1, run] += pair[size:, size:]
                 above[k, run] = pair[:size, size:]
-    return System(diagonal, above, rng.normal(size=(count, runs, size)))
+    return Tridiagonal(diagonal, above, rng.normal(size=(count, runs, size)))
 
 
 def dense(s, run):
@@ -38,7 +38,7 @@ def dense(s, run):
 def test_the_solution_is_that_of_the_dense_system(count, runs, size):
     s = system(np.random.default_rng(count), count, runs, size)
     before = [part.copy() for part in s]
-    found = banded.solve(s)
+    found = roots.solve_tridiagonal(s)
     for run in range(runs):
         due = np.linalg.solve(dense(s, run), s.right[:, run].ravel())
         np.testing.assert_allclose(found[:, run].ravel(), due, rtol=1e-8, atol=1e-8)
@@ -50,6 +50,6 @@ def test_the_solution_is_that_of_the_dense_system(count, runs, size):
 def test_what_is_not_positive_definite_is_nan(k):
     s = system(np.random.default_rng(0), 5, 2, 2)
     s.diagonal[k, 1] = 0.0
-    found = banded.solve(s)
+    found = roots.solve_tridiagonal(s)
     assert np.isnan(found[:, 1]).all()
     assert np.isfinite(found[:, 0]).all()

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pgm.kernels import twofold
-from pgm.kernels.twofold import Twofold
+from pgm.kernels import extended
+from pgm.kernels.extended import Twofold
 
 # Two float64 hold 106 bits; a few of the last ones are rounding, of each term that is summed up.
 DIGITS = Fraction(1, 10**31)
@@ -106,8 +106,8 @@ def test_products_over_any_number_of_terms(count):
 @given(stacks(4), stacks(4), st.lists(st.booleans(), min_size=4, max_size=4))
 def test_choosing_and_setting(a, b, mask):
     mask, one, other = np.array(mask), held(a), held(b)
-    assert (exact(twofold.where(mask, one, other)) == np.where(mask, a, b)).all()
-    assert (exact(twofold.where(mask, one, 0.0)) == np.where(mask, a, Fraction(0))).all()
+    assert (exact(extended.where(mask, one, other)) == np.where(mask, a, b)).all()
+    assert (exact(extended.where(mask, one, 0.0)) == np.where(mask, a, Fraction(0))).all()
     copy = one.copy()
     copy[mask] = other[mask]
     copy[0] = 2.0
@@ -148,7 +148,7 @@ def factors(matrix):
 def test_factors_of_semidefinite_matrices(entry, unit, rank):
     """Whatever their rank, and whatever the units."""
     matrix = semidefinite(entry, unit, rank)
-    lower, pivots = twofold.eliminated(held(matrix)[None], SHARE)
+    lower, pivots = extended.eliminated(held(matrix)[None], SHARE)
     due, due_pivots = factors(matrix)
     scale = [Fraction(2) ** k for k in unit]
     assert ((pivots.hi[0] == 0.0) == (due_pivots == 0)).all()
@@ -156,7 +156,7 @@ def test_factors_of_semidefinite_matrices(entry, unit, rank):
     edge = np.outer(scale, [1 / s for s in scale])
     assert (abs(exact(lower)[0] - due) <= 10**5 * DIGITS * edge).all()
     # The inverse on the range, and nothing beside it: A A⁺ A = A, A⁺ A A⁺ = A⁺.
-    inverse = exact(twofold.inverse(lower, pivots))[0]
+    inverse = exact(extended.inverse(lower, pivots))[0]
     again = matrix @ inverse @ matrix
     deviations = np.array([abs(row).max() for row in matrix])
     assert (abs(again - matrix) <= 10**8 * DIGITS * np.maximum.outer(deviations, deviations)).all()
@@ -169,15 +169,15 @@ def test_factors_of_semidefinite_matrices(entry, unit, rank):
 def test_regular_matrices(entry, right):
     """The inverse, and the solution of U X = B, of a stack."""
     matrix = semidefinite(entry, [0] * 4, 3) + exact(np.eye(4))
-    lower, pivots = twofold.eliminated(held([matrix, 2 * matrix]), SHARE)
-    found = exact(twofold.inverse(lower, pivots))
+    lower, pivots = extended.eliminated(held([matrix, 2 * matrix]), SHARE)
+    found = exact(extended.inverse(lower, pivots))
     assert (abs(found[0] @ matrix - np.eye(4)) <= 10**6 * DIGITS).all()
     assert (abs(2 * found[1] @ matrix - np.eye(4)) <= 10**6 * DIGITS).all()
-    whole = twofold.solve(lower, pivots, held(right))
+    whole = extended.solve(lower, pivots, held(right))
     size = 100 * abs(matrix) @ abs(exact(whole))
     assert (abs(matrix @ exact(whole)[0] - right[0]) <= DIGITS * size[0]).all()
     assert (abs(2 * matrix @ exact(whole)[1] - right[1]) <= 2 * DIGITS * size[1]).all()
-    solution = twofold.solve_unit(lower, held(right))
+    solution = extended.solve_unit(lower, held(right))
     size = abs(exact(lower)) @ abs(exact(solution))
     assert (abs(exact(lower) @ exact(solution) - right) <= 10 * DIGITS * size).all()
 
@@ -186,9 +186,9 @@ def test_a_solution_keeps_what_an_inverse_loses():
     """Of a matrix that is nearly singular: A x is right, though x hardly is."""
     wide = Fraction(10**22)
     matrix = np.array([[wide + Fraction(1, 100), wide], [wide, wide + Fraction(1, 50)]])
-    lower, pivots = twofold.eliminated(held([matrix]), SHARE * 1e-6)
+    lower, pivots = extended.eliminated(held([matrix]), SHARE * 1e-6)
     right = held([[[wide], [wide + 1]]])
-    found = exact(twofold.solve(lower, pivots, right))[0]
+    found = exact(extended.solve(lower, pivots, right))[0]
     size = abs(matrix) @ abs(found)
     assert (abs(matrix @ found - exact(right)[0]) <= 10 * DIGITS * size).all()
     # The sum of both components is some 1e-22 of theirs.
@@ -202,7 +202,7 @@ def test_pivots_that_are_rounding():
 
     def pivots(negligible, *rounding):
         rows = (np.array([rounding]),) if rounding else ()
-        lower, found = twofold.eliminated(matrix, negligible, *rows)
+        lower, found = extended.eliminated(matrix, negligible, *rows)
         assert exact(lower)[0, 1, 0] == 1
         return list(exact(found)[0])
 
@@ -212,14 +212,14 @@ def test_pivots_that_are_rounding():
     assert pivots(100.0, 1e-31, 1e-29) == [1, 0]
     assert pivots(100.0, 1e-29, 0.0) == [1, 0]  # elimination carries it to the second
     # An entry that may be rounding is no pivot, and nothing is eliminated by it.
-    lower, found = twofold.eliminated(matrix, 100.0, np.array([[0.1, 1e-31]]))
+    lower, found = extended.eliminated(matrix, 100.0, np.array([[0.1, 1e-31]]))
     assert list(exact(found)[0]) == [0, 1 + small]
     assert (exact(lower)[0] == np.eye(2)).all()
 
 
 def test_the_rounding_given_is_not_changed():
     rounding = np.full((1, 3), 1e-30)
-    twofold.eliminated(Twofold(np.eye(3)[None] + 1.0), 100.0, rounding)
+    extended.eliminated(Twofold(np.eye(3)[None] + 1.0), 100.0, rounding)
     assert (rounding == 1e-30).all()
 
 
@@ -231,5 +231,5 @@ def test_the_rank_of_a_matrix_that_rounding_has_changed(entry, unit):
     signs = np.array([[1, -1, 1, -1], [-1, 1, 1, 1], [1, 1, -1, 1], [-1, 1, 1, -1]])
     changed = held(matrix + abs(matrix) * signs * Fraction(1, 10**30))
     bound = np.diagonal(matrix).astype(float)[None] * 1e-30
-    _, pivots = twofold.eliminated(changed, 100.0, bound)
+    _, pivots = extended.eliminated(changed, 100.0, bound)
     assert (pivots.hi != 0.0).sum() == (matrix != 0).any()

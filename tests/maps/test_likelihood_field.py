@@ -152,7 +152,7 @@ def test_values_that_are_none(field, scan, x):
 
 
 def _known(variable, values):
-    from pgm.cpds.values import Known
+    from pgm.cpds.base import Known
 
     values = np.array(values)
     return Known({variable: values}, (len(values),), (len(values),), 3)

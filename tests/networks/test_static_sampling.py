@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
-from pgm.cpds.values import Known
+from pgm.cpds.base import Known
 from tests.dense import linear_joint, random_covariance
 
 A, B, C, U, W = pgm.variables("a b c u w")

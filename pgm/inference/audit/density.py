@@ -14,7 +14,7 @@ from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
 from pgm.inference.audit.draws import Afresh, log_ratio, stretch
 from pgm.inference.family import Family
-from pgm.kernels import normal, roots
+from pgm.kernels import roots
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
@@ -102,7 +102,7 @@ class Term:
         if afresh is not None:
             proposed = self._redrawn(value, own, proposed, afresh)
         white = self._white(row, proposed - value)
-        log_density = normal.log_density(own, white)
+        log_density = roots.log_density(own, white)
         free = self.free()
         if not free.all():
             implied = value + white @ transpose(own)
@@ -140,7 +140,7 @@ class Term:
         if self.family.cpd.noise is not None:
             log_density = self._robust(self.family.cpd.noise, rows, residual)
         else:
-            log_density = normal.log_density(_at(self.own, rows), self._white(rows, residual))
+            log_density = roots.log_density(_at(self.own, rows), self._white(rows, residual))
             log_density = self._relative(rows, parents, moved[..., None, :], log_density)
         if self.taken is not None and not self.relative and self.family.cpd.noise is None:
             missing = (~self.taken[rows]).sum(axis=-1)
@@ -161,13 +161,13 @@ class Term:
     def _white(self, rows: int | slice, residual: Array) -> Array:
         """White residuals (..., S, d) of the CPD's own noise, zero where determined."""
         if self._inverse is None:
-            return normal.whitened(_at(self.own, rows), residual)[0]
+            return roots.whitened(_at(self.own, rows), residual)[0]
         white: Array = residual @ transpose(_at(self._inverse, rows))
         return white
 
     @cached_property
     def _inverse(self) -> Array | None:
-        return normal.whitener(self.own)
+        return roots.whitener(self.own)
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
         """Residuals (..., S, d), zero in components that were not read."""
@@ -261,4 +261,4 @@ def _at(stacked: Stack, rows: int | slice) -> Stack:
 
 
 def _log_density(lower: Array, residual: Array) -> Array:
-    return normal.log_density(lower, normal.whitened(lower, residual)[0])
+    return roots.log_density(lower, roots.whitened(lower, residual)[0])

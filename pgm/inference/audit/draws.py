@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.kernels import moments, normal, roots
+from pgm.kernels import moments, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 from pgm.kernels.moments import Conditional
 
@@ -67,13 +67,13 @@ class Proposal:
         """The white noise (runs, S, n) of draws."""
         off = values - self._mean(row, given)
         if self._inverse is None:
-            return normal.whitened(self.lower[row], off)[0]
+            return roots.whitened(self.lower[row], off)[0]
         white: Array = off @ transpose(self._inverse[row])
         return white
 
     @cached_property
     def _inverse(self) -> Array | None:
-        return normal.whitener(self.lower)
+        return roots.whitener(self.lower)
 
     @cached_property
     def _constants(self) -> tuple[Integers, Array]:

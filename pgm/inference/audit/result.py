@@ -107,33 +107,28 @@ class Audit(Shown, Immutable):
     standard_error : ndarray
         (...): of `log_evidence` (the delta method).
     effective_sample_size : ndarray
-        (...): n = (Σ w)² / Σ w² of the Gaussian's own draws, from 1 to S: what the Gaussian would
-        be worth as a proposal.
+        (...): n = (Σ w)² / Σ w² of the Gaussian's own draws, from 1 to S: its worth as a proposal.
     effective_draws : ndarray
-        (...): the same of all draws, weighed by the mixture: what the estimates are made of.
+        (...): the same of all draws, weighed by the mixture, of which the estimates are made.
     gaussian_log_evidence : ndarray
         (...): that of the posterior.
-    divergence : ndarray
-        (...): KL(q ‖ p(x | z)) of all variables in nats: `log_evidence` less the mean of ln w.
-        A Gaussian that fits one of two modes and has lost the other is ln 2 away, if both weigh
-        the same, and less, if it fits the heavier one.
-    divergence_error : ndarray
-        (...): its standard error.
+    divergence, divergence_error : ndarray
+        (...): KL(q ‖ p(x | z)) of all variables in nats, and its standard error. A Gaussian that
+        fits one of two modes and has lost the other is ln 2 away, if both weigh the same, and
+        less, if it fits the heavier one.
     inclusive_divergence, inclusive_error : ndarray
-        (...): KL(p(x | z) ‖ q) of all variables in nats, and its standard error: large, where a
-        mode was lost.
+        (...): KL(p(x | z) ‖ q) likewise: large, where a mode was lost.
     moment_divergence : mapping of Variable to ndarray
         KL(N(exact moments) ‖ q) of each variable alone, (..., steps) of a chain, (...) of a network
         without time, in nats; infinite where too few draws leave no covariance.
     corrected : mapping of Variable to Gaussian
-        The exact posterior's mean and covariance of each hidden variable, estimated: what the
-        moments of a Gaussian answer should be.
+        The exact posterior's mean and covariance of each hidden variable, estimated.
     suspect : ndarray of bool
-        (...): whether a belief that knows all measurements, of a variable or of a cluster's
-        variables together, is further than 0.5 nats from the exact moments, beyond what so few
-        effective draws may leave by chance, or `correction` is more than 0.5 nats and three
-        standard errors; a negative one counts where `trusted`, since few draws tell too low an
-        evidence. Of a smoother all beliefs know all measurements, of a filter the last one.
+        (...): whether a belief that knows all measurements (of a filter the last one), of a
+        variable or of a cluster's variables together, is further than 0.5 nats from the exact
+        moments, beyond what so few effective draws may leave by chance, or `correction` is more
+        than 0.5 nats and three standard errors; a negative one counts where `trusted`, since few
+        draws tell too low an evidence.
     trusted : ndarray of bool
         (...): whether ten draws or more are effective, and the tail of their weights allows
         estimates; where not, nothing follows from `suspect` being False.
@@ -147,9 +142,8 @@ class Audit(Shown, Immutable):
     log_weights : ndarray
         (..., S): ln w.
     innovations : mapping of Variable to InnovationCheck
-        Of each sensor that a chain has read, whether its innovations fit the model; empty for
-        networks without time. All the numbers above are about the model as declared, and right
-        for a wrong one: these see the model itself.
+        Of each sensor that a chain has read, whether its innovations fit the model: all other
+        numbers are about the model as declared, and right for a wrong one.
 
     References
     ----------

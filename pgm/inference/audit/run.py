@@ -31,8 +31,8 @@ def audit(
 ) -> Audit:
     """Estimate the distance of a Gaussian answer from the exact one, by importance sampling.
 
-    Exact is the posterior of the model as declared: of a wrong model, too. Whether the model fits
-    its data the innovations of a chain tell, which the result sums up beside (`innovations`).
+    Exact is the posterior of the model as declared, be it wrong; whether it fits its data the
+    result's `innovations` tell.
 
     Trajectories x_s are drawn from the smoothed joint Gaussian q of the linearised model and
     weighed with the model as it was declared,
@@ -55,9 +55,8 @@ def audit(
     and for a linear model leaves no error. A result whose beliefs or log-evidence are off is
     `suspect`.
 
-    It sees a mode that draws of the prediction reach: one that they hardly reach, or that is told
-    from the other only by many steps of readings, or a network of many variables, may escape it.
-    The cost is about three times that of the Gaussian's draws alone.
+    A mode that draws of the prediction hardly reach, or that is told from the other only by many
+    steps of readings, or in a network of many variables, may escape it.
 
     Residuals of measurements of angles are wrapped, and an angle that a function wraps is taken on
     the branch of the linearisation, so that wrapping it or not gives the same.

@@ -34,9 +34,9 @@ from pgm.inference.chain.careful_belief import (
 )
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.iteration import Point
-from pgm.kernels import twofold
+from pgm.kernels import extended
 from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked, variances
-from pgm.kernels.twofold import Twofold
+from pgm.kernels.extended import Twofold
 from pgm.progress import counted
 
 # A difference is found in another way where this part of it may be rounding.
@@ -238,7 +238,7 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
     rest = slices[second].belief.cov
     if first + 1 < second:
         rest = _across(careful, slices, first + 1, second)
-    return twofold.where(back.lost, back.gain @ rest, across)
+    return extended.where(back.lost, back.gain @ rest, across)
 
 
 def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
@@ -269,8 +269,8 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     assert after.move is not None
     matrix, noise = after.move.matrix, after.move.cov
     floor = variances(predicted.rounding)
-    unit, pivots = twofold.eliminated(predicted.cov, CLEAR, floor)
-    gain = twofold.solve(unit, pivots, matrix @ cov).mT
+    unit, pivots = extended.eliminated(predicted.cov, CLEAR, floor)
+    gain = extended.solve(unit, pivots, matrix @ cov).mT
     keep = np.eye(cov.shape[-1]) - gain @ matrix
     other = noise + belief.cov
     left = keep @ cov @ keep.mT + gain @ other @ gain.mT
@@ -280,12 +280,12 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     rounding = kept + through(gain.hi, belief.rounding + diagonal(summed))
     rounding = rounding + rounded(keep.hi, cov.hi, cov.hi) + rounded(gain.hi, other.hi, cov.hi)
     shift = belief.columns - predicted.columns
-    pull = twofold.solve(unit, pivots, shift).hi[..., 0]
+    pull = extended.solve(unit, pivots, shift).hi[..., 0]
     along = sandwich(apply(matrix.hi.mT, pull)[:, None, :], own)[:, 0]
     moved = np.sqrt(np.maximum(variances(kept) * along, 0.0))
     across = apply(gain.hi**2, summed) * (pull**2 * summed).sum(axis=-1, keepdims=True)
     moved = moved + np.sqrt(across)
-    inverse = np.abs(twofold.inverse(unit, pivots).hi)
+    inverse = np.abs(extended.inverse(unit, pivots).hi)
     size = np.abs(cov.hi) @ np.abs(matrix.hi.mT) @ inverse @ np.abs(shift.hi)
     moved = moved + ROUNDING * (size[..., 0] + np.abs(columns.hi[..., 0]))
     drift = through(keep.hi, drift) + through(gain.hi, belief.drift) + diagonal(moved**2)
@@ -297,8 +297,8 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
 
 def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
     return b._replace(
-        columns=twofold.where(mask, a.columns, b.columns),
-        cov=twofold.where(mask, a.cov, b.cov),
+        columns=extended.where(mask, a.columns, b.columns),
+        cov=extended.where(mask, a.cov, b.cov),
         rounding=np.where(mask, a.rounding, b.rounding),
         drift=np.where(mask, a.drift, b.drift),
     )

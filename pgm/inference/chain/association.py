@@ -27,7 +27,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.vector import vector
 from pgm.inference.schedule import ONCE, Filtering
-from pgm.kernels import normal, roots
+from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
 from pgm.kernels.tables import log_sum
 from pgm.linearisers import Lineariser
@@ -137,7 +137,7 @@ class _Pending:
         square, count = pairs.square, pairs.size
         terms = pairs.density + unknown.log_shares[:-2]
         if unknown.gate is not None:
-            limit = normal.square_within(unknown.gate, np.maximum(count, 1))
+            limit = roots.square_within(unknown.gate, np.maximum(count, 1))
             terms = np.where(square > limit, -np.inf, terms)
         others = np.broadcast_to(unknown.log_outliers, (len(rows), runs, 2))
         terms = np.concatenate([terms, others], axis=-1)

@@ -25,8 +25,17 @@ from pgm.kernels.arrays import (
     symmetric,
     transpose,
 )
+from pgm.kernels.elements import (
+    Moments,
+    compose_conditionals,
+    gather,
+    in_chunks,
+    levels,
+    prefixes,
+    push_moments,
+    take,
+)
 from pgm.kernels.moments import Conditional
-from pgm.kernels.scan import Moments, compose, gather, in_chunks, levels, prefixes, push, take
 
 # From this many runs on, a sweep along rows of runs beats a scan along rows of steps, which does
 # twice the work; and so it does with few steps, where a scan has nearly as many rounds.
@@ -139,7 +148,7 @@ class Reverse:
         """The slice of step t given that of step t + 1, at row t."""
         if self.slices is None:
             return self.states
-        return compose(self.states, Conditional(*(part[:-1] for part in self.slices)))
+        return compose_conditionals(self.states, Conditional(*(part[:-1] for part in self.slices)))
 
     def moved(self, mean: Array, states: Index) -> Reverse:
         """The same covariances with other smoothed means of the slices, (T+1, runs, n)."""
@@ -211,7 +220,7 @@ def scan(forward: Ahead, reverse: Reverse) -> Beliefs:
     """Smoothed moments of every slice, in 2 log₂ T rounds."""
     start = Moments(forward.mean[-1:], forward.cov[-1:])
     back = Conditional(*(part[::-1] for part in reverse.whole))
-    found = prefixes(start, levels(back, compose), push)
+    found = prefixes(start, levels(back, compose_conditionals), push_moments)
     mean = room(forward.mean.shape[:2], forward.mean.shape[2:])
     cov = room(forward.cov.shape[:2], forward.cov.shape[2:])
     mean[:-1], mean[-1:] = found.mean[::-1], start.mean
@@ -246,12 +255,12 @@ def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
     while left:
         if left % 2:
             ends = np.minimum(np.arange(reach, last + reach), last)
-            found = in_chunks(push, Moments(gather(mean, ends), gather(cov, ends)), back)
+            found = in_chunks(push_moments, Moments(gather(mean, ends), gather(cov, ends)), back)
             mean[:-1], cov[:-1] = found
         left //= 2
         if left:
             later, sooner, end = map(slice, (reach, None, -reach), (None, -reach, None))
-            both = in_chunks(compose, take(back, later), take(back, sooner))
+            both = in_chunks(compose_conditionals, take(back, later), take(back, sooner))
             parts = zip(both, take(back, end), strict=True)
             back = Conditional(*map(np.concatenate, parts))
             reach *= 2

@@ -44,10 +44,10 @@ from pgm.inference.family import Family
 from pgm.inference.iteration import Anchor, Point
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
-from pgm.kernels import twofold
+from pgm.kernels import extended
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, quiet, variances
+from pgm.kernels.extended import Twofold
 from pgm.kernels.roots import NEGLIGIBLE
-from pgm.kernels.twofold import Twofold
 from pgm.progress import counted
 
 
@@ -255,7 +255,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
             held = (anchor.std[0] > 0.0) & (anchor.weight > 0.0)[:, None]
             share = np.where(anchor.weight > 0.0, anchor.weight, 1.0)[:, None]
             noises, values = Twofold(anchor.std[0] ** 2 / share), Twofold(anchor.mean[0])
-            rows = twofold.eye((runs, size, size))
+            rows = extended.eye((runs, size, size))
             for k in range(size):
                 belief, component, *_ = take(
                     belief, rows[:, k], values[:, k], noises[:, k], held[:, k]
@@ -345,7 +345,7 @@ def _regular(noise: Array, flat: Mask) -> Twofold:
     """A noise of exactly the rank it was meant to have; of unit variance where it is infinite."""
     if flat.any():
         noise = np.where(flat[:, None] | flat, np.eye(flat.size) * flat, noise)
-    unit, pivots = twofold.eliminated(noise, NEGLIGIBLE)
+    unit, pivots = extended.eliminated(noise, NEGLIGIBLE)
     if not (pivots.hi == 0.0).any():
         return Twofold(noise)
     return unit * pivots[..., None, :] @ unit.mT

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.inference.chain.vector import Measured
-from pgm.kernels import roots, twofold
+from pgm.kernels import extended, roots
 from pgm.kernels.arrays import (
     Array,
     Kind,
@@ -20,8 +20,8 @@ from pgm.kernels.arrays import (
     sandwich,
     variances,
 )
+from pgm.kernels.extended import Twofold
 from pgm.kernels.roots import NEGLIGIBLE
-from pgm.kernels.twofold import Twofold
 
 # The part of what is summed up to a variance that rounding may change.
 ROUNDING = 1e-31
@@ -109,7 +109,7 @@ class Belief(NamedTuple):
         both = open_[..., None] & open_[..., None, :]
         sunk = np.where(open_ | (variances(self.cov.hi) == 0.0), 0.0, _SUNK * floor)
         return self._replace(
-            cov=twofold.where(both, self.cov, 0.0),
+            cov=extended.where(both, self.cov, 0.0),
             rounding=np.where(both, self.rounding, 0.0),
             drift=self.drift + diagonal(sunk),
         )
@@ -132,7 +132,7 @@ def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
     size = sum(np.abs(part.hi if isinstance(part, Twofold) else part) for part in summed)
     nothing = np.abs(columns.hi) <= _CANCELLED * size
     nothing[..., 0] = False
-    return twofold.where(nothing, 0.0, columns)
+    return extended.where(nothing, 0.0, columns)
 
 
 def diagonal(values: Array) -> Array:
@@ -218,9 +218,9 @@ def solved(whole: Twofold) -> Solved:
     if not size:
         nothing = np.zeros((runs, 0, 0))
         return Solved(weights, Twofold(nothing), nothing, np.zeros(runs))
-    unit, pivots = twofold.eliminated(whole[:, 1:, 1:], CLEAR * ROUNDING)
+    unit, pivots = extended.eliminated(whole[:, 1:, 1:], CLEAR * ROUNDING)
     known = pivots.hi > 0.0
-    cov = twofold.inverse(unit, pivots)
+    cov = extended.inverse(unit, pivots)
     mean = -(cov @ whole[:, 1:, :1])
     weights[:, 1:] = mean
     level = -(whole[:, :1, 1:] @ mean).hi[:, 0, 0]
@@ -228,7 +228,7 @@ def solved(whole: Twofold) -> Solved:
     if not known.all():
         spanned = np.where(known[:, None, :], unit.hi, 0.0)
         log_det += np.linalg.slogdet(spanned.mT @ spanned + np.eye(size) * ~known[:, None, :])[1]
-    open_ = np.where(known[:, None, :], 0.0, twofold.inverse_unit(unit).mT.hi)
+    open_ = np.where(known[:, None, :], 0.0, extended.inverse_unit(unit).mT.hi)
     return Solved(weights, cov, open_, 0.5 * (level - log_det))
 
 
@@ -282,12 +282,12 @@ def take(
     said = np.sqrt(np.maximum(variances(rounding) * blurred[:, None], 0.0))
     said = said + ROUNDING * (np.abs(cov.hi) @ np.abs(row.hi)[..., None])[..., 0]
     said = (np.abs(cross.hi) > CLEAR * said) & ~open_[:, None]
-    cross = twofold.where(open_[:, None], cross, 0.0)
-    predictive = twofold.where(open_, spread, 0.0) + noise
+    cross = extended.where(open_[:, None], cross, 0.0)
+    predictive = extended.where(open_, spread, 0.0) + noise
     # A lineariser's error may be negative, and take more than there is.
     indefinite |= bool((seen & (noise.hi < 0.0) & (predictive.hi <= 0.0)).any())
     read = seen & (predictive.hi > 0.0)
-    weight = twofold.where(read, 1.0 / twofold.where(read, predictive, 1.0), 0.0)
+    weight = extended.where(read, 1.0 / extended.where(read, predictive, 1.0), 0.0)
     summed = floor - blurred + ROUNDING * np.abs(noise.hi)
     innovation = -(row[:, None, :] @ columns)[:, 0]
     innovation[:, 0] = innovation[:, 0] + value
@@ -339,13 +339,13 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
         if seen.taken is not None:
             there = _by_run(seen.taken, 1)
             taken[:, place] = there
-            rows[:, place] = twofold.where(there[..., None], rows[:, place], 0.0)
+            rows[:, place] = extended.where(there[..., None], rows[:, place], 0.0)
             noise[:, place, place] = independent(noise[:, place, place], there)
     own = variances(noise)
     if np.count_nonzero(noise) == np.count_nonzero(own):
         return rows, Twofold(own.copy()), taken
-    unit, noises = twofold.eliminated(noise, NEGLIGIBLE)
-    return twofold.solve_unit(unit, rows), noises, taken
+    unit, noises = extended.eliminated(noise, NEGLIGIBLE)
+    return extended.solve_unit(unit, rows), noises, taken
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:

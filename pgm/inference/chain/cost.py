@@ -20,7 +20,7 @@ from pgm.inference.family import Family
 from pgm.inference.iteration import Point
 from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Filtering, Smoothing
-from pgm.kernels import banded, roots
+from pgm.kernels import roots
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -33,7 +33,7 @@ from pgm.kernels.arrays import (
     multiply,
     transpose,
 )
-from pgm.kernels.banded import System
+from pgm.kernels.roots import Tridiagonal
 
 # A relation that is missed by no more than this part of the numbers in it is obeyed.
 OBEYED = 1e-10
@@ -214,7 +214,7 @@ def projected(plan: ChainPlan, mean: Array, std: Array) -> tuple[Array, Mask]:
             break
         # Each pass moves along the relations alone, and leaves less to the next: what is hard to
         # see in these units needs the great weights, which would cost digits where all is seen.
-        nearer = mean + unit * banded.solve(_equations(relations, mean, unit, weight))
+        nearer = mean + unit * roots.solve_tridiagonal(_equations(relations, mean, unit, weight))
         mean = np.where(obeyed[:, None], mean, nearer)
         obeyed = obeyed | _obeyed(relations, mean)
     return mean, obeyed
@@ -228,7 +228,7 @@ def _obeyed(relations: list[Relation], mean: Array) -> Mask:
     return fits
 
 
-def _equations(relations: list[Relation], mean: Array, unit: Array, weight: float) -> System:
+def _equations(relations: list[Relation], mean: Array, unit: Array, weight: float) -> Tridiagonal:
     """Of the moves ξ, in units, that minimise |ξ|² + w |relations missed|²."""
     steps, runs, size = mean.shape
     diagonal = np.zeros((steps, runs, size, size)) + np.eye(size)
@@ -248,7 +248,7 @@ def _equations(relations: list[Relation], mean: Array, unit: Array, weight: floa
         np.add.at(diagonal, earlier, weight * multiply(back, before[later]))
         np.add.at(above, earlier, weight * multiply(back, own[later]))
         np.add.at(right, earlier, weight * apply(back, left[later]))
-    return System(diagonal, above, right)
+    return Tridiagonal(diagonal, above, right)
 
 
 def _relations(plan: ChainPlan) -> Iterator[Relation]:

@@ -28,7 +28,7 @@ from pgm.inference.iteration import Anchor, Iterated, iterate
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Mask, stacked
-from pgm.kernels.twofold import Twofold
+from pgm.kernels.extended import Twofold
 from pgm.progress import counted
 
 

@@ -25,7 +25,7 @@ from pgm.inference.status import Status
 from pgm.kernels import along_runs
 from pgm.kernels.arrays import Array, stacked
 from pgm.progress import counted
-from pgm.sizes import retain
+from pgm.resources import retain
 
 # From this many runs on, only the beliefs of a filter are kept until something else is asked for.
 MANY = 8

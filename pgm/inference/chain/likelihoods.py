@@ -30,8 +30,7 @@ from pgm.kernels.arrays import (
     sandwich,
     transpose,
 )
-from pgm.kernels.elements import Belief, Likelihood, condition
-from pgm.kernels.scan import Moments, gather
+from pgm.kernels.elements import Belief, Likelihood, Moments, condition, gather
 
 
 @dataclass(frozen=True, eq=False)

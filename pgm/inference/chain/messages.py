@@ -18,9 +18,8 @@ from pgm.inference.chain.vector import stacks
 from pgm.kernels import canonical, elements, moments, roots
 from pgm.kernels.arrays import LOG_2PI, Array, apply, inner, sandwich, transpose
 from pgm.kernels.canonical import Canonical
-from pgm.kernels.elements import Element
+from pgm.kernels.elements import Element, levels, prefixes, take
 from pgm.kernels.moments import Conditional
-from pgm.kernels.scan import levels, prefixes, take
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:

@@ -16,10 +16,10 @@ from pgm.inference.chain.likelihoods import Readings, shortened
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.iteration import Point
-from pgm.kernels import banded, canonical, roots
+from pgm.kernels import canonical, roots
 from pgm.kernels.arrays import Array, apply, block, multiply, transpose
-from pgm.kernels.banded import System
-from pgm.kernels.scan import in_chunks
+from pgm.kernels.elements import in_chunks
+from pgm.kernels.roots import Tridiagonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
     system = _equations(plan, readings)
     if system is None:
         return None
-    found = banded.solve(system)
+    found = roots.solve_tridiagonal(system)
     if not np.isfinite(found.sum()):
         return None
     variance = 1.0 / np.diagonal(system.diagonal, axis1=-2, axis2=-1)
@@ -63,7 +63,7 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
     )
 
 
-def _equations(plan: ChainPlan, readings: Readings) -> System | None:
+def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
     layout = plan.layout
     states = layout.state_places
     mean, cov = MomentChain(plan, None).start().by_run
@@ -81,7 +81,7 @@ def _equations(plan: ChainPlan, readings: Readings) -> System | None:
     diagonal[0][:, rows, states] += precision
     right[0][:, states] += apply(precision, mean - readings.reference[0][:, states])
     if not plan.steps:
-        return System(diagonal, diagonal[:0], right)
+        return Tridiagonal(diagonal, diagonal[:0], right)
     precision = _inverse(noise_lower)
     move = _Move(matrix, offset)
     if len(precision) > 1:
@@ -92,7 +92,7 @@ def _equations(plan: ChainPlan, readings: Readings) -> System | None:
     right[1:] += terms.right_after
     diagonal[:-1] += terms.before
     right[:-1] -= terms.right_before
-    return System(diagonal, -transpose(terms.across), right)
+    return Tridiagonal(diagonal, -transpose(terms.across), right)
 
 
 class _Move(NamedTuple):

@@ -19,11 +19,25 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.vector import Stack
 from pgm.inference.iteration import Anchor
 from pgm.inference.schedule import ONCE
-from pgm.kernels import elements, moments, scan
+from pgm.kernels import elements, moments
 from pgm.kernels.arrays import Array, apply, deviation, room
-from pgm.kernels.elements import Belief, Element, Likelihood
+from pgm.kernels.elements import (
+    Belief,
+    Element,
+    Likelihood,
+    Map,
+    Moments,
+    Value,
+    after,
+    gather,
+    in_chunks,
+    levels,
+    prefixes,
+    push_moments,
+    send,
+    take,
+)
 from pgm.kernels.moments import Conditional
-from pgm.kernels.scan import Map, Moments, Value, gather, in_chunks, levels, prefixes, take
 
 # Beliefs this many deviations from the reference leave too few digits: they are solved for again.
 _FAR = 1e4
@@ -155,7 +169,7 @@ def _solve(
         )
         if not np.isfinite(known.mean.sum() + known.cov.sum()):
             _refuse(known)
-        pushed = in_chunks(scan.push, take(known, slice(None, -1)), near)
+        pushed = in_chunks(push_moments, take(known, slice(None, -1)), near)
         if readings.stacks:
             # They are in the beliefs already.
             predicted.mean[1:], predicted.cov[1:] = pushed
@@ -212,8 +226,8 @@ def _predicted(moves: Conditional, start: Array) -> Array:
     if len(out) > 1:
         # An unstable transition leads beyond all numbers where measurements hold the beliefs.
         with np.errstate(over="ignore", invalid="ignore"):
-            tree = levels(Map(moves.matrix, moves.offset), scan.after)
-            out[1:] = prefixes(Value(start[None]), tree, scan.send).value
+            tree = levels(Map(moves.matrix, moves.offset), after)
+            out[1:] = prefixes(Value(start[None]), tree, send).value
     return np.where(np.abs(out) < _BEYOND, out, start)
 
 

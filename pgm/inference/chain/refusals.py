@@ -12,7 +12,7 @@ from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.vector import Measured
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, components_last, times
-from pgm.kernels.twofold import Twofold
+from pgm.kernels.extended import Twofold
 
 # A measurement this far from what an exact model says, as a part of the numbers' size, contradicts
 # it.

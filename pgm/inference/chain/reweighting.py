@@ -8,7 +8,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.iteration import Point
 from pgm.kernels.arrays import Array, Mask, block
-from pgm.kernels.scan import gather
+from pgm.kernels.elements import gather
 
 
 def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:

@@ -25,7 +25,7 @@ from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Smoothing
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Mask, block, components_first, components_last, nearest_branch
-from pgm.kernels.scan import gather
+from pgm.kernels.elements import gather
 from pgm.progress import counted
 
 

@@ -10,10 +10,16 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.factors.scope import names
-from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, Places, relinearise
+from pgm.inference.gaussian.beliefs import (
+    Beliefs,
+    Calibrated,
+    Flat,
+    Places,
+    make_potentials,
+    relinearise,
+)
 from pgm.inference.gaussian.layout import Rounds, Stack
 from pgm.inference.gaussian.model import Model, contradiction
-from pgm.inference.gaussian.potentials import Flat, make_potentials
 from pgm.inference.loopy import LOST, Directed
 from pgm.kernels import moments, rows
 from pgm.kernels.arrays import Array, Integers, Mask

@@ -28,7 +28,7 @@ from pgm.inference.grid.values import (
 )
 from pgm.kernels.arrays import LOG_2PI, TURN, Array, Integers
 from pgm.kernels.lattice import Span
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Variable
 
 # Numbers of kernels that are kept for all steps, where they are the same.

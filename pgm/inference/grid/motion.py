@@ -23,7 +23,7 @@ from pgm.inference.grid.lattice import Axis, Lattice, Window
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import REACH, Span, kernels, reached, tap_count
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 
 # Numbers of the matrices of one move at the most; more are split cell by cell.
 _MATRICES = 1 << 24

@@ -1,10 +1,16 @@
-"""The slices of one run on a grid, as the chain of finitely many states asks for them."""
+"""The slices of one run on a grid, as the chain of finitely many states asks for them.
+
+A belief is carried up to a share of 10⁻¹⁵ along each axis, and kernels up to 8.5 deviations. What
+is beyond is lost, and no evidence brings it back, however much likelier it is there: `Cut` tells
+how much of a belief that may have come to be.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -14,7 +20,6 @@ from pgm.cpds.mixture import by_run
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
-from pgm.inference.grid.cut import TINY, Cut, Tails, bound, doubtful
 from pgm.inference.grid.densities import EVEN, Uneven
 from pgm.inference.grid.dependence import Dependence
 from pgm.inference.grid.grouping import Kept, groups
@@ -28,6 +33,119 @@ from pgm.kernels.arrays import Array
 from pgm.kernels.lattice import Span
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
+
+# The share of a belief, along an axis, that may stand outside the window of active cells.
+TINY = 1e-15
+# An edge with more than this was not cut: the belief ends there.
+_TAIL = 1e-13
+# Evidence that is less likely than its best by this is compared with that of all cells.
+_DOUBT = 20.0
+
+
+class Cut(NamedTuple):
+    """The belief of which the most may have been cut off."""
+
+    share: float
+    step: int
+
+
+class Narrowness(NamedTuple):
+    """The narrowest belief along an axis.
+
+    cells: Its standard deviation in cells.
+    component: Empty if no belief has been looked at.
+    """
+
+    cells: float
+    component: str
+    step: int
+
+
+class Worst(NamedTuple):
+    """The sensor, beliefs and density that the cells serve the least; see `GridStatus`."""
+
+    sharpest: Sharpness = Sharpness(0.0, None, 0)
+    narrowest: Narrowness = Narrowness(math.inf, "", 0)
+    cut: Cut = Cut(0.0, 0)
+    uneven: Uneven = EVEN
+
+    def of(self, other: Worst) -> Worst:
+        """The worse of each, by its first figure; of equals its own."""
+        first = itemgetter(0)
+        return Worst(
+            max(self.sharpest, other.sharpest, key=first),
+            min(self.narrowest, other.narrowest, key=first),
+            max(self.cut, other.cut, key=first),
+            max(self.uneven, other.uneven, key=first),
+        )
+
+
+class Tails:
+    """The share of a belief beyond either end of each axis' cells in use, as evidence goes on.
+
+    The cut part is taken to become as much likelier as the last cells within. If the model is true
+    these gains are a martingale: a share of ε becomes one of 10⁻³ with a probability of 10³ε at the
+    most (Ville's inequality).
+    """
+
+    def __init__(self, lattice: Lattice) -> None:
+        self.lattice = lattice
+        ends = len(lattice.axes), 2
+        self._share = np.full(ends, TINY)
+        self._cells = np.zeros(ends, dtype=np.intp)
+        self._open = np.zeros(ends, dtype=bool)
+        self._before = self._taken = np.ones(ends)
+
+    def predicted(self, marginals: list[Array]) -> None:
+        """Look at a predicted belief, by its marginals along the axes of the lattice."""
+        for k, (axis, marginal) in enumerate(zip(self.lattice.axes, marginals, strict=True)):
+            (used,) = np.nonzero(marginal > TINY / axis.cells * marginal.sum())
+            gap = 0
+            if axis.angle and used.size:  # the cells in use begin after the widest gap
+                gap = (int(np.diff(used, append=used[0] + axis.cells).argmax()) + 1) % used.size
+            if used.size:
+                self._cells[k] = used[gap], used[gap - 1]
+            if axis.angle:
+                self._open[k] = 0 < used.size < axis.cells
+            else:
+                self._open[k] = self._cells[k, 0] > 0, self._cells[k, 1] + 1 < axis.cells
+        self._before = self._at(marginals)
+        # Motion leads away from an end that was not cut, as a wall is.
+        left = np.minimum(self._before / np.maximum(self._taken, 1e-300), 1.0)
+        kept = np.where(self._before > _TAIL, self._share * left, self._share)
+        self._share = np.maximum(kept, TINY)
+
+    def taken(self, marginals: list[Array]) -> float:
+        """Look at the same belief given measurements: the largest share that was cut."""
+        self._taken = self._at(marginals)
+        gain = self._taken / np.maximum(self._before, 1e-300)
+        self._share = np.minimum(self._share * gain, 1.0)
+        return float(self._share.max(initial=0.0, where=self._open))
+
+    def _at(self, marginals: list[Array]) -> Array:
+        return np.array(
+            [
+                each[cells] / max(float(each.sum()), 1e-300)
+                for each, cells in zip(marginals, self._cells, strict=True)
+            ]
+        )
+
+
+def doubtful(log_density: float, ceiling: float, components: int) -> bool:
+    """Whether evidence is so unlikely that the part cut off might explain it better.
+
+    log_density: ln p(measurements of a step | those before).
+    ceiling: The logarithm of the density of residuals that are all zero.
+    components: How many numbers were measured; true residuals have half their number as exponent.
+    """
+    usual = max(0.5 * components - math.sqrt(2.0 * components), 0.0)
+    return log_density < ceiling - usual - _DOUBT
+
+
+def bound(log_density: float, best: float) -> float:
+    """The share of a belief that cells without a part in it may have, of the best log-density."""
+    return math.exp(min(math.log(TINY) + best - log_density, 0.0))
+
 
 # Probabilities below this are none: products of them would be slow, denormal numbers.
 _NONE = 1e-150
@@ -97,8 +215,7 @@ class GridSlices:
     outside: By step, the probability that left the bounds, or that the window of active cells has
         cut off.
     added: (axes,): the variance that the lattice has added in all steps, in cells.
-    uneven: The density of a prior or transition whose sums over centres are the least those of it.
-    cut: The belief of which the most may have been cut off.
+    worst: The sensor, beliefs and density that the cells have served the least so far.
     """
 
     lead: tuple[int, ...] = ()
@@ -109,10 +226,7 @@ class GridSlices:
         self.outside: dict[int, float] = {}
         self.added = np.zeros(len(self.lattice.axes))
         self.split: frozenset[int] = frozenset()
-        self.sharpest = Sharpness(0.0, None, 0)
-        self.narrowest = Narrowness(np.inf, "", 0)
-        self.uneven = EVEN
-        self.cut, self._tails = Cut(0.0, 0), Tails(self.lattice)
+        self.worst, self._tails = Worst(), Tails(self.lattice)
         # By step, where something was measured: the density of no residuals, and how many numbers.
         self._ceilings: dict[int, tuple[float, int]] = {}
         # By step: the windows before and after its motion, and the weights of its measurements.
@@ -123,7 +237,7 @@ class GridSlices:
         """See `Slices`."""
         found, added, uneven = start(self.lattice, self.model.first, self.run)
         self.added += added
-        self._least_even(uneven)
+        self._note(uneven=uneven)
         total = float(found.sum())
         self.outside[0] = max(1.0 - total, 0.0)
         if not total >= 0.5:
@@ -145,25 +259,19 @@ class GridSlices:
         each = marginals(belief)
         window, deviations = active(self.lattice, each)
         if step in self._ceilings:
-            self._doubt(self._tails.taken(each), step)
+            self._note(cut=Cut(self._tails.taken(each), step))
         for axis, deviation in zip(self.lattice.axes, deviations, strict=True):
-            if deviation < self.narrowest.cells:
-                self.narrowest = Narrowness(deviation, axis.label, step)
+            self._note(narrowest=Narrowness(deviation, axis.label, step))
         return window
 
     def surprised(self, step: int, log_density: float) -> None:
         """Compare a step's evidence with what it is at the best of all cells, if it is doubtful."""
         if step in self._ceilings and doubtful(log_density, *self._ceilings[step]):
             best = likelihood(self.model.sensors, step, self.run, self.lattice.whole).log_scale
-            self._doubt(bound(log_density, best), step)
+            self._note(cut=Cut(bound(log_density, best), step))
 
-    def _doubt(self, share: float, step: int) -> None:
-        if share > self.cut.share:
-            self.cut = Cut(share, step)
-
-    def _least_even(self, found: Uneven) -> None:
-        if found.share > self.uneven.share:
-            self.uneven = found
+    def _note(self, **found: Any) -> None:
+        self.worst = self.worst.of(Worst(**found))
 
     def forward(self, step: int, belief: Array) -> Array:
         """See `Slices`."""
@@ -172,7 +280,7 @@ class GridSlices:
         part, added = made.forward(self.lattice.cut(belief, source))
         self.added += added
         self.split |= made.split
-        self._least_even(made.uneven)
+        self._note(uneven=made.uneven)
         part[part < _NONE] = 0.0
         left = float(part.sum())
         self.outside[step] = max(1.0 - left, 0.0)
@@ -211,8 +319,7 @@ class GridSlices:
             weights, scale = found.values, found.log_scale
             if weights is not None:
                 self._ceilings[step] = found.ceiling, found.components
-            if found.sharpest.cells > self.sharpest.cells:
-                self.sharpest = found.sharpest
+            self._note(sharpest=found.sharpest)
             if self._keep is not None:
                 kept: Array | None = None
                 if weights is not None:
@@ -238,18 +345,6 @@ class GridSlices:
             for axis in self.lattice.axes
             if not axis.angle
         )
-
-
-class Narrowness(NamedTuple):
-    """The narrowest belief along an axis.
-
-    cells: Its standard deviation in cells.
-    component: Empty if no belief has been looked at.
-    """
-
-    cells: float
-    component: str
-    step: int
 
 
 def marginals(belief: Array) -> list[Array]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, GaussianCPD, MixtureCPD, Noise
-from pgm.cpds import values as cpd_values
+from pgm.cpds import base as cpd_values
 from pgm.cpds.conditional import evaluate
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.arrays import IMPROPER

@@ -15,7 +15,7 @@ from pgm.cpds import TableCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
 from pgm.factors.axes import discrete, sizes
-from pgm.factors.runs import in_run
+from pgm.factors.scope import in_run
 from pgm.inference.markov.contraction import Contraction, Factor, Label, Move
 from pgm.inference.markov.weights import InputTables, Weights, smallest_entry
 from pgm.kernels.arrays import Array

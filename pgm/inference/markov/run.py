@@ -28,7 +28,7 @@ from pgm.kernels.arrays import Array
 from pgm.kernels.stochastic import Dense, Transition
 from pgm.kernels.tables import LOG_SUM_PRODUCT
 from pgm.progress import counted
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 
 
 def run(graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None) -> StatePosterior:

@@ -20,6 +20,7 @@ from pgm.inference.chain.gate import prepare as prepare_gates
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
+from pgm.inference.engine import PointMasses, online_points
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.value import Grid
 from pgm.inference.markov.online import online_tables
@@ -46,7 +47,6 @@ from pgm.inference.online.window import Passed, Sliding, Trail, look_again, trai
 from pgm.inference.options import Gate
 from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.value import Particles
-from pgm.inference.points import PointMasses, online_points
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.inference.status import FILTERED, PREDICTED, Status
 from pgm.linearisers import TAYLOR, Lineariser

@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise
+from pgm.cpds.base import Known
 from pgm.cpds.conditional import evaluate
-from pgm.cpds.values import Known
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.arrays import IMPROPER
 from pgm.inference.particles.cloud import Block
-from pgm.kernels import normal, roots
+from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, TURN, Array, Integers, Mask
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
@@ -347,11 +347,11 @@ class Root:
         lower = self.lower[0] if len(self.lower) == 1 else self.lower[self.of(some)]
         points = (-1, 1, len(residual)) if lower.ndim > 2 else (-1, len(residual))
         wide = np.broadcast_to(residual, (len(residual), some.size)).T.reshape(points)
-        white, left = normal.whitened(lower, wide)
-        found = normal.log_density(lower, white)
+        white, left = roots.whitened(lower, wide)
+        found = roots.log_density(lower, white)
         if left is not None:
             errors = np.broadcast_to(error, (len(error), some.size)).T.reshape(points)
-            found = np.where(normal.off(lower, left, errors), -np.inf, found)
+            found = np.where(roots.off(lower, left, errors), -np.inf, found)
         return found.reshape(-1)
 
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD
+from pgm.cpds.base import Known
 from pgm.cpds.mixture import UnidentifiedCPD, by_run, chosen, log_mixed
-from pgm.cpds.values import Known
 from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import distinct_labels

@@ -9,8 +9,8 @@ from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.inference.options import require_lineariser
-from pgm.inference.particles.cells import CellProposal
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
+from pgm.inference.particles.proposals import CellProposal
 from pgm.kernels.arrays import Array
 from pgm.kernels.resampling import RESAMPLERS
 from pgm.linearisers import Lineariser
@@ -86,14 +86,9 @@ class Injection(InCode, Immutable):
     def averaged(self, before: Array | None, log_density: Array, measured: Array) -> Array:
         """The logarithms of long-term and short-term averages, (2, runs), with one more step.
 
-        Parameters
-        ----------
-        before : ndarray or None
-            Those of the step before; NaN in runs without any.
-        log_density : ndarray
-            (runs,): of the step's measurements.
-        measured : ndarray
-            (runs,): the number of their components; of runs with none the averages stay.
+        before: Those of the step before; NaN in runs without any.
+        log_density: (runs,): of the step's measurements.
+        measured: (runs,): the number of their components; of runs with none the averages stay.
         """
         runs = len(log_density)
         if before is None:

@@ -1,8 +1,10 @@
 """Values on their way to other processes: pickles, and memory that processes share (Linux).
 
-A pipe moves numbers more slowly than a filter makes them. A block of shared memory is a file
-without a name or a disk, gone when no process has it any more; since the first use of fresh memory
-costs as much as a filter, blocks are kept for the next call with the same executor.
+A pipe moves numbers more slowly than a filter makes them. Large arrays travel apart from the
+pickle, as they lie in memory, runs fastest, and what is broadcast once; of those in a block that
+both processes see only the places do. A block is a file without a name or a disk, gone when no
+process has it any more; since the first use of fresh memory costs as much as a filter, blocks are
+kept for the next call with the same executor.
 """
 
 from __future__ import annotations

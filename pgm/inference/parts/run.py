@@ -27,7 +27,7 @@ from pgm.inference.status import Kind, Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
 from pgm.progress import counted
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 from pgm.variables import Variable
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from pgm.compile import DynamicGraph
 from pgm.cpds import ConditionalGaussian, NonlinearGaussianCPD
 from pgm.evidence import BoundEvidence
 from pgm.evidence.rows import as_rows
-from pgm.factors.runs import flat
+from pgm.factors.arrays import flat
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward

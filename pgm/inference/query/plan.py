@@ -16,7 +16,7 @@ from pgm.factors.axes import States, discrete
 from pgm.factors.scope import listed
 from pgm.inference import limits
 from pgm.networks import BayesianNetwork
-from pgm.sizes import gibibytes
+from pgm.resources import gibibytes
 from pgm.variables import Discrete, Variable
 
 

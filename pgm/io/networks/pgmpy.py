@@ -8,7 +8,7 @@ from pgm.cpds import TableCPD
 from pgm.errors import ModelError
 from pgm.io.networks.writers import tables
 from pgm.networks import BayesianNetwork
-from pgm.optional import optional
+from pgm.resources import optional
 from pgm.variables import Discrete
 
 

@@ -12,7 +12,7 @@ from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence, bind
 from pgm.factors.scope import Scope
-from pgm.plot.diagrams.labels import cluster_label, scope_label
+from pgm.plot.diagrams.canvas import cluster_label, scope_label
 from pgm.plot.diagrams.layout import Node
 from pgm.plot.diagrams.networks import last
 from pgm.variables import Variable

@@ -13,12 +13,12 @@ from pgm.boundary import as_tuple
 from pgm.errors import EvidenceError, FileError
 from pgm.factors.scope import listed
 from pgm.io.sources import Origin
-from pgm.optional import optional
 from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files, messages
 from pgm.recordings.recording import Recording
 from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
+from pgm.resources import optional
 
 EXTRA = "sepset[bags]"
 # The part of a recording that messages of a type are, unless told otherwise.

@@ -65,18 +65,7 @@ def matlab(
     tables: Mapping[str, int | None],
     optional: Sequence[str] = (),
 ) -> tuple[dict[str, Array], Origin]:
-    """Tables of numbers by name from a ``.mat`` file before version 7.3.
-
-    Parameters
-    ----------
-    path : str, Path or open file
-    kind : str
-        The recording that it should be, for messages.
-    tables : mapping of str to int or None
-        Names and widths of those that are needed; one of any width has None.
-    optional : sequence of str
-        Names of those that may be there.
-    """
+    """Tables of numbers from a ``.mat`` file before version 7.3: those needed, by width or None."""
     held = content(path)
     data = held.data if isinstance(held.data, bytes) else held.data.encode()
     try:

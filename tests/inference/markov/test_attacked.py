@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import pgm
 from pgm.inference.markov import run
 from pgm.inference.markov.plan import SlicePlan
-from pgm.sizes import require_memory
+from pgm.resources import require_memory
 
 X, Z = pgm.Discrete("x", 2), pgm.Discrete("z", 2)
 SEEN = np.array([[0.9, 0.1], [0.2, 0.8]])

@@ -1,8 +1,9 @@
-"""Amounts of memory, told and refused before any is taken, and the allocator's use of it."""
+"""What a machine has: memory, refused before it is taken, and packages that may be missing."""
 
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -61,3 +62,16 @@ def require_memory(
             f"{gibibytes(limit / NUMBER)}; {advice}",
             **where,
         )
+
+
+FRAMES = "sepset[frames]"
+
+
+def optional(module: str, what: str, requirement: str) -> Any:
+    """A module that may not be installed: `what` needs it, pip installs it by `requirement`."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise ImportError(
+            f"{what} needs {module.partition('.')[0]}: pip install '{requirement}'", name=module
+        ) from error

@@ -1,10 +1,12 @@
-"""Poses (x, y, heading) and motions (forward, left, turn) in the plane.
+"""Rigid motions: poses (x, y, heading), motions (forward, left, turn) in the plane; quaternions.
 
 A steady motion, with twist τ = (v, w, φ) over its whole time, has after the share s of it made
 
     [forward; left] = s sinc(s φ / 2) R(s φ / 2) [v; w],    turn = s φ,
 
-where sinc a = sin a / a and R is a rotation.
+where sinc a = sin a / a and R is a rotation. Unit quaternions (x, y, z, w) of rotations and their
+angles, roll, pitch and yaw, stand on the last axis: about x, then y, then z, axes that stay where
+they are, so that R = R_z(yaw) R_y(pitch) R_x(roll).
 """
 
 from __future__ import annotations
@@ -107,3 +109,34 @@ def inverse(motions: Array) -> tuple[Array, Array]:
 def _sinc(angle: Array) -> Array:
     found: Array = np.sinc(angle / np.pi)
     return found
+
+
+# The cosine of a pitch at which roll and yaw are about one axis, but for rounding.
+_UPRIGHT = 1e-12
+
+
+def of_angles(angles: Array) -> Array:
+    """The quaternions of angles, (..., 4); w is not negative where roll and pitch are zero."""
+    a, b, c = np.moveaxis(np.sin(0.5 * wrap(angles)), -1, 0)
+    u, v, w = np.moveaxis(np.cos(0.5 * wrap(angles)), -1, 0)
+    return np.stack(
+        [
+            a * v * w - u * b * c,
+            u * b * w + a * v * c,
+            u * v * c - a * b * w,
+            u * v * w + a * b * c,
+        ],
+        axis=-1,
+    )
+
+
+def angles(quaternion: Array) -> Array:
+    """Roll and yaw in [−π, π), pitch in [−π/2, π/2]; straight up or down roll is put into yaw."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    east, north = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)  # of the body's x axis
+    level = np.hypot(east, north)
+    pitch = np.arctan2(2.0 * (w * y - x * z), level)
+    upright = level < _UPRIGHT
+    roll = np.where(upright, 0.0, np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)))
+    yaw = np.where(upright, 2.0 * np.arctan2(z, w), np.arctan2(north, east))
+    return np.stack([wrap(roll), pitch, wrap(yaw)], axis=-1)
