@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 
 import pgm
@@ -52,7 +54,8 @@ def smoothing(rule: str, work: Robots) -> Contender:
 def online(rule: str, work: Robots, iterations: int = 1) -> Contender:
     """One robot in its loop: means (T, 3) and covariances."""
     schedule = pgm.Filtering(iterations=iterations)
-    robot = pgm.OnlineFilter(work.network, lineariser=RULES[rule], schedule=schedule)
+    compiled = find_spec("numba") is not None
+    robot = pgm.OnlineFilter(work.network, RULES[rule], schedule, compiled=compiled)
 
     def call() -> tuple[Array, Array]:
         means, covs = np.empty((work.steps, 3)), np.empty((work.steps, 3, 3))

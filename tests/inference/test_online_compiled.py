@@ -224,3 +224,22 @@ def test_settings_are_refused(monkeypatch):
     assert not pgm.OnlineFilter(model).compiled
     with pytest.raises(ImportError, match=r"sepset\[fast\]"):
         pgm.OnlineFilter(model, compiled=True)
+
+
+def test_a_control_is_not_measured_at_step_0():
+    a, b, c = pgm.Variable("a"), pgm.Variable("b"), pgm.Variable("c")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, [0.0], 1.0)],
+        transition=[
+            pgm.GaussianCPD(b, [1.0], 0.5),
+            pgm.LinearGaussianCPD(a, {a.previous: 1.0, b: 1.0}, cov=0.1),
+        ],
+        observation=[pgm.LinearGaussianCPD(c, {b: 1.0}, cov=0.2)],
+    )
+    plain, quick = pair(model)
+    readings = {c: np.array([1.0])}
+    due, found = (r.update(r.predict(r.initial()), readings) for r in (plain, quick))
+    assert is_compiled(found)
+    assert_equal(found, due)
+    with pytest.raises(pgm.EvidenceError, match="controls begin at step 1"):
+        quick.update(quick.initial(), readings)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn, Protocol
 
 import numpy as np
 
@@ -39,7 +39,14 @@ _REGULAR = 1.0 / certificate.MODERATE
 
 # The steps of its filter, its number, mean and covariance in rows (n + 1, n), log-evidence, kind
 # and status.
-Core = tuple[Any, int, Array, float, Kind, Status]
+Core = tuple["Steps", int, Array, float, Kind, Status]
+
+
+class Steps(Protocol):
+    """The compiled steps of a filter: its layout, and the only variable of a slice, if it is."""
+
+    layout: SliceLayout
+    only: Variable | None
 
 
 class _Kept:
@@ -152,7 +159,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         if core is not None and variable is core[0].only:
             both = core[2]
             set_writeable(both, False)
-            return Gaussian._sealed(core[0].scope, both[0], both[1:])
+            return Gaussian._sealed((variable,), both[0], both[1:])
         if type(variable) is not Variable:
             require_variable(variable)
         layout, template = self.layout, variable.template

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from pgm.compile import SliceLayout
 from pgm.evidence import Sightings
 from pgm.inference.chain.compiled.table import Uncompiled
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.online.beliefs import OnlineBelief, is_plain, put_core
+from pgm.inference.online.beliefs import Core, OnlineBelief, is_plain, put_core
 from pgm.inference.online.layout import Layout, Shapes
 from pgm.inference.online.step_evidence import numbers
 from pgm.inference.status import FILTERED, PREDICTED, Status
@@ -20,6 +21,7 @@ from pgm.variables import Variable
 
 Values = Mapping[Variable, Any]
 Make = Callable[[OnlineBelief, Any], ChainPlan]
+General = Callable[[OnlineBelief, Any], OnlineBelief]
 
 _ARRAY, _FLOAT, _INF = np.ndarray, np.dtype(np.float64), np.inf
 _NO_ROWS = np.empty((0, 0))
@@ -32,7 +34,8 @@ _OTHER = 2
 _new, _empty = object.__new__, np.empty
 
 
-class Kind(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Kind:
     """A kind of input, and the step laid out for it: no address, 0, where it is not for a kernel.
 
     `first` and `second` are the variables whose arrays a kernel takes as they come: an input alone,
@@ -49,29 +52,38 @@ class Kind(NamedTuple):
 class CompiledSteps:
     """The steps of a filter without gates or windows, of one run, in machine code.
 
-    All that is not plain is answered by None: beliefs of many runs, in twice the digits, or of
-    another filter; odd values; numbers that are not moderate. `ahead` and `seen` make plans of
-    predictions and updates; `done` and `linearised` are the statuses after them.
+    All that is not plain goes the general way, by `moved` and `taken`: beliefs of many runs, in
+    twice the digits, or of another filter; odd values; numbers that are not moderate. `ahead` and
+    `seen` make plans of predictions and updates; `done` and `linearised` are the statuses after
+    them.
     """
 
     def __init__(
-        self, layout: SliceLayout, ahead: Make, seen: Make, done: Status, linearised: Status
+        self,
+        layout: SliceLayout,
+        ahead: Make,
+        seen: Make,
+        moved: General,
+        taken: General,
+        done: Status,
+        linearised: Status,
     ) -> None:
         from pgm.kernels.compiled import online  # here, since Numba is slow to import
 
-        self.layout, self.scope = layout, layout.slice
+        self.layout = layout
         self.only = layout.slice[0] if len(layout.slice) == 1 else None
         self._shape = layout.slice_size + 1, layout.slice_size
         self._ahead, self._seen, self._done, self._linearised = ahead, seen, done, linearised
+        self._moved, self._taken = moved, taken
         self._predict, self._update = _entry(online.predict), _entry(online.update)
         self._motion = self._sensors = Kind(0, done)
         self._known: dict[Any, Kind] = {}
 
-    def predicted(self, belief: OnlineBelief, inputs: Values | None) -> OnlineBelief | None:
-        """The belief one step later."""
-        core = getattr(belief, "_core", None)
+    def predict(self, belief: OnlineBelief, inputs: Values | None = None) -> OnlineBelief:
+        """As `OnlineFilter.predict`."""
+        core: Core | None = getattr(belief, "_core", None)
         if core is None or core[0] is not self:
-            return None
+            return self.adopted(self._moved(belief, inputs))
         _, step, known, log_evidence, _, _ = core
         kind, told, out = self._motion, _OTHER, _empty(self._shape)
         if type(inputs) is dict and len(inputs) == 1:
@@ -86,24 +98,24 @@ class CompiledSteps:
         if told == _OTHER:
             found = self._laid(belief, {} if inputs is None else inputs, self._ahead)
             if found is None:
-                return None
+                return self.adopted(self._moved(belief, inputs))
             kind, (row, *_) = found
             self._motion = kind
             told = self._predict(kind.address, known, row.reshape(-1), out)
         if told:
-            return None
-        after = _new(OnlineBelief)
+            return self.adopted(self._moved(belief, inputs))
+        after: OnlineBelief = _new(OnlineBelief)
         put_core(after, (self, step + 1, out, log_evidence, PREDICTED, self._done))
         return after
 
-    def updated(self, belief: OnlineBelief, readings: Values) -> OnlineBelief | None:
-        """The belief given measurements of its step."""
-        core = getattr(belief, "_core", None)
+    def update(self, belief: OnlineBelief, readings: Values) -> OnlineBelief:
+        """As `OnlineFilter.update`."""
+        core: Core | None = getattr(belief, "_core", None)
         if core is None or core[0] is not self:
-            return None
+            return self.adopted(self._taken(belief, readings))
         _, step, known, log_evidence, _, _ = core
         kind, density, out = self._sensors, _INF, _empty(self._shape)
-        if type(readings) is dict and len(readings) == 1:
+        if step and type(readings) is dict and len(readings) == 1:
             ((variable, seen),) = readings.items()
             if variable is kind.first and type(seen) is Sightings and seen.step is None:
                 first, given = seen.values, seen.given
@@ -122,13 +134,13 @@ class CompiledSteps:
         if density == _INF:
             found = self._laid(belief, readings, self._seen) if step else None
             if found is None:
-                return None
+                return self.adopted(self._taken(belief, readings))
             kind, (first, second) = found
             self._sensors = kind
             density = self._update(kind.address, known, first, second, out)
         if not density < _INF:
-            return None
-        after = _new(OnlineBelief)
+            return self.adopted(self._taken(belief, readings))
+        after: OnlineBelief = _new(OnlineBelief)
         put_core(after, (self, step, out, log_evidence + density, FILTERED, kind.status))
         return after
 

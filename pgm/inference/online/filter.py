@@ -113,6 +113,7 @@ class OnlineFilter(InCode, Immutable):
     schedule: Filtering | FixedLag
     watch: bool
     compiled: bool
+    _steps: CompiledSteps | None = None
 
     @overload
     def __new__(
@@ -157,6 +158,8 @@ class OnlineFilter(InCode, Immutable):
         found = object.__new__(cls)
         found._set(model=model, lineariser=lineariser, schedule=schedule, watch=watch is True)
         found._set(compiled=is_compiled(compiled))
+        if found.compiled:
+            found._compile()
         return found
 
     @cached_property
@@ -196,14 +199,14 @@ class OnlineFilter(InCode, Immutable):
         states = [cpd.child for cpd in self.model.prior]
         return f"OnlineFilter(over {states}, {self.lineariser!r}, {self.schedule!r})"
 
-    @cached_property
-    def _steps(self) -> CompiledSteps | None:
+    def _compile(self) -> None:
+        """Have steps made in machine code, by methods of their own: a call of one more counts."""
         schedule = self.schedule
         single = isinstance(schedule, Filtering) and schedule.iterations == 1
-        if not (self.compiled and single) or schedule.gate is not None or self.watch:
-            return None
-        plans = self._ahead, self._seen
-        return CompiledSteps(self._graph.layout, *plans, _DONE, _LINEARISED)
+        if single and schedule.gate is None and not self.watch:
+            layout, ends = self._graph.layout, (_DONE, _LINEARISED)
+            steps = CompiledSteps(layout, self._ahead, self._seen, self._moved, self._taken, *ends)
+            self._set(_steps=steps, predict=steps.predict, update=steps.update)
 
     def initial(self) -> OnlineBelief:
         """The prior, at step 0; runs are those of the model."""
@@ -255,10 +258,7 @@ class OnlineFilter(InCode, Immutable):
         LinearisationError, NumericalError
             If a number that is needed does not exist.
         """
-        steps = self._steps
-        if steps is None:
-            return self._moved(belief, inputs)
-        return steps.predicted(belief, inputs) or steps.adopted(self._moved(belief, inputs))
+        return self._moved(belief, inputs)
 
     @_quiet
     def _moved(self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None) -> OnlineBelief:
@@ -345,10 +345,7 @@ class OnlineFilter(InCode, Immutable):
         NumericalError
             If a measurement contradicts an exact model, or a number does not exist.
         """
-        steps = self._steps
-        if steps is None:
-            return self._taken(belief, readings)
-        return steps.updated(belief, readings) or steps.adopted(self._taken(belief, readings))
+        return self._taken(belief, readings)
 
     @_quiet
     def _taken(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:

@@ -11,7 +11,7 @@ from pgm.inference.chain.gate import require_sensors
 from pgm.inference.options import Gate, require_gaussian, require_lineariser, require_plain
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.networks import DynamicBayesianNetwork
-from pgm.optional import optional
+from pgm.resources import optional
 
 
 def require_neither(gate: object, watch: object, compiled: object) -> None:
