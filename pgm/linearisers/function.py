@@ -219,14 +219,14 @@ class BoundFunction(NamedTuple):
                 finite = isfinite(value.sum() + slope.sum())
         else:
             value, slope, finite = program.single(arguments)
-        compared = self.template.tracer.compared
-        unsure = self.source.live or shape not in compared
+        tracer = self.template.tracer
+        unsure = shape not in tracer.compared or (self.source.live and not tracer.settled())
         if unsure or not finite:
             # Warnings and errors are the function's own.
             due = self._value(x, arguments, shape)
             if unsure and not _alike(due, value, self.angles):
                 return None
-            compared.add(shape)
+            tracer.compared.add(shape)
             value = due
         if not finite:
             numerical = self._differences(x, std)[..., list(self.template.missing)]

@@ -17,9 +17,10 @@ from pgm.linearisers.template import FunctionTemplate
 class Taylor(ArrayLineariser):
     """First-order Taylor expansion at the mean: F = f'(μ), b = f(μ) − F μ.
 
-    Uses the Jacobians given with the CPD, fourth-order central differences for the others. With
-    filtering it is the extended Kalman filter, with smoothing the extended RTS smoother, and
-    iterated smoothing is Gauss–Newton on the posterior.
+    Uses the Jacobians given with the CPD; the others are exact derivatives of the function's trace
+    or, where it has none, fourth-order central differences. With filtering it is the extended
+    Kalman filter, with smoothing the extended RTS smoother, and iterated smoothing is Gauss–Newton
+    on the posterior.
 
     Examples
     --------

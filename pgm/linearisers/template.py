@@ -150,6 +150,27 @@ class FunctionTemplate:
             return None
         return tracer.trace.program(self._missing_columns)
 
+    @cached_property
+    def whole(self) -> Tracer:
+        """Of the function's value, followed by the derivatives that were given."""
+        given = [by for _, _, _, by in self.derivatives if by is not None]
+
+        def joined(*arguments: Any) -> Any:
+            slopes = [jacobian(*arguments) for jacobian in given]
+            flat = [slope.reshape(*slope.shape[:-2], -1) for slope in slopes]
+            return np.concatenate([self.function(*arguments), *flat], axis=-1)
+
+        more = self.height * (self.size - len(self.missing))
+        angles = np.concatenate([self.angles, np.zeros(more, dtype=bool)])
+        return Tracer(joined, [parent.dimension for parent in self.given], angles)
+
+    @property
+    def whole_reason(self) -> str | None:
+        """The reason why the function, or a derivative that was given, has no trace; or None."""
+        if self.whole.confirm([np.zeros(parent.dimension) for parent in self.given]):
+            return None
+        return self.whole.reason or "not traced"
+
     @property
     def numerical(self) -> tuple[int, ...]:
         """The stacked components whose derivative has to be taken by differences."""

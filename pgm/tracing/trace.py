@@ -15,6 +15,7 @@ from pgm.tracing.derivatives import derivatives
 from pgm.tracing.functions import traced
 from pgm.tracing.graph import Graph
 from pgm.tracing.program import Column, Program
+from pgm.tracing.surroundings import Surroundings
 from pgm.tracing.traced import STAND_INS, Node, Recorder, Untraceable, bare, traced_elements
 
 LIMIT = 2000  # operations
@@ -142,6 +143,7 @@ class Tracer:
         self.trace: Trace | None = None
         # Shapes of batches at which it has been compared since the last plan was made.
         self.compared: set[tuple[int, ...]] = set()
+        self._surroundings: Surroundings | None = None
 
     def confirm(self, centres: Sequence[Array]) -> bool:
         """Whether there is a trace that equals the function about some values (width,).
@@ -151,6 +153,8 @@ class Tracer:
         if self.reason is not None:
             return False
         self.compared = set()
+        if self._surroundings is None or (self._surroundings.known and not self.settled()):
+            self._surroundings = Surroundings(self.function)
         points = around(centres)
         for point in points:
             point[-1, -1] = np.nan  # by which a function shows what it does about such
@@ -163,6 +167,13 @@ class Tracer:
         self.trace = None
         self.reason = found if isinstance(found, str) else _DIFFERS
         return False
+
+    def settled(self) -> bool:
+        """Whether nothing that the function refers to can have changed since `confirm`."""
+        return self._surroundings is not None and self._surroundings.same()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_surroundings": None}
 
     def _equal(self, found: Trace, points: list[Array]) -> bool:
         with np.errstate(all="ignore"):
