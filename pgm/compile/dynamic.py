@@ -54,10 +54,6 @@ class SliceLayout:
         # Machine code stays where it is.
         return {name: value for name, value in self.__dict__.items() if name != "functions"}
 
-    def __getstate__(self) -> dict[str, Any]:
-        # Machine code stays where it is.
-        return {name: value for name, value in self.__dict__.items() if name != "functions"}
-
     @cached_property
     def functions(self) -> dict[FunctionTemplate, Any]:
         """The functions that have been compiled, or why not."""

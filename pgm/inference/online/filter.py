@@ -9,7 +9,7 @@ from typing import Any, Self, overload
 import numpy as np
 
 from pgm.compile import compile
-from pgm.compile.machine import Compiled
+from pgm.compile.machine import Choice, as_choice
 from pgm.display import InCode
 from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence
@@ -40,7 +40,7 @@ from pgm.inference.online.beliefs import (
 )
 from pgm.inference.online.compiled import CompiledSteps
 from pgm.inference.online.judged import Watch, of_update, of_window
-from pgm.inference.online.settings import is_compiled, require_neither, require_settings
+from pgm.inference.online.settings import require_neither, require_settings
 from pgm.inference.online.slid import slid
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.window import Passed, Sliding, Trail, look_again, trailing
@@ -126,7 +126,7 @@ class OnlineFilter(InCode, Immutable):
         gate: Gate = None,
         watch: bool = False,
         belief: None = None,
-        compiled: bool | Compiled | None = None,
+        compiled: Choice = None,
     ) -> Self: ...
     @overload
     def __new__(cls, model: Any, *, belief: Grid) -> OnlineGrid: ...  # type: ignore[misc]
@@ -143,7 +143,7 @@ class OnlineFilter(InCode, Immutable):
         gate: Gate = None,
         watch: bool = False,
         belief: PointMasses | None = None,
-        compiled: bool | Compiled | None = None,
+        compiled: Choice = None,
     ) -> Any:
         """The filter itself; of point masses, or of tables, one of its own kind."""
         discrete = isinstance(model, DynamicBayesianNetwork) and model.discrete
@@ -157,7 +157,7 @@ class OnlineFilter(InCode, Immutable):
         schedule = require_settings(model, lineariser, schedule, lag, gate)
         found = object.__new__(cls)
         found._set(model=model, lineariser=lineariser, schedule=schedule, watch=watch is True)
-        found._set(compiled=is_compiled(compiled))
+        found._set(compiled=bool(as_choice(compiled, "OnlineFilter(...)")))
         if found.compiled:
             found._compile()
         return found

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from pgm.compile.machine import Compiled
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.inference.chain.gate import require_sensors
 from pgm.inference.options import Gate, require_gaussian, require_lineariser, require_plain
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.networks import DynamicBayesianNetwork
-from pgm.resources import optional
 
 
 def require_neither(gate: object, watch: object, compiled: object) -> None:
@@ -20,15 +18,6 @@ def require_neither(gate: object, watch: object, compiled: object) -> None:
         if value is not None:
             own = "innovations have a covariance" if name != "compiled" else "steps are its kernels"
             raise ModelError(f"{name}= is for beliefs that are Gaussian, whose {own}: leave it out")
-
-
-def is_compiled(compiled: object) -> bool:
-    """Whether steps are made in machine code, for which there has to be Numba."""
-    if not isinstance(compiled, bool | Compiled | None):
-        raise ModelError(f"compiled={compiled!r}: True, False or a pgm.Compiled(...) was due")
-    if compiled:
-        optional("numba", "OnlineFilter(..., compiled=True)", "sepset[fast]")
-    return bool(compiled)
 
 
 def require_settings(
