@@ -58,7 +58,7 @@ LAYERS = [
     Layer("evidence", "values by row"),
     Layer("cpds, maps", "means, noises, scans"),
     Layer("linearisers", "slope, value, error"),
-    Layer("factors", "public densities"),
+    Layer("factors, tracing", "densities; functions as graphs"),
     Layer("variables, errors, boundary, immutable, resources, progress, display", "names"),
     Layer("kernels", "mathematics of arrays"),
 ]
@@ -78,7 +78,7 @@ STATIONS = {
     "ahead": Station("gaussian.predict", "kernels", 7.6, width=1.6),
     "update": Station("gaussian.update", "kernels", 9.7, width=1.6),
     "record": Station("posterior", "inference", 11.0, 0.84, 1.4),
-    "result": Station("Gaussian", "factors", 11.35, width=1.1),
+    "result": Station("Gaussian", "factors, tracing", 11.35, width=1.1),
 }
 LEGS = [
     Leg("call", "bind", 0.0, -0.2),

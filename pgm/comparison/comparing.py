@@ -59,7 +59,7 @@ def compare(
       KL(p ‖ N_p) + KL(N_p ‖ q) for every Gaussian q: the first part is the oracle's own and
       no Gaussian can be without it, the second is the lineariser's. Each has rows of its own.
     - In nats, at each step, angles wrapped; averaged over runs, then over steps. See `Row`.
-    - RMSE by component, NEES and its bands are those of `pgm.consistency`.
+    - RMSE and NEES are those of `pgm.consistency`.
 
     A run that fails, of a `LinearisationError` or `NumericalError`, is a row with its error in
     words. A CPD with a lineariser of its own keeps it.
@@ -82,16 +82,11 @@ def compare(
     truth : mapping of Variable to array_like, optional
         By state, (*runs, T+1, d), or (T+1, d) of all runs; NaN where it is not known.
     states : collection of Variable, optional
-        The states that are compared; without, all of an oracle's, or those of a truth alone.
+        Those compared; without, all of an oracle's, or those of a truth alone.
     steps : int, optional
         T, where no plain array of the evidence tells.
     progress : bool or callable
         As for `infer`: of an oracle's run, then of the lineariser and schedule pairs.
-
-    Returns
-    -------
-    Comparison
-        A row for each lineariser, schedule and state, and rows of the oracle's own.
 
     Raises
     ------

@@ -64,14 +64,8 @@ class Comparison(Shown, Immutable):
         oracle: str,
         oracle_status: str = "",
     ) -> None:
-        self._set(
-            rows=tuple(rows),
-            oracle_rows=tuple(oracle_rows),
-            steps=steps,
-            runs=runs,
-            oracle=oracle,
-            oracle_status=oracle_status,
-        )
+        self._set(rows=tuple(rows), oracle_rows=tuple(oracle_rows), steps=steps, runs=runs)
+        self._set(oracle=oracle, oracle_status=oracle_status)
 
     @property
     def states(self) -> tuple[Variable, ...]:

@@ -2,6 +2,7 @@
 
 from pgm.compile.compiling import Balanced, BalancedGraph, Method, compile
 from pgm.compile.dynamic import DynamicGraph, SliceGraph, SliceLayout
+from pgm.compile.machine import Compilation, Compiled
 from pgm.compile.methods import LTRIP, Bethe, JoinGraph, JunctionTree
 from pgm.compile.orders import (
     MinFill,
@@ -16,6 +17,8 @@ __all__ = [
     "Balanced",
     "BalancedGraph",
     "Bethe",
+    "Compilation",
+    "Compiled",
     "DynamicGraph",
     "JoinGraph",
     "JunctionTree",

@@ -15,6 +15,7 @@ from typing import Any, Protocol, overload
 from pgm.boundary import is_whole
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile.dynamic import DynamicGraph, SliceGraph
+from pgm.compile.machine import Choice, as_choice
 from pgm.compile.methods import JunctionTree
 from pgm.display import InCode, titled
 from pgm.errors import GraphError, ModelError
@@ -165,13 +166,21 @@ class Method(Protocol):
 
 @overload
 def compile(
-    model: DynamicBayesianNetwork, steps: int | None = None, method: None = None
+    model: DynamicBayesianNetwork,
+    steps: int | None = None,
+    method: None = None,
+    *,
+    compiled: Choice = None,
 ) -> SliceGraph: ...
 
 
 @overload
 def compile(
-    model: DynamicBayesianNetwork, steps: int | None = None, *, method: Balanced
+    model: DynamicBayesianNetwork,
+    steps: int | None = None,
+    *,
+    method: Balanced,
+    compiled: Choice = None,
 ) -> BalancedGraph: ...
 
 
@@ -185,6 +194,8 @@ def compile(
     model: DynamicBayesianNetwork | BayesianNetwork,
     steps: int | None = None,
     method: Method | Balanced | None = None,
+    *,
+    compiled: Choice = None,
 ) -> ClusterGraph:
     """Compile a network into a cluster graph.
 
@@ -199,6 +210,12 @@ def compile(
         `JoinGraph(max_size)`, or a function from networks to their cluster graphs. One made by hand
         is a `ClusterGraph(network, clusters)`. Methods and elimination orders differ much in what
         their graphs cost: compare `graph.cost`.
+    compiled : bool or Compiled, optional
+        Whether sweeps along the chain of a dynamic network run in machine code, by Numba, with
+        equal results to rounding. ``graph.compilation`` tells which CPDs can be; with one that
+        cannot, all of it runs without. If not given, that is from 20,000 steps on, of fewer than 8
+        runs, where Numba is installed: for fewer steps loading takes longer than it saves, and many
+        runs go as fast through NumPy.
 
     Examples
     --------
@@ -209,12 +226,17 @@ def compile(
     (Cluster(0: (a, b)),)
     """
     if isinstance(model, DynamicBayesianNetwork):
-        return _dynamic(model, steps, method)
+        return _dynamic(model, steps, method, compiled)
     if not isinstance(model, BayesianNetwork):
         raise ModelError(f"compile takes a network, not {titled(model)}")
     if steps is not None:
         raise GraphError(
             f"{titled(model)} has no time, so it is not compiled for steps; leave out steps"
+        )
+    if compiled is not None:
+        raise GraphError(
+            f"compiled= is for the chain of a dynamic network, and {titled(model)} has no time; "
+            "leave it out"
         )
     if method is None:
         return TREE(model)
@@ -238,7 +260,7 @@ def compile(
     return graph
 
 
-def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any) -> DynamicGraph:
+def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any, compiled: Any) -> DynamicGraph:
     if method is not None and not isinstance(method, Balanced):
         raise GraphError(
             f"a dynamic network is compiled to a chain of slices, or by pgm.Balanced() to a tree, "
@@ -254,4 +276,12 @@ def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any) -> DynamicG
         "compile for fewer",
         error=GraphError,
     )
-    return (SliceGraph if method is None else BalancedGraph)(model, int(steps))
+    choice = as_choice(compiled, "pgm.compile(...)")
+    if method is None:
+        return SliceGraph(model, int(steps), choice)
+    if choice:
+        raise GraphError(
+            f"{method!r} is solved in rounds by NumPy: leave out compiled=, or the method, since "
+            "machine code goes along the chain of slices"
+        )
+    return BalancedGraph(model, int(steps), False)

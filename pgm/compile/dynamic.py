@@ -12,7 +12,7 @@ import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.cluster import Edge
-from pgm.compile.machine import Compiled
+from pgm.compile.machine import Choice, Compilation
 from pgm.cpds import CPD, NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import GraphError
@@ -48,7 +48,11 @@ class SliceLayout:
     """
 
     model: DynamicBayesianNetwork
-    compiled: Compiled | None = None
+    compiled: Choice = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Machine code stays where it is.
+        return {name: value for name, value in self.__dict__.items() if name != "functions"}
 
     @cached_property
     def functions(self) -> dict[FunctionTemplate, Any]:
@@ -154,10 +158,17 @@ class DynamicGraph(ClusterGraph, ABC):
     steps: int
     layout: SliceLayout
 
-    def __init__(
-        self, model: DynamicBayesianNetwork, steps: int, compiled: Compiled | None = None
-    ) -> None:
+    def __init__(self, model: DynamicBayesianNetwork, steps: int, compiled: Choice = None) -> None:
         self._set(model=model, steps=steps, layout=SliceLayout(model, compiled))
+
+    @property
+    def compilation(self) -> Compilation:
+        """Of each CPD, whether sweeps in machine code know it, or why not."""
+        layout, model = self.layout, self.model
+        scopes = [(model.prior, layout.states), (model.transition, layout.pair)]
+        scopes.append((model.observation, layout.slice))
+        places = {cpd: layout.place(cpd, scope) for cpds, scope in scopes for cpd in cpds}
+        return Compilation(self._title, {cpd: place.template for cpd, place in places.items()})
 
     # A graph of slices is no graph of a network without time, whatever else it has in common.
     @property

@@ -1,18 +1,111 @@
-"""The choice of machine code for sweeps along chains."""
+"""The choice of machine code for the sweeps along a chain, and the reasons against it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+from pgm.boundary import is_whole
+from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
+from pgm.display import InCode, Listing, Shown, Summary
+from pgm.errors import ModelError
+from pgm.linearisers import FunctionTemplate
+from pgm.resources import optional
 
 
 @dataclass(frozen=True)
-class Compiled:
-    """Sweeps in machine code, the runs shared by threads.
+class Compiled(InCode):
+    """Sweeps along a chain in machine code, the runs shared by threads.
 
     Parameters
     ----------
     threads : int
-        Threads, each with its own runs.
+        Threads, each with runs of its own.
+
+    Raises
+    ------
+    ModelError
+        If that is no whole number from 1 on.
+
+    Examples
+    --------
+    >>> Compiled(threads=2)
+    Compiled(threads=2)
     """
 
     threads: int = 1
+
+    def __post_init__(self) -> None:
+        if not is_whole(self.threads) or self.threads < 1:
+            raise ModelError(
+                f"Compiled(threads={self.threads!r}): threads must be a whole number from 1 on"
+            )
+
+
+# None leaves it to the size of the work.
+Choice = bool | Compiled | None
+
+
+def as_choice(compiled: Any, what: str) -> Choice:
+    """A choice of machine code, for which there has to be Numba."""
+    if not isinstance(compiled, bool | Compiled | None):
+        raise ModelError(
+            f"{what}: compiled={compiled!r}; True, False or a pgm.Compiled(...) was due"
+        )
+    if compiled:
+        optional("numba", f"{what.removesuffix(')')}, compiled=True)", "sepset[fast]")
+    return compiled
+
+
+class Compilation(Shown, Mapping[CPD, str]):
+    """Of each CPD of a dynamic network ``"compiled"``, or why sweeps do not compile it.
+
+    A chain is swept in machine code where all of its CPDs can be; with a gate, or with a lineariser
+    other than `Taylor`, `Unscented`, `Cubature` and `GaussHermite`, it is not.
+
+    Examples
+    --------
+    >>> from pgm.examples import walk
+    >>> print(list(pgm.compile(walk, 10).compilation.values()))
+    ['compiled', 'compiled', 'compiled']
+    """
+
+    __slots__ = ("_found", "_of")
+
+    def __init__(self, of: str, templates: Mapping[CPD, FunctionTemplate | None]) -> None:
+        self._of = of
+        self._found = {cpd: _told(cpd, template) for cpd, template in templates.items()}
+
+    def __getitem__(self, cpd: CPD) -> str:
+        return self._found[cpd]
+
+    def __iter__(self) -> Iterator[CPD]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    @property
+    def _title(self) -> str:
+        return f"Compilation of {self._of}"
+
+    def _summary(self) -> Summary:
+        rows = [(cpd._title, told) for cpd, told in self._found.items()]
+        return Summary(self._title, [Listing(("", ""), rows, names=2)])
+
+
+def _told(cpd: CPD, template: FunctionTemplate | None) -> str:
+    if find_spec("numba") is None:
+        return "Numba is not installed: pip install sepset[fast]"
+    if not isinstance(cpd, ConditionalGaussian):
+        return "it is not Gaussian"
+    if cpd.noise is not None:
+        return "its noise is robust"
+    if isinstance(cpd, AffineCPD):
+        return "compiled"
+    if isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped:
+        return "its sightings are grouped, where a step has several"
+    assert template is not None
+    return template.whole_reason or "compiled"

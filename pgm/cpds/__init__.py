@@ -2,6 +2,7 @@
 
 from pgm.cpds.base import CPD
 from pgm.cpds.conditional import ConditionalGaussian, Noise, noise
+from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.gaussian import AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
 from pgm.cpds.mixture import MixtureCPD
 from pgm.cpds.robust import Cauchy, Huber, RobustNoise, StudentT, TruncatedLeastSquares
@@ -14,6 +15,7 @@ __all__ = [
     "AffineCPD",
     "Cauchy",
     "ConditionalGaussian",
+    "Derivatives",
     "GaussianCPD",
     "Huber",
     "Kronecker",

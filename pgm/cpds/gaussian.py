@@ -218,7 +218,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
         all of them; or ``pgm.noise(...)``.
     jacobian : mapping of Variable to callable, optional
         Derivatives, ``jacobian[p](*given)`` giving (..., d, dimension of p), for some or all
-        parents; those of hidden parents are called, and missing ones are taken by differences.
+        parents; missing ones are those of the function's trace, or differences (`derivatives`).
     lineariser : Lineariser, optional
         The one for this CPD, which wins over the one given to `infer`.
     grouped : bool

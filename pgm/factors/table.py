@@ -28,7 +28,7 @@ from pgm.factors.listing import FramedTable, summary, title
 from pgm.factors.scope import names
 from pgm.immutable import Immutable
 from pgm.kernels import tables as kernel
-from pgm.kernels.arrays import Array, Integers, frozen
+from pgm.kernels.arrays import Array, Integers, frozen, unravelled
 from pgm.variables import Discrete, Variable
 
 ZERO = frozen(np.zeros(()))
@@ -261,7 +261,7 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         """The states of the largest entry, the first of equals: names; of stacks, indices (...)."""
         lead = self.log_scale.shape
         best = self._positive().reshape((*lead, math.prod(sizes(self.scope)))).argmax(axis=-1)
-        index = np.unravel_index(best, sizes(self.scope))
+        index = unravelled(best, sizes(self.scope))
         if lead:
             return dict(zip(self.scope, index, strict=True))
         return {v: v.states[k] for v, k in zip(self.scope, index, strict=True)}

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, overload
 
 from pgm.compile import Balanced, compile
+from pgm.compile.machine import Choice
 from pgm.evidence import Evidence
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
@@ -40,6 +41,7 @@ def filter(
     keep: None = None,
     executor: Executor | None = None,
     belief: None = None,
+    compiled: Choice = None,
     progress: Progress = False,
 ) -> ChainPosterior: ...
 
@@ -58,6 +60,7 @@ def filter(
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
     belief: None = None,
+    compiled: Choice = None,
     progress: Progress = False,
 ) -> KeptPosterior: ...
 
@@ -111,6 +114,7 @@ def filter(
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     belief: PointMasses | None = None,
+    compiled: Choice = None,
     progress: Progress = False,
 ) -> TemporalPosterior:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
@@ -128,6 +132,8 @@ def filter(
         T, where no plain array of the evidence tells.
     iterations, tolerance, damping, gate
         Of `Filtering`.
+    compiled : bool or Compiled, optional
+        As for `compile`.
     keep, executor, belief, progress
         As for `infer`.
 
@@ -155,7 +161,7 @@ def filter(
     schedule = Filtering(iterations, tolerance, damping, gate)
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True)
-    graph = compile(model, bound.steps)
+    graph = compile(model, bound.steps, compiled=compiled)
     run = runner(graph.model, belief)
     with reporting(progress):
         return run(graph, bound, schedule, lineariser, None, keep, executor)
@@ -178,6 +184,7 @@ def smooth(
     keep: None = None,
     executor: Executor | None = None,
     belief: None = None,
+    compiled: Choice = None,
     progress: Progress = False,
 ) -> ChainPosterior: ...
 
@@ -199,6 +206,7 @@ def smooth(
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
     belief: None = None,
+    compiled: Choice = None,
     progress: Progress = False,
 ) -> KeptPosterior: ...
 
@@ -261,6 +269,7 @@ def smooth(
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     belief: PointMasses | None = None,
+    compiled: Choice = None,
     progress: Progress = False,
 ) -> TemporalPosterior:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
@@ -288,8 +297,8 @@ def smooth(
         numbers, the components of a slice times the runs) and costs no digits (no noise-free or
         grouped measurements, none that shrink a variance more than 4·10⁶ times); else step by step.
         `Balanced()` saves the filter's sweep, and starts from dead reckoning.
-    keep, executor, belief, progress
-        As for `infer`.
+    keep, executor, belief, compiled, progress
+        As of `filter`.
 
     Returns
     -------
@@ -312,7 +321,7 @@ def smooth(
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True)
-    graph = compile(model, bound.steps, method=method)
+    graph = compile(model, bound.steps, method=method, compiled=compiled)
     run = runner(graph.model, belief)
     with reporting(progress):
         return run(graph, bound, schedule, lineariser, start, keep, executor)

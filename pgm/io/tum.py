@@ -22,10 +22,9 @@ from pgm.factors.arrays import covariance_fault
 from pgm.factors.scope import listed
 from pgm.io import sources
 from pgm.io.poses import Poses
-from pgm.io.sources import LIMIT, Origin, Source
+from pgm.io.sources import LIMIT, Line, Origin, Source, number
+from pgm.io.sources import lines as text_lines
 from pgm.io.stamped import as_stamps, clock
-from pgm.io.words import Line, number
-from pgm.io.words import lines as text_lines
 from pgm.kernels import rigid
 from pgm.kernels.arrays import Array
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -287,3 +287,13 @@ def nearest_branch(value: Array, reference: Array, angles: Mask) -> Array:
     for k in places:
         moved[..., k] += TURN * np.round((reference[..., k] - moved[..., k]) / TURN)
     return moved
+
+
+def unravelled(index: Integers, shape: Sequence[int]) -> tuple[Integers, ...]:
+    """The places in an array of a shape of flat indices (...).
+
+    NumPy's function is wrong for more than 8,192 indices whose last axis has length one.
+    """
+    if np.ndim(index) < 2:
+        return np.unravel_index(index, shape)
+    return tuple(k.reshape(index.shape) for k in np.unravel_index(index.reshape(-1), shape))

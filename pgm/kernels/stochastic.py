@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, unravelled
 from pgm.kernels.tables import Semiring
 
 # Entries that a step with logarithms spreads out at a time.
@@ -262,11 +262,11 @@ class Product(Transition):
         return found
 
     def _parts(self, parent: Integers, child: Integers) -> tuple[Any, Any]:
-        return np.unravel_index(parent, self.before), np.unravel_index(child, self.after)
+        return unravelled(parent, self.before), unravelled(child, self.after)
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
         """As of a `Transition`."""
-        parents = np.unravel_index(parent, self.before)
+        parents = unravelled(parent, self.before)
         drawn = [f.draw(own, rng) for f, own in zip(self.factors, parents, strict=True)]
         found: Integers = np.ravel_multi_index(drawn, self.after)
         return found
@@ -274,7 +274,7 @@ class Product(Transition):
     def parents(self, children: Integers) -> Array:
         """As of a `Transition`."""
         found = np.ones((len(children), 1))
-        for factor, own in zip(self.factors, np.unravel_index(children, self.after), strict=True):
+        for factor, own in zip(self.factors, unravelled(children, self.after), strict=True):
             pairs = found[:, :, None] * factor.parents(own)[:, None, :]
             found = pairs.reshape(len(children), -1)
         return found

@@ -23,7 +23,8 @@ from pgm.kernels.arrays import (
     components_last,
     times,
 )
-from pgm.linearisers.function import BoundFunction, FunctionTemplate, sealed
+from pgm.linearisers.function import BoundFunction, sealed
+from pgm.linearisers.template import FunctionTemplate
 
 
 class Lineariser(Protocol):

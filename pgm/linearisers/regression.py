@@ -23,9 +23,10 @@ from pgm.kernels.arrays import (
     wrap,
 )
 from pgm.kernels.slopes import range_inverse, regress
-from pgm.linearisers.function import BoundFunction, FunctionTemplate
+from pgm.linearisers.function import BoundFunction
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared, apart
 from pgm.linearisers.points import Points
+from pgm.linearisers.template import FunctionTemplate
 from pgm.resources import require_memory
 
 # An error of a larger share of a value's square is none of rounding.

@@ -8,17 +8,19 @@ import numpy as np
 
 from pgm.kernels.arrays import Array, components_first, components_last
 from pgm.kernels.gaussian import deviations
-from pgm.linearisers.function import BoundFunction, FunctionTemplate
+from pgm.linearisers.function import BoundFunction
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared
+from pgm.linearisers.template import FunctionTemplate
 
 
 @dataclass(frozen=True)
 class Taylor(ArrayLineariser):
     """First-order Taylor expansion at the mean: F = f'(μ), b = f(μ) − F μ.
 
-    Uses the Jacobians given with the CPD, fourth-order central differences for the others. With
-    filtering it is the extended Kalman filter, with smoothing the extended RTS smoother, and
-    iterated smoothing is Gauss–Newton on the posterior.
+    Uses the Jacobians given with the CPD; the others are exact derivatives of the function's trace
+    or, where it has none, fourth-order central differences. With filtering it is the extended
+    Kalman filter, with smoothing the extended RTS smoother, and iterated smoothing is Gauss–Newton
+    on the posterior.
 
     Examples
     --------

@@ -12,7 +12,7 @@ from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.maps.given import as_finite
+from pgm.maps.cells import as_finite
 
 
 class FeatureMap(InCode, Immutable):
@@ -80,16 +80,7 @@ class FeatureMap(InCode, Immutable):
         return np.stack([self.positions.min(axis=0), self.positions.max(axis=0)])
 
     def at(self, names: str | Iterable[str]) -> Array:
-        """The positions of landmarks by name.
-
-        Parameters
-        ----------
-        names : str or sequence of str
-
-        Returns
-        -------
-        ndarray
-            (d,) of one name, (n, d) of several [m].
+        """The positions [m] of landmarks by name: (d,) of one, (n, d) of several.
 
         Raises
         ------
@@ -112,17 +103,7 @@ class FeatureMap(InCode, Immutable):
         return found.reshape(-1, self.positions.shape[1])
 
     def nearest(self, points: npt.ArrayLike) -> Integers:
-        """The landmarks that are nearest to points.
-
-        Parameters
-        ----------
-        points : array_like
-            (..., d) [m].
-
-        Returns
-        -------
-        ndarray of int
-            (...): the rows of `positions`.
+        """The landmarks nearest to points (..., d) [m], as the rows (...) of `positions`.
 
         Raises
         ------

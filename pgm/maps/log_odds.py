@@ -10,7 +10,7 @@ from pgm.boundary import as_floats, as_tuple, is_number, is_whole
 from pgm.errors import ModelError
 from pgm.kernels import rays, rigid
 from pgm.kernels.arrays import Array, Mask
-from pgm.maps.given import as_angles, as_finite, as_pose, as_positive
+from pgm.maps.cells import as_angles, as_finite, as_pose, as_positive
 from pgm.maps.occupancy import OccupancyMap
 from pgm.resources import require_memory
 

@@ -16,9 +16,8 @@ from pgm.errors import FileError, ModelError
 from pgm.kernels import rays, rigid
 from pgm.kernels.arrays import Array, Mask, frozen
 from pgm.maps import files
-from pgm.maps.cells import CellGrid
+from pgm.maps.cells import CellGrid, as_angles, as_finite, as_mask, as_pose, as_positive, as_share
 from pgm.maps.files import FREE, OCCUPIED
-from pgm.maps.given import as_angles, as_finite, as_mask, as_pose, as_positive, as_share
 from pgm.maps.uniform import UniformPose
 from pgm.resources import require_memory
 from pgm.variables import Variable
@@ -47,8 +46,6 @@ class OccupancyMap(InCode, CellGrid):
 
     Attributes
     ----------
-    occupied, resolution, origin, free_threshold, occupied_threshold
-        As above, arrays read-only.
     shape : (int, int)
         Rows and columns.
 
@@ -129,12 +126,8 @@ class OccupancyMap(InCode, CellGrid):
         Parameters
         ----------
         path : path
-            Of the YAML file. The image, PGM (P2 or P5) or PNG, is found from its folder.
-
-        Returns
-        -------
-        OccupancyMap
-            With the file's thresholds.
+            Of the YAML file, whose thresholds the map has. The image, PGM (P2 or P5) or PNG, is
+            found from its folder.
 
         Raises
         ------
@@ -242,7 +235,7 @@ class OccupancyMap(InCode, CellGrid):
         return found.reshape(-1, 3)
 
     def connected(self, point: npt.ArrayLike) -> Mask:
-        """The mask of free cells that are connected with a point's along edges of free cells.
+        """The mask (rows, columns) of free cells connected with a point's along edges of such.
 
         Around a mapped building much is free that a robot cannot get to; this mask tells.
 
@@ -250,11 +243,6 @@ class OccupancyMap(InCode, CellGrid):
         ----------
         point : array_like
             (2,): x and y [m].
-
-        Returns
-        -------
-        ndarray of bool
-            (rows, columns).
 
         Raises
         ------
@@ -293,11 +281,10 @@ class OccupancyMap(InCode, CellGrid):
         *,
         through_unknown: bool = True,
     ) -> Array:
-        r"""How far beams get from poses before they enter an obstacle's cell.
+        r"""How far beams get from poses before they enter an obstacle's cell, (..., B) [m].
 
-        The distances are exact for the grid, to rounding: a beam's is that of its first point in
-        the square of an obstacle, on its edge. It is 0 in one, and `most` where there is none up to
-        there.
+        The distances are exact for the grid, to rounding: 0 in an obstacle, and `most` where there
+        is none up to there.
 
         Parameters
         ----------
@@ -310,11 +297,6 @@ class OccupancyMap(InCode, CellGrid):
         through_unknown : bool
             Whether beams pass unknown cells, since nothing is known to be there; else these stop
             them as obstacles do, as in ROS's AMCL. The map's outside stops none.
-
-        Returns
-        -------
-        ndarray
-            (..., B) [m].
 
         Raises
         ------

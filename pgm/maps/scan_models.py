@@ -10,7 +10,7 @@ from pgm.cpds.base import Known, Values
 from pgm.errors import ModelError
 from pgm.kernels import rays, rigid
 from pgm.kernels.arrays import LOG_2PI, Array
-from pgm.maps.given import as_positive, as_share
+from pgm.maps.cells import as_positive, as_share
 from pgm.maps.occupancy import OccupancyMap, blocks
 from pgm.maps.scans import ScanCPD
 from pgm.variables import Variable
@@ -262,15 +262,12 @@ class BeamModel(ScanCPD):
     def expected(self, poses: npt.ArrayLike) -> Array:
         """The ranges that the map lets expect of the beams in use, (..., beams) [m].
 
+        They are `most` where there is no obstacle up to there.
+
         Parameters
         ----------
         poses : array_like
             (..., 3), of the sensor: x, y [m], heading [rad].
-
-        Returns
-        -------
-        ndarray
-            (..., beams); `most` where there is no obstacle up to there.
 
         Raises
         ------

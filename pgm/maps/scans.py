@@ -11,7 +11,7 @@ from pgm.cpds.base import Known, Values
 from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.kernels import rigid
 from pgm.kernels.arrays import Array, Mask, frozen
-from pgm.maps.given import as_angles, as_pose, as_positive, as_share
+from pgm.maps.cells import as_angles, as_pose, as_positive, as_share
 from pgm.maps.occupancy import OccupancyMap
 from pgm.variables import Variable
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,10 +32,14 @@ def compiled(program: Program) -> Any:
     ImportError
         Where Numba is not installed.
     """
+    return _compiled(program.pointer_source)
+
+
+@lru_cache(maxsize=256)
+def _compiled(source: str) -> Any:
     from numba import cfunc
 
     names = {name: getattr(np, name) for name in SCALAR}
     names |= {name: getattr(math, name) for name in _OF_MATH}
     signature = f"void({', '.join(['CPointer(float64)'] * 4)})"
-    function = made(program.pointer_source, "pointer", names)
-    return cfunc(signature, error_model="numpy")(function)
+    return cfunc(signature, error_model="numpy")(made(source, "pointer", names))

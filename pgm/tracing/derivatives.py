@@ -12,8 +12,8 @@ from pgm.tracing.traced import Node, Recorder, scalar
 
 def derivatives(
     graph: Graph, outputs: Sequence[int], inputs: Sequence[int]
-) -> tuple[Graph, list[dict[int, int]]]:
-    """The derivatives of outputs by inputs, in a graph that goes on from the given one.
+) -> list[dict[int, int]]:
+    """The derivatives of outputs by inputs, recorded in their graph.
 
     `where` chooses between the derivatives of its two values, so that one of them that is
     infinite or NaN does no harm where the other is chosen. At a kink they are the mean of those on
@@ -22,7 +22,6 @@ def derivatives(
 
     Returns
     -------
-    Graph
     list of dict
         Of each output: by the places of inputs, numbers of operations; zeros are left out.
     """
@@ -50,7 +49,8 @@ def derivatives(
         else:
             continue
         rows[number] = {j: slope for j, slope in found.items() if not _zero(slope)}
-    return g.copy(), [{j: d.number for j, d in rows.get(k, {}).items()} for k in outputs]
+    graph.take(g)
+    return [{j: d.number for j, d in rows.get(k, {}).items()} for k in outputs]
 
 
 def _zero(value: Any) -> bool:
@@ -58,8 +58,13 @@ def _zero(value: Any) -> bool:
 
 
 def _extreme(beyond: str, a: Any, b: Any, by_a: Any, by_b: Any) -> Any:
-    otherwise = scalar("where", scalar(beyond, b, a), by_b, 0.5 * (by_a + by_b))
-    return scalar("where", scalar(beyond, a, b), by_a, otherwise)
+    if _zero(by_a):
+        a, b, by_a, by_b = b, a, by_b, by_a
+    lesser, larger = scalar(beyond, b, a), scalar(beyond, a, b)
+    if _zero(by_b):  # the share is that of all columns
+        return scalar("where", larger, 1.0, scalar("where", lesser, 0.0, 0.5)) * by_a
+    otherwise = scalar("where", lesser, by_b, 0.5 * (by_a + by_b))
+    return scalar("where", larger, by_a, otherwise)
 
 
 def _divided(a: Any, b: Any, n: Any) -> tuple[Any, Any]:

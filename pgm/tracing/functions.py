@@ -48,14 +48,6 @@ def _select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
     return found
 
 
-def _maximum_of(a: Any, axis: Any = None, out: Any = None, **options: Any) -> Any:
-    return np.maximum.reduce(a, axis=axis, **options)
-
-
-def _minimum_of(a: Any, axis: Any = None, out: Any = None, **options: Any) -> Any:
-    return np.minimum.reduce(a, axis=axis, **options)
-
-
 def _nan_to_num(
     x: Any, copy: bool = True, nan: float = 0.0, posinf: Any = None, neginf: Any = None
 ) -> Any:
@@ -73,9 +65,5 @@ OWN |= {
     np.full_like: _filled(None),
     np.linalg.norm: _norm,
     np.select: _select,
-    np.max: _maximum_of,
-    np.min: _minimum_of,
-    np.amax: _maximum_of,
-    np.amin: _minimum_of,
     np.nan_to_num: _nan_to_num,
 }

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from pgm.kernels.arrays import Array
 from pgm.tracing.graph import Graph
 from pgm.tracing.operations import BATCH, PYTHON, SCALAR
 
+_PART = 4096
 # An argument, and a component of it.
 Column = tuple[int, int]
 
@@ -45,14 +46,6 @@ class Program:
         keep = ("graph", "widths", "columns", "value", "slope")
         return {name: self.__dict__[name] for name in keep}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-
-    @property
-    def hidden(self) -> dict[Column, int]:
-        """The place of each hidden component among the stacked ones."""
-        return {column: k for k, column in enumerate(self.columns)}
-
     @property
     def observed(self) -> list[Column]:
         """The components of observed arguments, in the order in which they are stacked."""
@@ -61,16 +54,8 @@ class Program:
         return [component for component in every if component not in taken]
 
     @property
-    def size(self) -> int:
-        """Operations that are computed."""
-        steps = self.graph.reachable(self._outputs)
-        return sum(self.graph.operations[k][0] not in ("constant", "input") for k in steps)
-
-    @property
     def _outputs(self) -> list[int]:
         return [*self.value, *(k for k in self.slope if k is not None)]
-
-    # Printers
 
     @property
     def batch_source(self) -> str:
@@ -102,7 +87,7 @@ class Program:
 
         It writes to a value (d,) and a derivative (d n,), row by row.
         """
-        inputs = {column: f"x[{k}]" for column, k in self.hidden.items()}
+        inputs = {column: f"x[{k}]" for k, column in enumerate(self.columns)}
         inputs |= {component: f"u[{k}]" for k, component in enumerate(self.observed)}
         cells = [
             *((k, f"value[{i}]") for i, k in enumerate(self.value)),
@@ -152,8 +137,6 @@ class Program:
             lines.append(f"return ({', '.join(results)},)")
         return "\n    ".join(lines)
 
-    # Functions
-
     @cached_property
     def _batch(self) -> Callable[..., None]:
         return made(self.batch_source, "batch", BATCH)
@@ -168,7 +151,9 @@ class Program:
         value = np.empty((height, *shape))
         slope = np.empty((height, len(self.columns), *shape))
         with np.errstate(all="ignore"):
-            self._batch(*arguments, value, slope)
+            for cut in _cuts(shape):
+                parts = [argument[cut] for argument in arguments]
+                self._batch(*parts, value[:, *cut], slope[:, :, *cut])
         return value, slope
 
     def single(self, arguments: Sequence[Array]) -> tuple[Array, Array, bool]:
@@ -176,12 +161,23 @@ class Program:
         height = len(self.value)
         try:
             found = self._scalar(*[c for argument in arguments for c in argument.tolist()])
-            finite = isfinite(sum(found))
+            finite = math.isfinite(sum(found))
         except (ArithmeticError, ValueError):  # where NumPy has infinities and NaNs
             value, slope = self.batch(arguments, ())
             return value, slope, bool(np.isfinite(value).all() and np.isfinite(slope).all())
-        every = np.array(found)
+        every = np.array(found, dtype=float)
         return every[:height], every[height:].reshape(height, -1), finite
+
+
+def _cuts(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
+    """Parts of a batch, along its longest axis, whose intermediate results stay in the cache."""
+    count, longest = math.prod(shape), max(shape, default=1)
+    if count <= _PART:
+        yield ()
+        return
+    axis, step = shape.index(longest), max(_PART * longest // count, 1)
+    for first in range(0, longest, step):
+        yield (*(slice(None),) * axis, slice(first, first + step))
 
 
 def _literal(value: float | bool) -> str:

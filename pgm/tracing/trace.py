@@ -15,7 +15,8 @@ from pgm.tracing.derivatives import derivatives
 from pgm.tracing.functions import traced
 from pgm.tracing.graph import Graph
 from pgm.tracing.program import Column, Program
-from pgm.tracing.traced import KINDS, Node, Recorder, Untraceable, bare, traced_elements
+from pgm.tracing.surroundings import Surroundings
+from pgm.tracing.traced import STAND_INS, Node, Recorder, Untraceable, bare, traced_elements
 
 LIMIT = 2000  # operations
 
@@ -41,18 +42,16 @@ class Trace:
         """The value, and its derivative by some components of the arguments."""
         found = self._programs.get(columns)
         if found is None:
-            found = self._programs[columns] = self._made(columns)
+            graph = self.graph.copy()
+            rows = derivatives(graph, self.outputs, [graph.input(*column) for column in columns])
+            slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
+            found = Program(graph, self.widths, columns, self.outputs, slope)
+            self._programs[columns] = found
         return found
 
     @cached_property
     def _programs(self) -> dict[tuple[Column, ...], Program]:
         return {}
-
-    def _made(self, columns: tuple[Column, ...]) -> Program:
-        places = [self.graph.input(*column) for column in columns]
-        graph, rows = derivatives(self.graph, self.outputs, places)
-        slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
-        return Program(graph, self.widths, columns, self.outputs, slope)
 
 
 def trace(function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...]) -> Trace | str:
@@ -60,7 +59,7 @@ def trace(function: Callable[..., Any], widths: Sequence[int], due: tuple[int, .
     try:
         made = [_recorded(function, widths, due, 0)]
         if made[0][0].cast:
-            made += [_recorded(function, widths, due, kind) for kind in range(1, KINDS)]
+            made += [_recorded(function, widths, due, kind) for kind in range(1, len(STAND_INS))]
     except Untraceable as reason:
         return str(reason)
     (graph, outputs), *others = made
@@ -144,6 +143,7 @@ class Tracer:
         self.trace: Trace | None = None
         # Shapes of batches at which it has been compared since the last plan was made.
         self.compared: set[tuple[int, ...]] = set()
+        self._surroundings: Surroundings | None = None
 
     def confirm(self, centres: Sequence[Array]) -> bool:
         """Whether there is a trace that equals the function about some values (width,).
@@ -153,6 +153,8 @@ class Tracer:
         if self.reason is not None:
             return False
         self.compared = set()
+        if self._surroundings is None or (self._surroundings.known and not self.settled()):
+            self._surroundings = Surroundings(self.function)
         points = around(centres)
         for point in points:
             point[-1, -1] = np.nan  # by which a function shows what it does about such
@@ -165,6 +167,13 @@ class Tracer:
         self.trace = None
         self.reason = found if isinstance(found, str) else _DIFFERS
         return False
+
+    def settled(self) -> bool:
+        """Whether nothing that the function refers to can have changed since `confirm`."""
+        return self._surroundings is not None and self._surroundings.same()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_surroundings": None}
 
     def _equal(self, found: Trace, points: list[Array]) -> bool:
         with np.errstate(all="ignore"):

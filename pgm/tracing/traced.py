@@ -8,7 +8,7 @@ the array comes back; computing with one is found out by tracing again with othe
 
 from __future__ import annotations
 
-import random
+import math
 import struct
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -21,8 +21,8 @@ from pgm.tracing.operations import SCALAR
 
 # NumPy's functions that are done here in another way than NumPy's (`functions.py`).
 OWN: dict[Any, Callable[..., Any]] = {}
-# Kinds of stand-ins: small and positive, large and negative, not finite.
-KINDS = 3
+# Stand-ins that differ in size, sign and order, so that a comparison turns out in two ways.
+STAND_INS = (1e-3, -1e100, 1e100, math.nan)
 
 
 class Untraceable(Exception):
@@ -38,8 +38,6 @@ class Recorder(Graph):
         self.refusal: str | None = None
         self.errors = np.geterr()
         self._numbers: dict[bytes, int] = {}
-        self._stand_ins: dict[int, float] = {}
-        self._random = random.Random(kind)
 
     def refuse(self, reason: str) -> Untraceable:
         """The error of a function without a trace; where a user's code catches it, too."""
@@ -70,22 +68,17 @@ class Recorder(Graph):
 
     def stand_in(self, number: int) -> float:
         """A float that stands for a traced number in arrays of floats."""
-        found = self._stand_ins.get(number)
-        if found is None:
-            draw = self._random.random()
-            if self.kind == 2:
-                # The payload of a NaN; it survives copies.
-                found = struct.unpack("<d", struct.pack("<Q", 0x7FF8_5A00_0000_0001 + number))[0]
-            else:
-                found = 1e-3 * (1.0 + draw) if self.kind == 0 else -1e100 * (1.0 + draw)
-            self._stand_ins[number] = found
-            self._numbers[struct.pack("d", found)] = number
+        size = STAND_INS[self.kind]
+        found = size * (1.0 + (number + 1) * 0.6180339887498949 % 1.0)
+        if math.isnan(size):  # its payload survives copies
+            found = struct.unpack("<d", struct.pack("<Q", 0x7FF8_5A00_0000_0001 + number))[0]
+        self._numbers[struct.pack("d", found)] = number
         return found
 
     @property
     def cast(self) -> bool:
         """Whether any stand-in was given out."""
-        return bool(self._stand_ins)
+        return bool(self._numbers)
 
 
 class Node:

@@ -118,6 +118,7 @@ def cpds():
         "wide": pgm.LinearGaussianCPD(wide, {wide.previous: 1.0}, cov=np.eye(40)),
         "noisy": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=pgm.noise(np.eye, given=C)),
         "nonlinear": robot()[0].transition[0],
+        "derivatives": robot()[0].observation[0].derivatives,
         "robust": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=1.0, noise=pgm.StudentT(4.0)),
         "mixture": pgm.MixtureCPD([linear] * 50, weights=np.full(50, 0.02)),
         "sampled": pgm.SampledCPD(B, A, sample=lambda a, size, rng: a),

@@ -623,3 +623,12 @@ def test_the_sprinkler_by_hand():
     assert_allclose(np.exp(seen.log_total), 0.6471, atol=1e-12)
     assert round(float(seen.marginal(rain).normalised()["yes"]), 4) == 0.7079
     assert round(float(seen.marginal(sprinkler).normalised()["yes"]), 4) == 0.4298
+
+
+def test_the_largest_entries_of_many_stacks_of_one_are_their_own():
+    rng = np.random.default_rng(1)
+    a, b = (pgm.Discrete(name, states=tuple("abcd"[:size])) for name, size in (("a", 3), ("b", 4)))
+    values = rng.random((9000, 1, 3, 4))
+    found = pgm.Table((a, b), values, lead=(9000, 1)).argmax()
+    expected = values.reshape(9000, 12).argmax(axis=1)
+    assert np.array_equal(found[a][:, 0] * 4 + found[b][:, 0], expected)

@@ -13,9 +13,8 @@ from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference import limits
-from pgm.inference.discrete.evidence import enter_everywhere
 from pgm.inference.discrete.place import positions, steps
-from pgm.inference.discrete.storage import Storage, contiguous
+from pgm.inference.discrete.storage import Storage, contiguous, enter_everywhere
 from pgm.inference.discrete.tree_passes import contradicted
 from pgm.inference.loopy import Directed
 from pgm.kernels.arrays import Array, Integers, Mask

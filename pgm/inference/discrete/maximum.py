@@ -20,8 +20,8 @@ from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
 from pgm.inference.chain.run import bind_chain
-from pgm.inference.discrete.evidence import Distinct, some_runs, tree_pieces
 from pgm.inference.discrete.place import steps
+from pgm.inference.discrete.storage import Distinct, some_runs, tree_pieces
 from pgm.inference.discrete.tree_passes import collect, enter, require_possible
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs

@@ -1,4 +1,4 @@
-"""Posteriors of discrete networks, and joints of variables of one cluster or of several."""
+"""Posteriors of discrete networks: the run that makes one, and joints of variables of clusters."""
 
 import math
 from collections.abc import Sequence
@@ -9,18 +9,22 @@ import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.structure import Forest
-from pgm.display import Summary
+from pgm.display import Summary, titled
 from pgm.errors import EvidenceError, GraphError
+from pgm.evidence import Evidence
+from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors import Table
 from pgm.factors.axes import AXES, States, discrete, sizes, spread
 from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference import limits
-from pgm.inference.discrete.evidence import axes_left, entered, put_in
 from pgm.inference.discrete.first_question import FirstBeliefs
-from pgm.inference.discrete.loopy_messages import LoopyBeliefs
-from pgm.inference.discrete.storage import Storage, sepset_between
+from pgm.inference.discrete.loopy_messages import LoopyBeliefs, TableMessages
+from pgm.inference.discrete.storage import Storage, axes_left, entered, put_in, sepset_between
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
+from pgm.inference.limits import Room
+from pgm.inference.loopy import run_loopy
 from pgm.inference.posterior import Posterior, require_variable
+from pgm.inference.schedule import Loopy, Schedule
 from pgm.inference.status import Status
 from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, frozen
@@ -280,3 +284,38 @@ def _sum(factor: Factor, keep: States) -> Array:
     scope, values = factor
     total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
     return _arranged((tuple(v for v in scope if v in keep), total), keep)
+
+
+def run(
+    graph: ClusterGraph,
+    evidence: Evidence,
+    schedule: Schedule | None,
+    memory: float | None = None,
+) -> DiscretePosterior:
+    """Send the messages of a schedule; see `pgm.infer`."""
+    bound = bind_discrete(graph.network._places.keys(), evidence)
+    if isinstance(schedule, Loopy):
+        if memory is not None:
+            raise GraphError(
+                f"memory= is for graphs without loops: on {titled(graph)} all runs go round "
+                "together; to hold less at a time, give fewer runs to a call"
+            )
+        messages = TableMessages(graph, bound, schedule.damping)
+        status = run_loopy(messages, schedule, bound.lead)
+        return DiscretePosterior(graph, status, LoopyBeliefs.of(messages))
+    room = Room.of(memory, graph)
+    first = None if bound.lead else FirstBeliefs.of(graph, bound, room)
+    return of_tree(graph, bound, room) if first is None else DiscretePosterior(graph, ONCE, first)
+
+
+def of_tree(graph: ClusterGraph, bound: BoundStates, room: Room) -> DiscretePosterior:
+    """The posterior of a graph without loops, of evidence that is bound."""
+    beliefs = TreeBeliefs.of(graph, bound, room)
+    return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
+
+
+def _calibrated(lead: tuple[int, ...]) -> Status:
+    return Status(1, np.zeros((0, *lead)), np.ones(lead, dtype=bool))
+
+
+ONCE = _calibrated(())

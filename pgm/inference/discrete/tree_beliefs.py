@@ -10,8 +10,7 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.evidence import Distinct, pieces, tree_pieces
-from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.storage import Distinct, Storage, pieces, tree_pieces
 from pgm.inference.discrete.tree_passes import Calibrated, TreeMessages, calibrate, require_possible
 from pgm.inference.discrete.tree_plan import TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs

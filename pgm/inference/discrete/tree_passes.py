@@ -10,8 +10,13 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.errors import EvidenceError
 from pgm.evidence.static import BoundStates
 from pgm.factors.scope import in_run, names
-from pgm.inference.discrete.evidence import enter_everywhere, multiply, some_runs
-from pgm.inference.discrete.storage import Storage, sepset_between
+from pgm.inference.discrete.storage import (
+    Storage,
+    enter_everywhere,
+    multiply,
+    sepset_between,
+    some_runs,
+)
 from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp, log_sum

@@ -3,10 +3,15 @@
 The clusters of a tree hang at its centre. Those of one depth that have as many entries for each
 entry of the sepset to their parent, the same number of children and parents of like shape form a
 stack: their tables are the columns of one matrix, so that the messages of a stack are one sum.
+
+In a tiny network messages would be calls on a few numbers each: there every table is a sum of the
+joint of all variables, by one product with a matrix of zeros and ones.
 """
 
+from __future__ import annotations
+
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import or_
@@ -17,10 +22,8 @@ from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.structure import Forest
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
-from pgm.inference.discrete.enumeration import Enumeration
-from pgm.inference.discrete.evidence import at_once
 from pgm.inference.discrete.place import LARGE, Place, positions, steps
-from pgm.inference.discrete.storage import Storage, sepset_between
+from pgm.inference.discrete.storage import Storage, at_once, sepset_between
 from pgm.inference.discrete.sums import (
     BlockProduct,
     GatheredProduct,
@@ -31,7 +34,69 @@ from pgm.inference.discrete.sums import (
 )
 from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.tables import SUM_PRODUCT
 from pgm.variables import Discrete
+
+# Entries of this matrix, at the most.
+TINY = 2**14
+
+
+@dataclass(frozen=True, eq=False)
+class Enumeration:
+    """The joint of all variables of a network whose graph is one tree.
+
+    joint: (cells,): probabilities without evidence.
+    shown: (states, cells): one in the cells of a state, zero in the others.
+    tables: (cells, entries + columns): one where a cell is part of an entry of a cluster or a
+        sepset.
+    """
+
+    joint: Array
+    shown: Mapping[Discrete, Array]
+    tables: Array
+
+    @classmethod
+    def of(
+        cls, storage: Storage, forest: Forest, sepsets: Sequence[States], first: Integers
+    ) -> Enumeration | None:
+        """The joint of a network; None if it is not tiny, or an entry is too small for a number.
+
+        first: (clusters,): the first column of each cluster's message to its parent.
+        """
+        scope = tuple(storage.homes)
+        cells = math.prod(sizes(scope))
+        length = storage.entries + sum(math.prod(sizes(sepset)) for sepset in sepsets)
+        if cells * length > TINY or forest.levels[0].size > 1:
+            return None
+        joint, tables = np.ones(cells), np.zeros((cells, length))
+        each = np.arange(cells)
+        try:
+            with np.errstate(under="raise"):
+                potentials = storage.potentials(SUM_PRODUCT)
+                for place, sepset, column in zip(storage.places, sepsets, first, strict=True):
+                    entry = place.positions(scope).ravel()
+                    start = storage.entries + int(column)
+                    tables[each, entry] = 1.0
+                    tables[each, positions(start, steps(sepset, 1), scope).ravel()] = 1.0
+                    joint *= potentials[entry]
+        except FloatingPointError:
+            return None
+        state = {v: positions(0, {v: 1}, scope).ravel() for v in scope}
+        shown = {v: (state[v] == np.arange(v.size)[:, None]).astype(float) for v in scope}
+        return cls(joint, shown, tables)
+
+    def given(self, states: Mapping[Discrete, int | Integers]) -> tuple[Array, float]:
+        """The tables of a single run, each of which sums to one, and p(evidence).
+
+        Where that is zero, the tables are too.
+        """
+        cells = self.joint
+        for variable, state in states.items():
+            cells = cells * self.shown[variable][state]
+        total = float(np.add.reduce(cells))
+        if total > 0.0:
+            cells = cells / total
+        return cells.dot(self.tables), total
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from pgm.kernels.arrays import Array, Integers, wrap
 from pgm.variables import Variable
 
 
-class PointMasses(Framed, Shown, NoArray, Immutable):
+class PointMassBelief(Framed, Shown, NoArray, Immutable):
     """Base of beliefs that are point masses: of cells, or of particles."""
 
     components: tuple[str, ...]
@@ -135,11 +135,11 @@ class PointMasses(Framed, Shown, NoArray, Immutable):
 
     def __getstate__(self) -> dict[str, Any]:
         # What was computed is not part of the value.
-        names = PointMasses.__annotations__ | type(self).__annotations__
+        names = PointMassBelief.__annotations__ | type(self).__annotations__
         return {name: getattr(self, name) for name in names}
 
 
-class GridBelief(PointMasses):
+class GridBelief(PointMassBelief):
     r"""A belief as probabilities of the cells of a grid.
 
     .. math:: p(x) = \sum_k p_k \, δ(x - c_k)

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, ClassVar
+from functools import cached_property, reduce
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +16,8 @@ from pgm.immutable import Immutable
 from pgm.inference.associations import by_density
 from pgm.inference.grid.belief import GridBelief, scope_axes
 from pgm.inference.grid.lattice import Lattice, resolve
-from pgm.inference.grid.run import require_room
-from pgm.inference.grid.slices import GridModel, GridSlices, Tested
+from pgm.inference.grid.posterior import require_room
+from pgm.inference.grid.slices import GridModel, GridSlices, Tested, Worst
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.online import step_evidence
@@ -97,10 +97,74 @@ class OnlineGridBelief(Shown, NoArray):
         return at_a_step(self._title, self, self._lattice.states, self.lead)
 
 
-class OnlineGrid(InCode, Immutable):
+Belief = TypeVar("Belief", bound=step_evidence.Place)
+
+
+class PointFilter(InCode, Immutable, Generic[Belief]):
+    """Base of online filters whose beliefs are point masses, and immutable as they are."""
+
+    model: DynamicBayesianNetwork
+    belief: Any
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What was tested or compiled is not part of the value.
+        return {"model": self.model, "belief": self.belief}
+
+    def __repr__(self) -> str:
+        return f"OnlineFilter(over {list(self.model.states)}, belief={self.belief!r})"
+
+    def predict(self, belief: Belief, inputs: Mapping[Variable, Any] | None = None) -> Belief:
+        """The belief one step later, as of `OnlineFilter.predict`.
+
+        Raises
+        ------
+        EvidenceError, ModelError
+            As there.
+        LinearisationError, NumericalError
+            If a function has no value at a point mass, or all probability has left the bounds.
+        """
+        self._check(belief)
+        given = as_mapping(inputs, "the inputs of predict")
+        return self._predicted(belief, step_evidence.inputs(self.model, belief, given))
+
+    def update(self, belief: Belief, readings: Mapping[Variable, Any]) -> Belief:
+        """The belief given measurements of its step, as of `OnlineFilter.update`.
+
+        Raises
+        ------
+        EvidenceError
+            If a measurement does not fit its sensor, or is impossible.
+        ModelError, LinearisationError
+            As of `predict`.
+        """
+        self._check(belief)
+        given = step_evidence.mapping(readings, "update", "sensors to measurements")
+        bound = by_density(step_evidence.readings(self.model, belief, given))
+        shifted = (replace(r, step=r.step + belief.step) for r in bound.readings)
+        return self._updated(belief, replace(bound, readings=tuple(shifted)))
+
+    def _check(self, belief: Any) -> None:
+        if not self._owns(belief):
+            kind = type(self.belief).__name__.lower()
+            raise ModelError(
+                f"{titled(belief)} is no belief of this filter's model and {kind}; begin with "
+                "initial()"
+            )
+
+    def _owns(self, belief: Any) -> bool:
+        raise NotImplementedError
+
+    def _predicted(self, belief: Belief, bound: BoundEvidence) -> Belief:
+        raise NotImplementedError
+
+    def _updated(self, belief: Belief, bound: BoundEvidence) -> Belief:
+        raise NotImplementedError
+
+
+class OnlineGrid(PointFilter[OnlineGridBelief]):
     """A filter on a grid for one step at a time; made by ``OnlineFilter(model, belief=grid)``.
 
-    It is immutable, and so are its beliefs. Runs are worked through one at a time.
+    Runs are worked through one at a time.
 
     Parameters
     ----------
@@ -124,7 +188,6 @@ class OnlineGrid(InCode, Immutable):
     array([2.])
     """
 
-    model: DynamicBayesianNetwork
     belief: Grid
 
     def __init__(self, model: DynamicBayesianNetwork, belief: Grid) -> None:
@@ -144,13 +207,6 @@ class OnlineGrid(InCode, Immutable):
     def _tested(self) -> Tested:
         return Tested.nothing()
 
-    def __getstate__(self) -> dict[str, Any]:
-        # What was tested is not part of the value.
-        return {"model": self.model, "belief": self.belief}
-
-    def __repr__(self) -> str:
-        return f"OnlineFilter(over {list(self.model.states)}, belief={self.belief!r})"
-
     def initial(self) -> OnlineGridBelief:
         """The prior, at step 0; runs are those of the model."""
         lead = self.model.lead
@@ -158,46 +214,15 @@ class OnlineGrid(InCode, Immutable):
         found = self._each(bound, 0, None, lambda slices, _: (slices.prior(), 0.0))
         return self._belief(0, PREDICTED, bound, None, found)
 
-    def predict(
-        self, belief: OnlineGridBelief, inputs: Mapping[Variable, Any] | None = None
-    ) -> OnlineGridBelief:
-        """The belief one step later, as of `OnlineFilter.predict`.
-
-        Raises
-        ------
-        EvidenceError, ModelError
-            As there.
-        LinearisationError, NumericalError
-            If a function has no value at a centre, or all probability has left the bounds.
-        """
-        self._check(belief)
-        given = as_mapping(inputs, "the inputs of predict")
-        bound = step_evidence.inputs(self.model, belief, given)
+    def _predicted(self, belief: OnlineGridBelief, bound: BoundEvidence) -> OnlineGridBelief:
         step = belief.step + 1
         found = self._each(
             bound, belief.step, belief, lambda slices, values: (slices.forward(step, values), 0.0)
         )
         return self._belief(step, PREDICTED, bound, belief, found)
 
-    def update(
-        self, belief: OnlineGridBelief, readings: Mapping[Variable, Any]
-    ) -> OnlineGridBelief:
-        """The belief given measurements of its step, as of `OnlineFilter.update`.
-
-        Raises
-        ------
-        EvidenceError
-            If a measurement does not fit its sensor, or is impossible.
-        ModelError, LinearisationError
-            As of `predict`.
-        """
-        self._check(belief)
-        given = step_evidence.mapping(readings, "update", "sensors to measurements")
-        bound = by_density(step_evidence.readings(self.model, belief, given))
+    def _updated(self, belief: OnlineGridBelief, bound: BoundEvidence) -> OnlineGridBelief:
         step = belief.step
-        bound = replace(
-            bound, readings=tuple(replace(r, step=r.step + step) for r in bound.readings)
-        )
 
         def taken(slices: GridSlices, values: Array) -> tuple[Array, float]:
             slices.begin(step, values)
@@ -208,16 +233,9 @@ class OnlineGrid(InCode, Immutable):
 
         return self._belief(step, FILTERED, bound, belief, self._each(bound, step, belief, taken))
 
-    def _check(self, belief: OnlineGridBelief) -> None:
-        if (
-            not isinstance(belief, OnlineGridBelief)
-            or belief._model is not self.model
-            or not belief._lattice.like(self._lattice)
-        ):
-            raise ModelError(
-                f"{titled(belief)} is no belief of this filter's model and grid; begin with "
-                "initial()"
-            )
+    def _owns(self, belief: Any) -> bool:
+        mine = isinstance(belief, OnlineGridBelief) and belief._model is self.model
+        return mine and belief._lattice.like(self._lattice)
 
     def _each(
         self,
@@ -257,10 +275,7 @@ class OnlineGrid(InCode, Immutable):
         values = np.array([belief for _, belief, _ in found], dtype=self.belief.dtype)
         log_density = np.array([density for *_, density in found]).reshape(lead)
         outside = np.array([s.outside.get(step, 0.0) for s, *_ in found]).reshape(*lead, 1)
-        sharpest = max((s.sharpest for s, *_ in found), key=lambda each: each.cells)
-        narrowest = min((s.narrowest for s, *_ in found), key=lambda each: each.cells)
-        cut = max((s.cut for s, *_ in found), key=lambda each: each.share)
-        uneven = max((s.uneven for s, *_ in found), key=lambda each: each.share)
+        worst = reduce(Worst.of, (s.worst for s, *_ in found))
         added = {
             axis.label: np.array([s.added[k] * axis.width**2 for s, *_ in found]).reshape(lead)
             for k, axis in enumerate(lattice.axes)
@@ -275,11 +290,8 @@ class OnlineGrid(InCode, Immutable):
             past = before.status.outside_by_step
             past = np.broadcast_to(past, (*lead, past.shape[-1]))
             outside = past.copy() if kind == FILTERED else np.concatenate([past, outside], axis=-1)
-            sharpest = max(sharpest, before.status.sharpest, key=lambda each: each.cells)
-            narrowest = min(narrowest, before.status.narrowest, key=lambda each: each.cells)
-            cut = max(cut, before.status.cut, key=lambda each: each.share)
-            uneven = max(uneven, before.status.uneven, key=lambda each: each.share)
-        status = GridStatus(outside, added, sharpest, narrowest, cut, sorted(split), uneven=uneven)
+            worst = worst.of(before.status._worst)
+        status = GridStatus(outside, added, worst, sorted(split))
         status.warn(None if before is None else before.status)
         values = values.reshape(*lead, *lattice.shape)
         log_density = np.asarray(log_density)

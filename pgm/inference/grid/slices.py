@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -46,6 +47,37 @@ class Cut(NamedTuple):
 
     share: float
     step: int
+
+
+class Narrowness(NamedTuple):
+    """The narrowest belief along an axis.
+
+    cells: Its standard deviation in cells.
+    component: Empty if no belief has been looked at.
+    """
+
+    cells: float
+    component: str
+    step: int
+
+
+class Worst(NamedTuple):
+    """The sensor, beliefs and density that the cells serve the least; see `GridStatus`."""
+
+    sharpest: Sharpness = Sharpness(0.0, None, 0)
+    narrowest: Narrowness = Narrowness(math.inf, "", 0)
+    cut: Cut = Cut(0.0, 0)
+    uneven: Uneven = EVEN
+
+    def of(self, other: Worst) -> Worst:
+        """The worse of each, by its first figure; of equals its own."""
+        first = itemgetter(0)
+        return Worst(
+            max(self.sharpest, other.sharpest, key=first),
+            min(self.narrowest, other.narrowest, key=first),
+            max(self.cut, other.cut, key=first),
+            max(self.uneven, other.uneven, key=first),
+        )
 
 
 class Tails:
@@ -183,8 +215,7 @@ class GridSlices:
     outside: By step, the probability that left the bounds, or that the window of active cells has
         cut off.
     added: (axes,): the variance that the lattice has added in all steps, in cells.
-    uneven: The density of a prior or transition whose sums over centres are the least those of it.
-    cut: The belief of which the most may have been cut off.
+    worst: The sensor, beliefs and density that the cells have served the least so far.
     """
 
     lead: tuple[int, ...] = ()
@@ -195,10 +226,7 @@ class GridSlices:
         self.outside: dict[int, float] = {}
         self.added = np.zeros(len(self.lattice.axes))
         self.split: frozenset[int] = frozenset()
-        self.sharpest = Sharpness(0.0, None, 0)
-        self.narrowest = Narrowness(np.inf, "", 0)
-        self.uneven = EVEN
-        self.cut, self._tails = Cut(0.0, 0), Tails(self.lattice)
+        self.worst, self._tails = Worst(), Tails(self.lattice)
         # By step, where something was measured: the density of no residuals, and how many numbers.
         self._ceilings: dict[int, tuple[float, int]] = {}
         # By step: the windows before and after its motion, and the weights of its measurements.
@@ -209,7 +237,7 @@ class GridSlices:
         """See `Slices`."""
         found, added, uneven = start(self.lattice, self.model.first, self.run)
         self.added += added
-        self._least_even(uneven)
+        self._note(uneven=uneven)
         total = float(found.sum())
         self.outside[0] = max(1.0 - total, 0.0)
         if not total >= 0.5:
@@ -231,25 +259,19 @@ class GridSlices:
         each = marginals(belief)
         window, deviations = active(self.lattice, each)
         if step in self._ceilings:
-            self._doubt(self._tails.taken(each), step)
+            self._note(cut=Cut(self._tails.taken(each), step))
         for axis, deviation in zip(self.lattice.axes, deviations, strict=True):
-            if deviation < self.narrowest.cells:
-                self.narrowest = Narrowness(deviation, axis.label, step)
+            self._note(narrowest=Narrowness(deviation, axis.label, step))
         return window
 
     def surprised(self, step: int, log_density: float) -> None:
         """Compare a step's evidence with what it is at the best of all cells, if it is doubtful."""
         if step in self._ceilings and doubtful(log_density, *self._ceilings[step]):
             best = likelihood(self.model.sensors, step, self.run, self.lattice.whole).log_scale
-            self._doubt(bound(log_density, best), step)
+            self._note(cut=Cut(bound(log_density, best), step))
 
-    def _doubt(self, share: float, step: int) -> None:
-        if share > self.cut.share:
-            self.cut = Cut(share, step)
-
-    def _least_even(self, found: Uneven) -> None:
-        if found.share > self.uneven.share:
-            self.uneven = found
+    def _note(self, **found: Any) -> None:
+        self.worst = self.worst.of(Worst(**found))
 
     def forward(self, step: int, belief: Array) -> Array:
         """See `Slices`."""
@@ -258,7 +280,7 @@ class GridSlices:
         part, added = made.forward(self.lattice.cut(belief, source))
         self.added += added
         self.split |= made.split
-        self._least_even(made.uneven)
+        self._note(uneven=made.uneven)
         part[part < _NONE] = 0.0
         left = float(part.sum())
         self.outside[step] = max(1.0 - left, 0.0)
@@ -297,8 +319,7 @@ class GridSlices:
             weights, scale = found.values, found.log_scale
             if weights is not None:
                 self._ceilings[step] = found.ceiling, found.components
-            if found.sharpest.cells > self.sharpest.cells:
-                self.sharpest = found.sharpest
+            self._note(sharpest=found.sharpest)
             if self._keep is not None:
                 kept: Array | None = None
                 if weights is not None:
@@ -324,18 +345,6 @@ class GridSlices:
             for axis in self.lattice.axes
             if not axis.angle
         )
-
-
-class Narrowness(NamedTuple):
-    """The narrowest belief along an axis.
-
-    cells: Its standard deviation in cells.
-    component: Empty if no belief has been looked at.
-    """
-
-    cells: float
-    component: str
-    step: int
 
 
 def marginals(belief: Array) -> list[Array]:

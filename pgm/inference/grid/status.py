@@ -12,9 +12,9 @@ import numpy as np
 from pgm.display import Shown, Summary, brief, number
 from pgm.errors import GridWarning
 from pgm.immutable import Immutable
-from pgm.inference.grid.densities import EVEN, Uneven
+from pgm.inference.grid.densities import Uneven
 from pgm.inference.grid.measured import Sharpness
-from pgm.inference.grid.slices import Cut, Narrowness
+from pgm.inference.grid.slices import Cut, Narrowness, Worst
 from pgm.inference.status import _levels_to_user
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
@@ -23,13 +23,13 @@ from pgm.variables import Variable
 MUCH = 1e-3
 # A share that may have been cut off and is told.
 REMARKABLE = 1e-9
-# From this many deviations between neighbouring centres on a sensor is sharper than half a cell.
+# Deviations between neighbouring centres above which a sensor is sharper than half a cell.
 SHARP = 2.0
-# From this share on a density has another shape on the cells.
+# The share above which a density has another shape on the cells.
 ROUGH = 0.1
 # More remarks than this stand on lines of their own.
 FEW = 3
-# Below this deviation in cells a belief is told to be narrow.
+# The deviation in cells below which a belief is told to be narrow.
 NARROW = 0.7
 
 
@@ -58,44 +58,39 @@ class GridStatus(Shown, Immutable):
     Attributes
     ----------
     outside : ndarray
-        (*runs): the probability that the bounds have left out in all, at the prior and at each
-        step; what the window of active cells cuts off, below 10⁻¹⁴ a step, is counted too. Above
-        10⁻³ a `GridWarning` has said so. It is missing from the evidence's probability.
+        (*runs): the probability that the bounds have left out in all, which the evidence's lacks;
+        what the window of active cells cuts off, below 10⁻¹⁴ a step, is counted too. Above 10⁻³ a
+        `GridWarning` has said so.
     outside_by_step : ndarray
         (*runs, T+1): the share of each step's belief.
     added : mapping of str to ndarray
-        By component, (*runs): the variance that the lattice has added at the prior and over all
-        steps, in squared units of the component, beyond what these ask for: where a displacement
-        has a variance of less than f(1 − f)h².
+        By component, (*runs): the variance that the lattice has added in all, in squared units of
+        the component, where a displacement has a variance of less than f(1 − f)h².
     sharpest : Sharpness
-        The sensor that is the sharpest for the cells: by how many of its deviations its measurement
-        differs from one cell to the next, where it is the likeliest. Above two it is sharper than
-        half a cell, and the density at centres may miss it: narrower cells, or more noise, help.
+        The sensor whose measurement differs by the most deviations from one cell to the next, where
+        it is the likeliest. Above two it is sharper than half a cell, and the density at centres
+        may miss it: narrower cells, or more noise, help.
     narrowest : Narrowness
-        The belief that is the narrowest for the cells: its standard deviation s in cells, which
-        component it is of, and at which step. Sums over centres miss those of the density by about
-        e^(−2π²s²): 3·10⁻⁹ of them at one cell, 10⁻⁵ at three quarters, a sixth at .3.
+        The belief with the least standard deviation, s in cells, its component and its step. Sums
+        over centres miss those of the density by about e^(−2π²s²): 3·10⁻⁹ of them at one cell, 10⁻⁵
+        at three quarters, a sixth at .3.
     cut : Cut
         The belief of which the most may have been cut off, as a share, and its step. Beliefs are
-        carried up to 10⁻¹⁵ along each axis, and motion up to 8.5 deviations; a state that is
-        further from what was believed is not found again, whatever the evidence. Where evidence is
-        that surprising, or a belief presses against where it was cut, this tells; above 10⁻³ the
-        beliefs and the log-evidence are those of the wrong places, and a `GridWarning` has said so.
-        It is an estimate: a second place that was given up at 10⁻¹⁵, and would be made likelier
-        little by little, is missing from it.
+        carried up to 10⁻¹⁵ along each axis, and motion up to 8.5 deviations; a state further from
+        the belief is not found again, whatever the evidence. Above 10⁻³ beliefs and log-evidence
+        are those of the wrong places, and a `GridWarning` has said so. It is an estimate, without
+        second places that were given up at 10⁻¹⁵ and would be made likelier little by little.
     split : tuple of str
         The components that were moved cell by cell, since none could be moved before the others on
         which they depend, as of a rotation. Means and variances are exact all the same, densities
         are not: with noise of two cells' deviation the log-evidence may be off by 10⁻⁴ a step, with
         four cells' by 10⁻⁵; `refine` tells.
     uneven : Uneven
-        The density of a prior or transition, of a CPD that is not Gaussian, for which cells are
-        the widest: by what share its sum over centres differs with where between centres it
-        stands, times its weight in a mixture, which variable it is of, and at which step.
-        Normalising makes up for the sum, but on the cells the density has another shape: above a
-        tenth a `GridWarning` has said so. Of a normal density with a deviation of s cells it is
-        4e^(−2π²s²), of Laplace's with a scale of b cells 1/(8b²), of a uniform one over n cells
-        1/n.
+        The density that is not Gaussian whose sum over centres differs the most with where between
+        them it stands: the share, times its weight in a mixture, its variable and its step. It is
+        normalised, but has another shape on the cells: above a tenth a `GridWarning` has said so.
+        Of a normal density with a deviation of s cells it is 4e^(−2π²s²), of Laplace's with a scale
+        of b cells 1/(8b²), of a uniform one over n cells 1/n.
     refinements : tuple of Refinement
         Of each resolution, if the grid was refined.
     converged : ndarray of bool
@@ -127,13 +122,10 @@ class GridStatus(Shown, Immutable):
         self,
         outside_by_step: Array,
         added: Mapping[str, Array],
-        sharpest: Sharpness,
-        narrowest: Narrowness,
-        cut: Cut,
+        worst: Worst,
         split: Sequence[str] = (),
         refinements: Sequence[Refinement] = (),
         converged: bool = True,
-        uneven: Uneven = EVEN,
     ) -> None:
         added = {name: np.asarray(value) for name, value in added.items()}
         outside = np.asarray(1.0 - np.prod(1.0 - outside_by_step, axis=-1))
@@ -143,11 +135,8 @@ class GridStatus(Shown, Immutable):
             outside=outside,
             outside_by_step=outside_by_step,
             added=MappingProxyType(added),
-            sharpest=sharpest,
-            narrowest=narrowest,
-            cut=cut,
+            **worst._asdict(),
             split=tuple(split),
-            uneven=uneven,
             refinements=tuple(refinements),
             converged=np.bool_(converged),
         )
@@ -163,15 +152,13 @@ class GridStatus(Shown, Immutable):
         return self.sharpest.variable if self.sharpest.cells > SHARP else None
 
     def refined(self, refinements: Sequence[Refinement], converged: bool) -> GridStatus:
-        """The same status with the resolutions that led there.
+        """The same status with the resolutions that led there."""
+        found = self.outside_by_step, self.added, self._worst, self.split
+        return GridStatus(*found, refinements, converged)
 
-        Parameters
-        ----------
-        refinements : sequence of Refinement
-        converged : bool
-        """
-        found = self.outside_by_step, self.added, self.sharpest, self.narrowest
-        return GridStatus(*found, self.cut, self.split, refinements, converged, self.uneven)
+    @property
+    def _worst(self) -> Worst:
+        return Worst(self.sharpest, self.narrowest, self.cut, self.uneven)
 
     @property
     def lost(self) -> bool:
@@ -197,43 +184,34 @@ class GridStatus(Shown, Immutable):
             If more than 10⁻³ has left in a run, or may have been cut off, a density is narrow for
             the cells, or refining has not converged.
         """
-        if self.rough and not (before and before.rough):
-            message = (
+        told = before or GridStatus(np.zeros((1, 1)), {}, Worst())
+        if self.rough and not told.rough:
+            _warn(
                 f"the density of {self.uneven.variable!r} at step {self.uneven.step} is narrow for "
                 f"the cells: its sum over their centres differs by {self.uneven.share:.2g} with "
                 "where between centres it stands (status.uneven): take narrower cells, or a "
                 "Gaussian CPD, or a mixture of such, which is moved by displacements"
             )
-            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
-        if self.lost and not (before and before.lost):
-            message = (
+        if self.lost and not told.lost:
+            _warn(
                 f"the evidence at step {self.cut.step} is so far from what was believed that up to "
                 f"{self.cut.share:.2g} of the belief stands where it had been cut off "
                 "(status.cut): beliefs and log-evidence are wrong from there on; look for a "
                 "mistaken measurement, or give the prior or the motion more noise"
             )
-            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
-        if self.much and not (before and before.much):
-            most = float(self.outside.max())
-            runs = int((self.outside > MUCH).sum())
-            step = int(
-                self.outside_by_step.reshape(-1, self.outside_by_step.shape[-1])
-                .max(axis=0)
-                .argmax()
+        if self.much and not told.much:
+            steps = self.outside_by_step.reshape(-1, self.outside_by_step.shape[-1]).max(axis=0)
+            _warn(
+                f"up to {float(self.outside.max()):.2g} of the probability has left the bounds of "
+                f"the grid, in {int((self.outside > MUCH).sum())} of {self.outside.size} runs, "
+                f"most of it at step {int(steps.argmax())} (status.outside): widen the bounds"
             )
-            message = (
-                f"up to {most:.2g} of the probability has left the bounds of the grid, in {runs} "
-                f"of {self.outside.size} runs, most of it at step {step} (status.outside): widen "
-                "the bounds"
-            )
-            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
         if not self.converged:
             last = self.refinements[-1]
-            message = (
+            _warn(
                 f"the figure of refine= still changes by {last.change:.2g} at {last.cells} cells "
                 "(status.refinements): allow more doublings, or a larger tolerance"
             )
-            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
 
     @property
     def _title(self) -> str:
@@ -276,3 +254,7 @@ class GridStatus(Shown, Immutable):
             settled = "settled" if self.converged else "not settled"
             parts.append(f"refined {len(self.refinements) - 1} times to {cells} cells, {settled}")
         return parts
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, GridWarning, stacklevel=_levels_to_user())

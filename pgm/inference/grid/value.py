@@ -30,10 +30,9 @@ class Grid(InCode, Immutable):
       of their measurements there;
     - p_k: their probabilities, moved by kernels on the lattice whose means and variances are those
       of the transition, exactly, where its variance is f(1 − f)h² or more: h is the width of a
-      cell, and f the part of a cell by which a displacement goes past a whole number of them. What
-      is added where it is less, ``status.added`` tells. Where a CPD is not Gaussian, its density
-      is asked for from each centre to each, and normalised; where it is a mixture, that is done
-      part by part.
+      cell, f the part by which a displacement goes past a whole number of them; ``status.added``
+      tells what is added where it is less. The density of a CPD that is not Gaussian is asked for
+      from each centre to each, and normalised; that of a mixture part by part.
 
     Costs grow with the number of cells: three components, such as a pose in the plane, are
     practical.
@@ -48,14 +47,14 @@ class Grid(InCode, Immutable):
         Of the beliefs that are kept, ``np.float64`` or ``np.float32``, which takes half the
         memory; the arithmetic is the same.
     refine : str or callable, optional
-        A figure: ``"log_evidence"``, or a function of the posterior. The number of cells of all
-        axes is doubled, again and again, until the figure stays within the tolerance; each time
-        takes about 2^n times the time and memory of the one before, n being the number of axes.
+        A figure: ``"log_evidence"``, or a function of the posterior. The cells of all n axes are
+        doubled until the figure stays within the tolerance; each time takes about 2^n times the
+        time and memory of the one before.
     tolerance : float
-        Of that figure: the largest change, in its own units.
+        The largest change of that figure, in its own units.
     doublings : int
-        The most that are made. Where the figure has not settled by then, ``status.converged`` is
-        False and a `GridWarning` says so.
+        The most that are made; of a figure that has not settled by then ``status.converged`` is
+        False, and a `GridWarning` says so.
 
     Raises
     ------
@@ -107,12 +106,7 @@ class Grid(InCode, Immutable):
         self._set(tolerance=float(tolerance), doublings=int(doublings))
 
     def finer(self, times: int = 2) -> Grid:
-        """The same grid with so many times the cells along each axis.
-
-        Parameters
-        ----------
-        times : int
-            2 halves the width of all cells.
+        """The same grid with so many times the cells along each axis: 2 halves all widths.
 
         Raises
         ------

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,9 +25,6 @@ from pgm.inference.status import FILTERED, PREDICTED, SMOOTHED, Kind, Status
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Variable
-
-# The way of a message back by one step.
-Passing = Callable[[int, Array], Array]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -130,17 +127,7 @@ class StatePosterior(Posterior):
         return "exact"
 
     def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
-        """The joint of hidden variables at any steps, given the measurements that the latest knows.
-
-        Parameters
-        ----------
-        *variables : Discrete
-            Concrete ones, ``x.at(3)``, in the order of the result.
-
-        Returns
-        -------
-        Table
-            Probabilities (*runs, size of each variable...).
+        """The joint of hidden variables at steps, ``x.at(3)``, given the latest's measurements.
 
         Raises
         ------
@@ -176,22 +163,9 @@ class StatePosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> Table:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
-        Parameters
-        ----------
-        source, target : int or Cluster
-
-        Returns
-        -------
-        Table
-            Its log-scale carries the evidence that went into it. A backward one has zeros for
-            states that are impossible given what was before, where later measurements speak for
-            these so much that the others would be too small for numbers.
-
-        Raises
-        ------
-        GraphError
-            If the clusters are not joined, or the message was not sent: backward messages are
-            those of smoothing alone.
+        Its log-scale carries the evidence that went into it. A backward one, which smoothing alone
+        sends, has zeros for states that are impossible given the steps before, where later
+        measurements speak for these so much that the others would be too small for numbers.
         """
         source, target = self.graph.index(source), self.graph.index(target)
         scope = discrete(self.graph.sepsets[source, target])
@@ -207,22 +181,21 @@ class StatePosterior(Posterior):
                 f"is {self.kind}: smoothing sends it; use pgm.smooth, or schedule=pgm.Smoothing()",
                 cluster=source,
             )
-        plain = partial(self._message_back, step, self._chain.message)
-        values, rest = self._scaled_back(step, plain, partial(self._message_back, step))
+        with np.errstate(invalid="ignore"):
+            plain = self._message_back(step, self._chain.message)
+        values, rest = self._scaled_back(step, plain)
         return self._table(scope, values, np.broadcast_to(rest, runs))
 
-    def _scaled_back(
-        self, step: int, plain: Callable[[], Array], careful: Callable[[Passing], Array]
-    ) -> tuple[Array, Array]:
-        """A message back to the states at a step, and its log-scale.
+    def _scaled_back(self, step: int, message: Array) -> tuple[Array, Array]:
+        """A message back to the states at a step, made of a plain one, and its log-scale.
 
         Made carefully where later measurements speak for states that are impossible here.
         """
         chain = self._chain
         with np.errstate(invalid="ignore"):  # 0/0, where numbers hold none of the states
-            message, found, top = self._sized(step, plain())
+            message, found, top = self._sized(step, message)
         if not (chain.numbers(chain.semiring.over(found, top)) > TINY).all():
-            message, found, top = self._sized(step, careful(chain.back))
+            message, found, top = self._sized(step, self._message_back(step, chain.back))
         rest = self._weight(self.graph.steps) - self._weight(step) - chain.semiring.logs(found)
         message = chain.numbers(chain.semiring.over(message, top))
         return self._states(message, total=False), rest + chain.semiring.logs(top)
@@ -230,12 +203,7 @@ class StatePosterior(Posterior):
     def messages_back(self) -> Iterator[tuple[Array, Array]]:
         """The messages back to the slices T..0 after smoothing, each made of the one before.
 
-        Yields
-        ------
-        values : ndarray
-            Over the states of the slice, (sizes..., [runs]).
-        log_scale : ndarray
-            ([runs]).
+        Of each the values over the states of its slice, (sizes..., [runs]), and the log-scale.
         """
         chain, last = self._chain, self.graph.steps
         plain = chain.unit()
@@ -245,9 +213,7 @@ class StatePosterior(Posterior):
         for step in range(last - 1, -1, -1):
             with np.errstate(invalid="ignore"):
                 plain = chain.message(step, plain)
-            yield self._scaled_back(
-                step, partial(np.asarray, plain), partial(self._message_back, step)
-            )
+            yield self._scaled_back(step, plain)
 
     def _sized(self, step: int, message: Array) -> tuple[Array, Array, Array]:
         """A message to a slice, the sum of its product with the belief there, and its largest."""
@@ -275,21 +241,9 @@ class StatePosterior(Posterior):
         return np.asarray(self._chain.log_density[: step + 1].sum(axis=0)).reshape(-1)
 
     def belief(self, cluster: int | Cluster) -> Table:
-        """The belief of a cluster over its hidden variables, unnormalised.
+        """The belief of a cluster over its hidden variables, unnormalised; refused where too large.
 
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        Table
-            Its sum is the evidence that its messages know: all of it after smoothing.
-
-        Raises
-        ------
-        GraphError
-            If there is no such cluster, or its table would not fit.
+        Its sum is the evidence that its messages know: all of it after smoothing.
         """
         step, plan = self.graph.index(cluster), self._plan
         weight = self._weight(self.kind.last(step, self.graph.steps))
@@ -307,19 +261,8 @@ class StatePosterior(Posterior):
     def potential(self, cluster: int | Cluster) -> Table:
         """The potential of a cluster: the product of its tables, with their evidence put in.
 
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        Table
-            Over the states of the step before and the slice; of cluster 0 over its states.
-
-        Raises
-        ------
-        GraphError
-            If there is no such cluster, or its table would not fit.
+        Over the states of the step before and the slice; of cluster 0 over its states. Refused
+        where it is too large.
         """
         step, plan, chain = self.graph.index(cluster), self._plan, self._chain
         if step:

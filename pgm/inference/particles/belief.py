@@ -12,14 +12,14 @@ import numpy.typing as npt
 from pgm.display import Summary, axes
 from pgm.errors import ModelError
 from pgm.factors.scope import listed, places_of
-from pgm.inference.grid.belief import PointMasses, closed
+from pgm.inference.grid.belief import PointMassBelief, closed
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.model import Part
 from pgm.inference.summaries import moments_of, spread
 from pgm.kernels.arrays import TURN, Array, Integers, wrap
 
 
-class ParticleBelief(PointMasses):
+class ParticleBelief(PointMassBelief):
     r"""A belief as weighted draws.
 
     .. math:: p(x) = \sum_i w_i \, δ(x - x_i)

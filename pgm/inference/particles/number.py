@@ -105,16 +105,7 @@ class KLDSampling(InCode, Immutable):
     def drawn(
         self, states: States, model: ParticleModel, draw: Callable[[int], Integers]
     ) -> Integers:
-        """Places of particles (d, n), drawn until they are enough.
-
-        Parameters
-        ----------
-        states : ndarray
-        model : ParticleModel
-            Whose components these are.
-        draw : callable
-            ``draw(count)`` gives so many places.
-        """
+        """Places of particles (d, n), the model's, by ``draw(count)``, until they are enough."""
         rows, widths = self._rows(model)
         bins = keys(np.asarray(states[rows], dtype=np.float64), widths, model.angles[rows])
         if bins is None:

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
-from pgm.boundary import as_mapping
 from pgm.compile import DynamicGraph, compile
-from pgm.display import InCode, NoArray, Shown, Summary, titled
-from pgm.errors import EvidenceError, ModelError
+from pgm.display import NoArray, Shown, Summary
+from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
-from pgm.immutable import Immutable
-from pgm.inference.associations import by_density
-from pgm.inference.online import step_evidence
+from pgm.inference.grid.online import PointFilter
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.model import ParticleModel, parts
 from pgm.inference.particles.number import LikelihoodSampling
-from pgm.inference.particles.run import require_fitting, require_room
+from pgm.inference.particles.posterior import require_fitting, require_room
 from pgm.inference.particles.status import ParticleStatus, Record
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import require_variable
@@ -108,12 +104,12 @@ class OnlineParticleBelief(Shown, NoArray):
         return at_a_step(self._title, self, hidden, self.lead)
 
 
-class OnlineParticles(InCode, Immutable):
+class OnlineParticles(PointFilter[OnlineParticleBelief]):
     """A particle filter for one step at a time; made by ``OnlineFilter(model, belief=particles)``.
 
-    It is immutable, and so are its beliefs: draws are keyed by seed, run and step, so that they are
-    those of `pgm.filter`. Where inputs or measurements have runs only from some step on, a belief
-    that was one until then is that of each of them, with the same particles.
+    Draws are keyed by seed, run and step, so that they are those of `pgm.filter`. Where inputs or
+    measurements have runs only from some step on, a belief that was one until then is that of each
+    of them, with the same particles.
 
     Parameters
     ----------
@@ -135,7 +131,6 @@ class OnlineParticles(InCode, Immutable):
     array([2.])
     """
 
-    model: DynamicBayesianNetwork
     belief: Particles
 
     def __init__(self, model: DynamicBayesianNetwork, belief: Particles) -> None:
@@ -143,9 +138,6 @@ class OnlineParticles(InCode, Immutable):
         require_fitting(belief, model)
         size = sum(variable.dimension for variable in (*model.states, *model.controls))
         require_room(size, belief, 1, int(np.prod(model.lead)), FILTERED)
-
-    def __repr__(self) -> str:
-        return f"OnlineFilter(over {list(self.model.states)}, belief={self.belief!r})"
 
     def initial(self) -> OnlineParticleBelief:
         """The prior, at step 0; runs are those of the model."""
@@ -155,21 +147,9 @@ class OnlineParticles(InCode, Immutable):
         zero = np.zeros(bound.runs)
         return self._belief(0, PREDICTED, cloud, chain.model, bound, zero, record)
 
-    def predict(
-        self, belief: OnlineParticleBelief, inputs: Mapping[Variable, Any] | None = None
+    def _predicted(
+        self, belief: OnlineParticleBelief, bound: BoundEvidence
     ) -> OnlineParticleBelief:
-        """The belief one step later, as of `OnlineFilter.predict`.
-
-        Raises
-        ------
-        EvidenceError, ModelError
-            As there.
-        LinearisationError, NumericalError
-            If a function has no value at a particle.
-        """
-        self._check(belief)
-        given = as_mapping(inputs, "the inputs of predict")
-        bound = step_evidence.inputs(self.model, belief, given)
         step, before = belief.step + 1, self._spread(belief, bound)
         chain, record = self._chain(bound, belief.step)
         cloud = chain.predict(step, before)
@@ -177,25 +157,8 @@ class OnlineParticles(InCode, Immutable):
         kept = (before, bound) if self._looks else None
         return self._belief(step, PREDICTED, cloud, chain.model, bound, log_evidence, record, kept)
 
-    def update(
-        self, belief: OnlineParticleBelief, readings: Mapping[Variable, Any]
-    ) -> OnlineParticleBelief:
-        """The belief given measurements of its step, as of `OnlineFilter.update`.
-
-        Raises
-        ------
-        EvidenceError
-            If a measurement does not fit its sensor, or is impossible.
-        ModelError, LinearisationError
-            As of `predict`.
-        """
-        self._check(belief)
-        given = step_evidence.mapping(readings, "update", "sensors to measurements")
-        bound = by_density(step_evidence.readings(self.model, belief, given))
+    def _updated(self, belief: OnlineParticleBelief, bound: BoundEvidence) -> OnlineParticleBelief:
         step = belief.step
-        bound = replace(
-            bound, readings=tuple(replace(r, step=r.step + step) for r in bound.readings)
-        )
         cloud = self._spread(belief, bound)
         chain, record = self._chain(bound, step)
         if step == 0 and belief.kind == PREDICTED and self.belief.start is not None:
@@ -223,10 +186,6 @@ class OnlineParticles(InCode, Immutable):
     def _graph(self) -> DynamicGraph:
         return compile(self.model, 1)
 
-    def __getstate__(self) -> dict[str, Any]:
-        # What was compiled is not part of the value.
-        return {"model": self.model, "belief": self.belief}
-
     def _spread(
         self, belief: OnlineParticleBelief, bound: BoundEvidence, cloud: Cloud | None = None
     ) -> Cloud:
@@ -248,14 +207,9 @@ class OnlineParticles(InCode, Immutable):
             averages=None if cloud.averages is None else np.tile(cloud.averages, runs),
         )
 
-    def _check(self, belief: OnlineParticleBelief) -> None:
-        if not isinstance(belief, OnlineParticleBelief) or (
-            belief._filter.model is not self.model or belief._filter.belief is not self.belief
-        ):
-            raise ModelError(
-                f"{titled(belief)} is no belief of this filter's model and particles; begin with "
-                "initial()"
-            )
+    def _owns(self, belief: Any) -> bool:
+        mine = isinstance(belief, OnlineParticleBelief) and belief._filter.model is self.model
+        return mine and belief._filter.belief is self.belief
 
     def _belief(
         self,

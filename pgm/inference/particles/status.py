@@ -86,12 +86,7 @@ class ParticleStatus(Shown, Immutable):
         self._set(**found)
 
     def at(self, step: int) -> ParticleStatus:
-        """The status of one step alone.
-
-        Parameters
-        ----------
-        step : int
-        """
+        """The status of one step alone."""
         names = "effective", "number", "resampled", "injected", "ignored", "restarted"
         return ParticleStatus(*(getattr(self, name)[..., step : step + 1] for name in names))
 
@@ -112,16 +107,9 @@ class ParticleStatus(Shown, Immutable):
         return bool(self.ignored.any() or self.restarted.any())
 
     def warn(self, first: int = 0) -> None:
-        """Tell the user of weights that are worth too few particles, and of impossible evidence.
+        """Tell the user, by a `ParticleWarning`, of too small weights and of impossible evidence.
 
-        Parameters
-        ----------
-        first : int
-            The step that the first of these stands for.
-
-        Warns
-        -----
-        ParticleWarning
+        first: The step that the first of these stands for.
         """
         if self.few:
             share = np.where(self._few, self.effective, np.inf)
@@ -164,16 +152,10 @@ class ParticleStatus(Shown, Immutable):
 
 
 class Record:
-    """The clouds of steps, and the events of each run and step.
+    """The clouds of steps, and events of each step and run, (T+1, runs), as of `ParticleStatus`.
 
     clouds: Given the measurements up to each step.
-    log_density: (T+1, runs): ln p(z_t | z_0..t−1), estimated.
-    effective, number: (T+1, runs): the effective number of particles given the step's measurements,
-        and all.
-    resampled, ignored, restarted: (T+1, runs): whether the particles were drawn anew on the way to
-        the step, and whether its measurements were impossible, and left out, or taken by particles
-        of the prior.
-    injected: (T+1, runs): how many particles were put elsewhere on the way to the step.
+    log_density: ln p(z_t | z_0..t−1), estimated.
     """
 
     def __init__(self, steps: int, runs: int) -> None:

@@ -86,14 +86,9 @@ class Injection(InCode, Immutable):
     def averaged(self, before: Array | None, log_density: Array, measured: Array) -> Array:
         """The logarithms of long-term and short-term averages, (2, runs), with one more step.
 
-        Parameters
-        ----------
-        before : ndarray or None
-            Those of the step before; NaN in runs without any.
-        log_density : ndarray
-            (runs,): of the step's measurements.
-        measured : ndarray
-            (runs,): the number of their components; of runs with none the averages stay.
+        before: Those of the step before; NaN in runs without any.
+        log_density: (runs,): of the step's measurements.
+        measured: (runs,): the number of their components; of runs with none the averages stay.
         """
         runs = len(log_density)
         if before is None:

@@ -22,8 +22,8 @@ from pgm.factors import Table
 from pgm.factors.axes import States, as_states, sizes
 from pgm.factors.scope import in_run, listed, names, unknown_name
 from pgm.inference import limits
-from pgm.inference.discrete.evidence import one_hot, pieces, some_runs
-from pgm.inference.discrete.run import of_tree
+from pgm.inference.discrete.posterior import of_tree
+from pgm.inference.discrete.storage import one_hot, pieces, some_runs
 from pgm.inference.discrete.tree_passes import ADVICE
 from pgm.inference.query.plan import EliminationPlan, Requisite, Step, certain
 from pgm.kernels.arrays import Array

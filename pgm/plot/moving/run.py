@@ -23,9 +23,8 @@ from pgm.kernels.arrays import Array
 from pgm.plot.axes import Unit
 from pgm.plot.beliefs.plane import as_landmarks, name_plane
 from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
-from pgm.plot.moving.chain import Chain
 from pgm.plot.moving.movies import BlittedCanvas, movie_writer, write_movie
-from pgm.plot.moving.paths import FILTERED, REVISED, Paths, frames
+from pgm.plot.moving.panels import FILTERED, REVISED, Chain, Paths, frames
 from pgm.variables import Variable
 
 # How long the last picture of a pass stays [s].

@@ -157,7 +157,7 @@ def ranking(
     """Draw the NIS a degree of freedom of ranked sensors in windows of time, a strip each.
 
     Orange is more than the covariances say, purple less, grey without a reading; a frame is the
-    stretch that speaks most against a sensor, dashed where that may be chance (p > 1 %).
+    stretch that speaks most against a sensor, dotted where that may be chance (p > 1 %).
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ import os
 
 import numpy as np
 
-from pgm.io import words
+from pgm.io import sources
 from pgm.recordings.readers import files
 from pgm.recordings.recording import Recording
 from pgm.recordings.stream import Stream
@@ -56,7 +56,7 @@ def read_freiburg(folder: str | os.PathLike[str]) -> Recording:
     motions: list[list[float]] = []
     rows: list[list[float]] = []
     subjects: list[int] = []
-    for line in words.lines(held):
+    for line in sources.lines(held):
         if line.words[0] == "ODOMETRY":
             motions.append(line.numbers("ODOMETRY rot1 trans rot2", 1))
         elif line.words[0] == "SENSOR":
@@ -90,7 +90,7 @@ def _world(where: os.PathLike[str]) -> dict[int, tuple[float, float]]:
     """Landmarks by number."""
     held = files.content(files.folder(where) / WORLD)
     landmarks: dict[int, tuple[float, float]] = {}
-    for line in words.lines(held):
+    for line in sources.lines(held):
         _, east, north = line.numbers("id east north")
         number = line.whole(line.words[0], "a landmark")
         if number in landmarks:

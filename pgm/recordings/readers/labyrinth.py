@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pgm.io import words
+from pgm.io import sources
 from pgm.io.sources import Content, Source
 from pgm.kernels.arrays import Array
 from pgm.recordings import motion
@@ -96,7 +96,7 @@ def read_labyrinth(
 def _tables(held: Content, kinds: tuple[str, ...]) -> dict[str, Array]:
     """The numbers of lines by their first word."""
     found: dict[str, list[list[float]]] = {kind: [] for kind in kinds}
-    for line in words.lines(held):
+    for line in sources.lines(held):
         kind = line.words[0]
         if kind not in found:
             raise line.fault(f"{kind!r}; {' or '.join(kinds)} was due")

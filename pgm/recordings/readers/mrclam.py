@@ -9,7 +9,7 @@ import numpy as np
 
 from pgm.boundary import is_whole
 from pgm.errors import EvidenceError
-from pgm.io import words
+from pgm.io import sources
 from pgm.io.sources import Content
 from pgm.kernels.arrays import Array
 from pgm.recordings.mending import Dropped
@@ -63,7 +63,7 @@ def read_mrclam(folder: str | os.PathLike[str], robot: int = 1) -> Recording:
     where = files.folder(folder)
     owner = _barcodes(where)
     held = files.content(where / f"Robot{robot}_Measurement.dat")
-    seen = words.numbers(held, "time barcode range bearing")
+    seen = sources.numbers(held, "time barcode range bearing")
     subjects = [owner.get(barcode) for barcode in seen[:, 1].tolist()]
     named = np.array([subject is not None for subject in subjects], dtype=bool)
     told = []
@@ -71,7 +71,7 @@ def read_mrclam(folder: str | os.PathLike[str], robot: int = 1) -> Recording:
         told.append(Dropped("camera", "a barcode that is nobody's", np.flatnonzero(~named)))
     landmarks, covs = _landmarks(where)
     odometry = files.content(where / f"Robot{robot}_Odometry.dat")
-    driven = words.numbers(odometry, "time v omega")
+    driven = sources.numbers(odometry, "time v omega")
     if not len(driven):
         raise odometry.origin.fault("no lines of time v omega; is it a file of MRCLAM?")
     truth, path = None, where / f"Robot{robot}_Groundtruth.dat"
@@ -102,7 +102,7 @@ def _barcodes(where: Path) -> dict[float, int]:
     """The subject of each barcode."""
     owner: dict[float, int] = {}
     held = files.content(where / "Barcodes.dat")
-    for line in words.lines(held):
+    for line in sources.lines(held):
         line.require("subject barcode")
         subject, barcode = (line.whole(word, "a number") for word in line.words)
         if barcode in owner:
@@ -117,7 +117,7 @@ def _landmarks(where: Path) -> tuple[dict[int, Array], dict[int, Array]]:
     """Places and their covariances, by subject."""
     places: dict[int, Array] = {}
     covs: dict[int, Array] = {}
-    for line in words.lines(files.content(where / "Landmark_Groundtruth.dat")):
+    for line in sources.lines(files.content(where / "Landmark_Groundtruth.dat")):
         _, *found = line.numbers("subject x y std_x std_y")
         subject = line.whole(line.words[0], "a subject")
         if subject in places:
@@ -129,6 +129,6 @@ def _landmarks(where: Path) -> tuple[dict[int, Array], dict[int, Array]]:
 
 
 def _truth(held: Content) -> Stream:
-    table = words.numbers(held, "time x y heading")
+    table = sources.numbers(held, "time x y heading")
     with files.told_of(held.origin):
         return Stream(table[:, 0], table[:, 1:], POSE)

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgm.errors import FileError
-from pgm.io.sources import Content, Source
-from pgm.io.words import Line, lines
+from pgm.io.sources import Content, Line, Source, lines
 from pgm.kernels import rigid
 from pgm.kernels.arrays import Array, Integers
 from pgm.recordings.mending import Dropped

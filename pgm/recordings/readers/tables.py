@@ -14,8 +14,7 @@ import numpy as np
 from pgm.boundary import as_tuple, is_whole
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
-from pgm.io.sources import Origin, Source
-from pgm.io.words import number
+from pgm.io.sources import Origin, Source, number
 from pgm.kernels.arrays import Array
 from pgm.recordings import motion
 from pgm.recordings.mending import Dropped

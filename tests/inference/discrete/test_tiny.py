@@ -8,7 +8,7 @@ from discrete.enumeration import Enumeration, network
 
 import pgm
 from models.discrete import asia, cancer, dyspnoea, either, smoking, xray
-from pgm.inference.discrete import enumeration
+from pgm.inference.discrete import tree_plan
 from pgm.inference.discrete.tree_plan import plan_for
 
 
@@ -23,7 +23,7 @@ def by_messages(monkeypatch):
     def compiled(net):
         graph = pgm.compile(net)
         with monkeypatch.context() as patched:
-            patched.setattr(enumeration, "TINY", 0)
+            patched.setattr(tree_plan, "TINY", 0)
             assert not summed(graph)
         return graph
 
@@ -39,7 +39,7 @@ def test_both_find_the_same(seed, by_messages):
     graph, other = pgm.compile(net), by_messages(net)
     plan = plan_for(graph, 1, 2**22)
     cells = np.prod([v.size for v in net.variables])
-    tiny = cells * (plan.storage.entries + plan.columns) <= enumeration.TINY
+    tiny = cells * (plan.storage.entries + plan.columns) <= tree_plan.TINY
     assert summed(graph) == (tiny and len(graph.sepsets) == len(graph) - 1)
     one, two = pgm.infer(graph, evidence), pgm.infer(other, evidence)
     truth = Enumeration(net, evidence)

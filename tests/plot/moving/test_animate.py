@@ -17,9 +17,8 @@ import pgm.plot
 from pgm import ModelError
 from pgm.inference import Kind
 from pgm.plot.diagrams.canvas import LEGIBLE
-from pgm.plot.moving.chain import Chain
 from pgm.plot.moving.movies import BlittedCanvas
-from pgm.plot.moving.paths import FILTERED, REVISED, Frame, Paths, frames
+from pgm.plot.moving.panels import FILTERED, REVISED, Chain, Frame, Paths, frames
 from tests.plot.diagrams.zoo import hub
 
 x = pgm.Variable("x", components=("east", "north"))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
+from pgm.compile.machine import Compiled
 from pgm.inference.chain.compiled.table import (
     Integers64,
     Rows,
@@ -24,6 +24,9 @@ from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Filtering
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.moments import Conditional
+
+# From so many steps of fewer runs on, machine code repays its loading.
+LONG, FEW = 20_000, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +44,11 @@ class Swept:
 
 def is_used(plan: ChainPlan) -> bool:
     """Whether a plan is to be swept in machine code."""
-    return plan.layout.compiled is not None and find_spec("numba") is not None
+    choice = plan.layout.compiled
+    if choice is None:
+        repays = plan.steps >= LONG and plan.runs < FEW
+        return repays and find_spec("numba") is not None
+    return choice is not False
 
 
 def forward(
@@ -201,7 +208,7 @@ class _Chain:
         plan, rows = self.plan, self.rows
         size = s.room(plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points)
         chain, choice = address(self.fields), plan.layout.compiled
-        threads = 1 if choice is None else min(choice.threads, plan.runs)
+        threads = min(choice.threads, plan.runs) if isinstance(choice, Compiled) else 1
         edges = [k * plan.runs // threads for k in range(threads + 1)]
         rooms = [np.empty(size) for _ in range(threads)]
         jobs = [
@@ -209,6 +216,8 @@ class _Chain:
             for first, last, room in zip(edges, edges[1:], rooms, strict=False)
         ]
         if threads > 1:
+            from concurrent.futures import ThreadPoolExecutor  # here, since it is slow to import
+
             with ThreadPoolExecutor(threads) as pool:
                 list(pool.map(lambda job: kernel(*job), jobs))
         else:

@@ -160,9 +160,7 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
     template, rule = family.template, family.lineariser
     assert template is not None
     known = plan.layout.functions
-    functions = known.get(template)
-    if functions is None:
-        functions = known[template] = compiled(template)
+    functions = known[template] = compiled(template, known.get(template))
     if not isinstance(functions, Functions):
         raise Uncompiled(f"{family.cpd!r}: {functions}")
     table[f.VALUE], table[f.FUNCTION] = functions.value, functions.slope

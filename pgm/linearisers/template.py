@@ -1,0 +1,177 @@
+"""A CPD's function with its parents, before evidence is bound."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pgm.factors.scope import Scope, angle_mask, dimension, positions
+from pgm.kernels.arrays import Index, Mask
+from pgm.tracing import Program, Tracer
+from pgm.variables import Variable
+
+Function = Callable[..., Any]
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionTemplate:
+    """A CPD's function with its parents, and which of them are hidden: the same in all calls.
+
+    Parameters
+    ----------
+    child : Variable
+        The child of the CPD.
+    given : tuple of Variable
+        All parents, in the order of the function's arguments.
+    hidden : tuple of Variable
+        The parents without evidence, in the same order.
+    function : callable
+        ``function(*given)``.
+    jacobians : tuple of callable or None
+        The derivative by each parent, where one was given.
+    variances : tuple of float
+        The least variance of each component's own noise; zero where it is not known beforehand.
+    tracer : Tracer, optional
+        Of the function; derivatives that were not given are its trace's, where it has one.
+
+    Examples
+    --------
+    >>> from pgm.linearisers import FunctionTemplate
+    >>> x, y = pgm.variables("x y")
+    >>> template = FunctionTemplate(y, (x,), (x,), lambda x: x**2, (None,), (1.0,))
+    >>> template.size, template.height, template.numerical
+    (1, 1, (0,))
+    """
+
+    child: Variable
+    given: Scope
+    hidden: Scope
+    function: Function
+    jacobians: tuple[Function | None, ...]
+    variances: tuple[float, ...]
+    tracer: Tracer | None = None
+
+    @cached_property
+    def angles(self) -> Mask:
+        """The mask of components of the value that are angles."""
+        return self.child.angle_mask
+
+    @cached_property
+    def input_angles(self) -> Mask:
+        """The mask of components of the hidden parents that are angles."""
+        return angle_mask(self.hidden)
+
+    @cached_property
+    def size(self) -> int:
+        """Number of components of the stacked hidden parents."""
+        return dimension(self.hidden)
+
+    @cached_property
+    def places(self) -> tuple[Index | None, ...]:
+        """The place of each parent among the hidden ones; None for a parent with evidence."""
+        return tuple(
+            positions(self.hidden, [parent]) if parent in self.hidden else None
+            for parent in self.given
+        )
+
+    @cached_property
+    def cuts(self) -> tuple[Index | None, ...]:
+        """The places, None too for the only hidden parent, which need not be cut out."""
+        everything = slice(0, self.size)
+        return tuple(None if place == everything else place for place in self.places)
+
+    @cached_property
+    def undivided(self) -> bool:
+        """Whether there is a single hidden parent, so that none has to be cut out."""
+        return len(self.hidden) == 1
+
+    @cached_property
+    def derivatives(self) -> tuple[tuple[str, int, Index, Function | None], ...]:
+        """Of each hidden parent: a name for messages, size, place, and the derivative if given."""
+        every = zip(self.given, self.places, self.jacobians, strict=True)
+        return tuple(
+            (f"jacobian by {parent!r}", parent.dimension, place, by)
+            for parent, place, by in every
+            if place is not None
+        )
+
+    @cached_property
+    def derivative(self) -> Function | None:
+        """The derivative, where there is a single hidden parent."""
+        return self.derivatives[0][3] if len(self.derivatives) == 1 else None
+
+    @cached_property
+    def height(self) -> int:
+        """Number of components of the child."""
+        return self.child.dimension
+
+    @cached_property
+    def shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """The shapes of a value and of its derivative, of one run."""
+        return (self.height,), (self.height, self.size)
+
+    @cached_property
+    def turning(self) -> list[int]:
+        """The places of the value's components that are angles."""
+        return [int(k) for k in np.flatnonzero(self.angles)]
+
+    @cached_property
+    def missing(self) -> tuple[int, ...]:
+        """The stacked components by which no derivative was given."""
+        return tuple(
+            int(k)
+            for _, _, place, jacobian in self.derivatives
+            if jacobian is None
+            for k in np.arange(self.size)[place]
+        )
+
+    @cached_property
+    def columns(self) -> tuple[tuple[int, int], ...]:
+        """Of each stacked component: its argument, and its place there."""
+        places = [(a, place) for a, place in enumerate(self.places) if place is not None]
+        each = {
+            int(k): (a, i) for a, place in places for i, k in enumerate(np.arange(self.size)[place])
+        }
+        return tuple(each[k] for k in range(self.size))
+
+    @cached_property
+    def _missing_columns(self) -> tuple[tuple[int, int], ...]:
+        return tuple(self.columns[k] for k in self.missing)
+
+    @property
+    def program(self) -> Program | None:
+        """What computes the value and the missing derivatives; None where there is no trace."""
+        tracer = self.tracer
+        if tracer is None or tracer.trace is None or not self.missing:
+            return None
+        return tracer.trace.program(self._missing_columns)
+
+    @cached_property
+    def whole(self) -> Tracer:
+        """Of the function's value, followed by the derivatives that were given."""
+        given = [by for _, _, _, by in self.derivatives if by is not None]
+
+        def joined(*arguments: Any) -> Any:
+            slopes = [jacobian(*arguments) for jacobian in given]
+            flat = [slope.reshape(*slope.shape[:-2], -1) for slope in slopes]
+            return np.concatenate([self.function(*arguments), *flat], axis=-1)
+
+        more = self.height * (self.size - len(self.missing))
+        angles = np.concatenate([self.angles, np.zeros(more, dtype=bool)])
+        return Tracer(joined, [parent.dimension for parent in self.given], angles)
+
+    @property
+    def whole_reason(self) -> str | None:
+        """The reason why the function, or a derivative that was given, has no trace; or None."""
+        if self.whole.confirm([np.zeros(parent.dimension) for parent in self.given]):
+            return None
+        return self.whole.reason or "not traced"
+
+    @property
+    def numerical(self) -> tuple[int, ...]:
+        """The stacked components whose derivative has to be taken by differences."""
+        return self.missing if self.program is None else ()

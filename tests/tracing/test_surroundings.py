@@ -1,0 +1,136 @@
+"""What a function refers to is watched; what cannot be is not called known."""
+
+import functools
+import math
+import random
+import sys
+import types
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy import stack
+
+from models import motion, sensors
+from pgm.tracing.surroundings import Surroundings
+
+SCALE, POINTS, MANY = 2.0, np.arange(3.0), np.zeros(1000)
+TABLE, PAIR = [1.0], (1.0, "a")
+OWN = types.ModuleType("pgm_test_settings")
+OWN.rate, OWN.other = 0.5, [1]
+sys.modules["pgm_test_settings"] = OWN
+
+
+@dataclass(frozen=True)
+class Fixed:
+    dt: float
+
+    def __call__(self, x):
+        return self.dt * SCALE * x
+
+
+@dataclass
+class Loose:
+    dt: float
+
+    def __call__(self, x):
+        return self.dt * x
+
+
+class Plain:
+    def method(self, x):
+        return x
+
+
+def inner(x, by=3.0):
+    return stack([np.sin(x), math.pi * x]) * by
+
+
+def imports(x):
+    import pgm_test_settings
+
+    return pgm_test_settings.rate * x
+
+
+def closes(dt, also=None):
+    def function(x):
+        return [dt * each for each in (lambda: inner(x), lambda: also)]
+
+    return function
+
+
+SETTLED = {
+    "README's": lambda x: np.where(x > 0.0, x, np.exp(x)) * SCALE,
+    "models": motion.velocity,
+    "models' class": motion.Velocity(0.5),
+    "models' sensor": sensors.mounted(sensors.RANGE, (1.0, 2.0, 3.0)).function,
+    "calls": lambda x: inner(x) + PAIR[0],
+    "closure": closes(0.5),
+    "frozen": Fixed(0.5),
+    "method": Fixed(0.5).__call__,
+    "partial": functools.partial(inner, by=2.0),
+    "module": lambda x: OWN.rate * x,
+    "imports": imports,
+    "array": lambda x: POINTS * x,
+    "ufunc": np.sin,
+}
+UNKNOWN = {
+    "list": lambda x: x * TABLE[0],
+    "large array": lambda x: x * MANY[0],
+    "mutable": Loose(0.5),
+    "object": Plain().method,
+    "closed over": closes(0.5, Plain()),
+    "generator": lambda x: random.random() * x,
+    "a list of a module": lambda x: OWN.other[0] * x,
+    "eval": lambda x: eval("SCALE") * x,
+    "class": lambda x: Loose(1.0)(x),
+}
+
+
+@pytest.mark.parametrize("name", SETTLED)
+def test_what_does_not_change_is_settled(name):
+    found = Surroundings(SETTLED[name])
+    assert found.known
+    assert found.same()
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_what_may_change_unseen_is_not(name):
+    found = Surroundings(UNKNOWN[name])
+    assert not found.known
+    assert not found.same()
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "attribute"),
+    [
+        ("README's", sys.modules[__name__], "SCALE"),
+        ("frozen", sys.modules[__name__], "SCALE"),
+        ("calls", inner, "__defaults__"),
+        ("calls", inner, "__code__"),
+        ("closure", inner, "__defaults__"),
+        ("models", motion.velocity.__globals__["planar"], "move"),
+        ("module", OWN, "rate"),
+        ("imports", OWN, "rate"),
+    ],
+)
+def test_a_change_is_seen(name, place, attribute, monkeypatch):
+    found = Surroundings(SETTLED[name])
+    assert found.same()
+    new = (lambda x: x).__code__ if attribute == "__code__" else (4.0,)
+    with monkeypatch.context() as patch:
+        patch.setattr(place, attribute, new)
+        assert not found.same()
+    assert found.same()
+
+
+def test_a_closure_and_an_array_are_seen():
+    dt, points = 0.5, np.ones(3)
+    found = Surroundings(lambda x: dt * points * x)
+    assert found.same()
+    points[1] = 2.0
+    assert not found.same()
+    points[1] = 1.0
+    assert found.same()
+    dt = 0.25
+    assert not found.same()
