@@ -14,7 +14,7 @@ from numba import njit
 
 from pgm.kernels.compiled.algebra import compiled, least_open, padded
 from pgm.kernels.compiled.memory import numbers, past, places
-from pgm.kernels.compiled.sweeps import SINGLE, WIDTH, _joined, _moved, _taken
+from pgm.kernels.compiled.sweeps import SINGLE, WIDTH, _joined, _moved, _once
 
 (CHAIN, MEMORY, PACKED, PARTS, PART_COUNT, SHIFTS, SHIFT_COUNT, STEP) = range(8)
 # Which array, or where it begins in the row of all; its rows and columns; its place, the floats
@@ -128,7 +128,7 @@ def update(step, belief, first, second, out):
     before, mean = past(known, wide), past(known, wide + size * wide)
     cov, work = past(mean, wide), past(mean, wide + size * wide)
     _unpacked(belief, size, known, before)
-    done, density = _taken(fields, 0, 0, known, before, mean, cov, work)
+    done, density = _once(fields, 0, 0, known, before, known, before, mean, cov, work)
     if done and isfinite(density) and _settled(mean, cov, before, out, size, work):
         return density
     return nan
