@@ -18,8 +18,16 @@ from pgm.resources import require_memory
 _STATE = 8
 
 
+class _Hashed:
+    """The hash of a variable, once it has been asked for; a pickle goes without."""
+
+    __slots__ = ("_hash",)
+
+    _hash: int
+
+
 @dataclass(frozen=True, slots=True)
-class Variable(InCode):
+class Variable(_Hashed, InCode):
     """A continuous random variable, scalar or vector.
 
     Parameters
@@ -104,8 +112,12 @@ class Variable(InCode):
                 )
 
     def __hash__(self) -> int:
-        # Enough to tell most variables apart, and quicker than all fields: scopes are hashed a lot.
-        return hash((self.name, self.step, self.lag))
+        # Scopes are hashed a lot.
+        try:
+            return self._hash
+        except AttributeError:
+            object.__setattr__(self, "_hash", hash((self.name, self.step, self.lag)))
+            return self._hash
 
     @property
     def dimension(self) -> int:

@@ -5,6 +5,8 @@ With `compiled` sweeps are in machine code, for which there has to be Numba.
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 
 import pgm
@@ -65,7 +67,8 @@ def no_jacobian(runs: str, derivatives: str, work: Robots) -> Contender:
 def online(rule: str, work: Robots, iterations: int = 1) -> Contender:
     """One robot in its loop: means (T, 3) and covariances."""
     schedule = pgm.Filtering(iterations=iterations)
-    robot = pgm.OnlineFilter(work.network, lineariser=RULES[rule], schedule=schedule)
+    compiled = find_spec("numba") is not None
+    robot = pgm.OnlineFilter(work.network, RULES[rule], schedule, compiled=compiled)
 
     def call() -> tuple[Array, Array]:
         means, covs = np.empty((work.steps, 3)), np.empty((work.steps, 3, 3))

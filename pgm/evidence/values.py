@@ -52,10 +52,7 @@ class Sightings(Shown, Immutable):
     def __init__(
         self, values: Any, step: Any = None, given: Mapping[Variable, Any] = MappingProxyType({})
     ) -> None:
-        put = object.__setattr__
-        put(self, "values", values)
-        put(self, "step", step)
-        put(self, "given", given)
+        self._set(values=values, step=step, given=given)
 
     @property
     def _title(self) -> str:
@@ -74,6 +71,12 @@ class Sightings(Shown, Immutable):
         which = [f"run {', '.join(map(str, first))}:"] if first else []
         return Summary(self._title, [*which, table(columns)])
 
+
+# Quicker than `Sightings(...)`: they are made at each step online.
+_new = object.__new__
+_put_values, _put_step, _put_given = (
+    Sightings.__dict__[name].__set__ for name in ("values", "step", "given")
+)
 
 # By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.
 Evidence = Mapping[Variable, Any]
@@ -151,7 +154,11 @@ def sightings(
             f"sightings: given maps parents to their values, given={{m: landmarks}}; found "
             f"{type(given).__name__}"
         )
-    return Sightings(values, step, MappingProxyType(dict(given or {})))
+    found = _new(Sightings)
+    _put_values(found, values)
+    _put_step(found, step)
+    _put_given(found, MappingProxyType({**given} if given else {}))
+    return found
 
 
 # The ways of answering for what is not known.

@@ -202,6 +202,16 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         put(self, "steps", steps)
 
     @classmethod
+    def _sealed(cls, scope: Scope, mean: Array, cov: Array) -> Gaussian:
+        """Of arrays that are read-only."""
+        gaussian = _new(cls)
+        _put_scope(gaussian, scope)
+        _put_mean(gaussian, mean)
+        _put_cov(gaussian, cov)
+        _put_steps(gaussian, None)
+        return gaussian
+
+    @classmethod
     def _make(
         cls, scope: Scope, mean: Array, cov: Array, steps: Integers | None = None
     ) -> Gaussian:
@@ -383,3 +393,9 @@ def as_gaussian(value: object) -> Gaussian:
     if not isinstance(value, Gaussian):
         raise ModelError(f"a Gaussian was due, like posterior[x], not {type(value).__name__}")
     return value
+
+
+_new = object.__new__
+_put_scope, _put_mean, _put_cov, _put_steps = (
+    Gaussian.__dict__[name].__set__ for name in ("scope", "mean", "cov", "steps")
+)

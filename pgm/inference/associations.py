@@ -14,7 +14,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading, Unknown
 from pgm.evidence.values import JOINT, SUM
 from pgm.immutable import Immutable
-from pgm.inference.chain.gate_record import GateRecord
+from pgm.inference.chain.sensor import GateRecord
 from pgm.inference.posterior import EachSensor
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable

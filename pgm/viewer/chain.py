@@ -11,7 +11,7 @@ from pgm.evidence import Reading
 from pgm.inference import ChainPosterior
 from pgm.inference.chain.backward import Beliefs, Reverse, pairs
 from pgm.inference.chain.forward import Filtered, Forward
-from pgm.inference.chain.potentials import first_potential
+from pgm.inference.chain.messages import first_potential
 from pgm.inference.status import FILTERED, SMOOTHED, Kind
 from pgm.kernels.arrays import Array, Integers, block, cut, quiet
 from pgm.kernels.canonical import Canonical

@@ -16,9 +16,9 @@ from math import inf
 import numpy as np
 
 from pgm.errors import EvidenceError
-from pgm.inference.chain.gate_record import GateRecord
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Reading
+from pgm.inference.chain.sensor import GateRecord
 from pgm.inference.chain.vector import Measured
 from pgm.inference.options import gate_of
 from pgm.kernels import roots

@@ -20,13 +20,11 @@ from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Careful
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
-from pgm.inference.chain.innovated import Innovated
-from pgm.inference.chain.joints import joint_moments
-from pgm.inference.chain.marginals import Marginals, located
-from pgm.inference.chain.messages import backward_messages
+from pgm.inference.chain.innovations import Innovated
+from pgm.inference.chain.marginals import Marginals, joint_moments, located
+from pgm.inference.chain.messages import backward_messages, first_potential, potentials
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.potentials import first_potential, potentials
-from pgm.inference.chain.weights_record import Weights, evidence_kind
+from pgm.inference.chain.reweighting import Weights, evidence_kind
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import FILTERED, PREDICTED, SMOOTHED, Kind, Status

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn, Protocol
 
 import numpy as np
 
@@ -37,7 +37,27 @@ from pgm.variables import Variable
 _REGULAR = 1.0 / certificate.MODERATE
 
 
-class OnlineBelief(Shown, NoArray, Immutable):
+# The steps of its filter, its number, mean and covariance in rows (n + 1, n), log-evidence, kind
+# and status.
+Core = tuple["Steps", int, Array, float, Kind, Status]
+
+
+class Steps(Protocol):
+    """The compiled steps of a filter: its layout, and the only variable of a slice, if it is."""
+
+    layout: SliceLayout
+    only: Variable | None
+
+
+class _Kept:
+    """Of which a belief's attributes are made when they are asked for, after a compiled step."""
+
+    __slots__ = ("_core",)
+
+    _core: Core | None
+
+
+class OnlineBelief(_Kept, Shown, NoArray, Immutable):
     """The belief of an online filter at one step.
 
     Attributes
@@ -80,7 +100,6 @@ class OnlineBelief(Shown, NoArray, Immutable):
     associations: Found = NONE
     _gated: tuple[Decided, ...] = ()
     watch: Watch | None = None
-
     _arrays: ClassVar[str] = ".mean and .cov by variable, belief[x].mean"
 
     def __init__(
@@ -111,6 +130,23 @@ class OnlineBelief(Shown, NoArray, Immutable):
         values["careful"] = careful
         values["behind"] = behind
 
+    def __getattr__(self, name: str) -> Any:
+        if name == "_core":
+            return None
+        core = None if name.startswith("_") else self._core
+        if core is None or "step" in self.__dict__:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        steps, step, both, log_evidence, kind, status = core
+        set_writeable(both, False)
+        parts = step, steps.layout, (), both[0], both[1:], np.array(log_evidence), status, kind
+        OnlineBelief.__init__(self, *parts)
+        return getattr(self, name)
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = {"step": self.step} | super().__getstate__()  # the step first: it makes the rest
+        del state["_core"]
+        return state
+
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a hidden variable at the belief's step, (*runs, d).
 
@@ -119,6 +155,11 @@ class OnlineBelief(Shown, NoArray, Immutable):
         EvidenceError
             If the belief is not over the variable, or of another step.
         """
+        core = self._core
+        if core is not None and variable is core[0].only:
+            both = core[2]
+            set_writeable(both, False)
+            return Gaussian._sealed((variable,), both[0], both[1:])
         if type(variable) is not Variable:
             require_variable(variable)
         layout, template = self.layout, variable.template
@@ -227,6 +268,9 @@ class OnlineBelief(Shown, NoArray, Immutable):
             since = self.lost_since[self.lost].min()
             told.append(f"lost since step {since}, {int(self.lost.sum())} of {self.lost.size} runs")
         return Summary(found.title, [*told, *found.parts]) if told else found
+
+
+put_core: Callable[[OnlineBelief, Core | None], None] = _Kept.__dict__["_core"].__set__
 
 
 def belief_of(

@@ -9,6 +9,7 @@ from typing import Any, Self, overload
 import numpy as np
 
 from pgm.compile import compile
+from pgm.compile.machine import Choice, as_choice
 from pgm.display import InCode
 from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence
@@ -37,6 +38,7 @@ from pgm.inference.online.beliefs import (
     refuse,
     require_own,
 )
+from pgm.inference.online.compiled import CompiledSteps
 from pgm.inference.online.judged import Watch, of_update, of_window
 from pgm.inference.online.settings import require_neither, require_settings
 from pgm.inference.online.slid import slid
@@ -83,11 +85,18 @@ class OnlineFilter(InCode, Immutable):
     belief : Grid or Particles, optional
         Beliefs are then point masses: the filter is an `OnlineGrid` or `OnlineParticles`, with the
         same methods, and takes neither lineariser nor schedule, of which it has no use.
+    compiled : bool or Compiled
+        Whether steps are made in machine code, by Numba, for which functions have to be traced, as
+        they are at the first step of a kind, and then for good. Steps that are not plain (of many
+        runs, with a lag, a gate or iterations, in twice the digits) are made without, with equal
+        results. False unless said, since loading and compiling take the time of 10,000 steps.
 
     Raises
     ------
     ModelError
         If one is of a wrong kind, two of them exclude each other, or a prior is improper.
+    ImportError
+        If steps are to be compiled where Numba is missing.
 
     Examples
     --------
@@ -103,6 +112,8 @@ class OnlineFilter(InCode, Immutable):
     lineariser: Lineariser
     schedule: Filtering | FixedLag
     watch: bool
+    compiled: bool
+    _steps: CompiledSteps | None = None
 
     @overload
     def __new__(
@@ -115,6 +126,7 @@ class OnlineFilter(InCode, Immutable):
         gate: Gate = None,
         watch: bool = False,
         belief: None = None,
+        compiled: Choice = None,
     ) -> Self: ...
     @overload
     def __new__(cls, model: Any, *, belief: Grid) -> OnlineGrid: ...  # type: ignore[misc]
@@ -131,12 +143,13 @@ class OnlineFilter(InCode, Immutable):
         gate: Gate = None,
         watch: bool = False,
         belief: PointMasses | None = None,
+        compiled: Choice = None,
     ) -> Any:
         """The filter itself; of point masses, or of tables, one of its own kind."""
         discrete = isinstance(model, DynamicBayesianNetwork) and model.discrete
         if belief is not None or discrete:
             own = getattr(schedule, "gate", None)
-            require_neither(own if gate is None else gate, watch)
+            require_neither(own if gate is None else gate, watch, compiled)
         if belief is not None:
             return online_points(belief, model, lineariser, schedule, lag)
         if discrete:
@@ -144,6 +157,9 @@ class OnlineFilter(InCode, Immutable):
         schedule = require_settings(model, lineariser, schedule, lag, gate)
         found = object.__new__(cls)
         found._set(model=model, lineariser=lineariser, schedule=schedule, watch=watch is True)
+        found._set(compiled=bool(as_choice(compiled, "OnlineFilter(...)")))
+        if found.compiled:
+            found._compile()
         return found
 
     @cached_property
@@ -176,16 +192,33 @@ class OnlineFilter(InCode, Immutable):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # What was prepared is not part of the value.
-        made = partial(OnlineFilter, watch=self.watch)
+        made = partial(OnlineFilter, watch=self.watch, compiled=self.compiled)
         return made, (self.model, self.lineariser, self.schedule)
 
     def __repr__(self) -> str:
         states = [cpd.child for cpd in self.model.prior]
         return f"OnlineFilter(over {states}, {self.lineariser!r}, {self.schedule!r})"
 
-    @_quiet
+    def _compile(self) -> None:
+        """Have steps made in machine code, by methods of their own: a call of one more counts."""
+        schedule = self.schedule
+        single = isinstance(schedule, Filtering) and schedule.iterations == 1
+        if single and schedule.gate is None and not self.watch:
+            layout, ends = self._graph.layout, (_DONE, _LINEARISED)
+            steps = CompiledSteps(layout, self._ahead, self._seen, self._moved, self._taken, *ends)
+            self._set(_steps=steps, predict=steps.predict, update=steps.update)
+
     def initial(self) -> OnlineBelief:
         """The prior, at step 0; runs are those of the model."""
+        return self._initial() if self._steps is None else self._first
+
+    @cached_property
+    def _first(self) -> OnlineBelief:
+        assert self._steps is not None
+        return self._steps.adopted(self._initial())
+
+    @_quiet
+    def _initial(self) -> OnlineBelief:
         found = self._prior()
         return found if not self.watch else found.judged((), Watch.start(found.lead))
 
@@ -201,7 +234,6 @@ class OnlineFilter(InCode, Immutable):
             return belief_of(plan, 0, found, log_evidence, status, PREDICTED, self._behind, carried)
         return careful_belief(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
 
-    @_quiet
     def predict(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None = None
     ) -> OnlineBelief:
@@ -226,6 +258,10 @@ class OnlineFilter(InCode, Immutable):
         LinearisationError, NumericalError
             If a number that is needed does not exist.
         """
+        return self._moved(belief, inputs)
+
+    @_quiet
+    def _moved(self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None) -> OnlineBelief:
         later = self._later(belief, inputs)
         return later if belief.watch is None else later.judged((), belief.watch.on(belief.step))
 
@@ -286,7 +322,6 @@ class OnlineFilter(InCode, Immutable):
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         return self._plan(step_evidence.inputs(self.model, belief, inputs), belief.step)
 
-    @_quiet
     def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
         """The belief given measurements of its step; a further update goes on from the first.
 
@@ -310,6 +345,10 @@ class OnlineFilter(InCode, Immutable):
         NumericalError
             If a measurement contradicts an exact model, or a number does not exist.
         """
+        return self._taken(belief, readings)
+
+    @_quiet
+    def _taken(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
         require_own(belief, self.model, self.schedule, self._behind)
         if type(readings) is not dict:
             readings = step_evidence.mapping(readings, "update", "sensors to measurements")

@@ -11,9 +11,9 @@ import numpy as np
 from pgm.inference.associations import Found
 from pgm.inference.chain.fixed_lag import Window
 from pgm.inference.chain.gate import Asked
-from pgm.inference.chain.gate_record import GateRecord
 from pgm.inference.chain.innovations import by_step
 from pgm.inference.chain.readings import Moments, Reading
+from pgm.inference.chain.sensor import GateRecord
 from pgm.inference.chain.vector import vector
 from pgm.inference.lost import PageTest, Read
 from pgm.inference.options import gate_of

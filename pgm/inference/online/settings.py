@@ -12,14 +12,12 @@ from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.networks import DynamicBayesianNetwork
 
 
-def require_neither(gate: object, watch: object) -> None:
+def require_neither(gate: object, watch: object, compiled: object) -> None:
     """Refuse what beliefs that are no Gaussians have no use of."""
-    for name, value in (("gate", gate), ("watch", watch or None)):
+    for name, value in (("gate", gate), ("watch", watch or None), ("compiled", compiled or None)):
         if value is not None:
-            raise ModelError(
-                f"{name}= is for beliefs that are Gaussian, whose innovations have a covariance: "
-                "leave it out"
-            )
+            own = "innovations have a covariance" if name != "compiled" else "steps are its kernels"
+            raise ModelError(f"{name}= is for beliefs that are Gaussian, whose {own}: leave it out")
 
 
 def require_settings(

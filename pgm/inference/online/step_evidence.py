@@ -169,13 +169,19 @@ def _is_finite(row: Array) -> bool:
 
 def _view(value: Any, axes: int) -> Array | None:
     """A view that functions of users may see, (d,) or (M, d)."""
-    if type(value) is not _ARRAY or value.dtype is not _FLOAT:
-        value = _numbers(value) if isinstance(value, _ARRAY | list | tuple) else None
-    if value is None or value.ndim != axes:
+    value = numbers(value, axes)
+    if value is None:
         return None
     view: Array = value[0] if axes == 2 and len(value) == 1 else value.view()
     set_writeable(view, False)
     return view
+
+
+def numbers(value: Any, axes: int) -> Array | None:
+    """Numbers with so many axes; None where they are odd."""
+    if type(value) is not _ARRAY or value.dtype is not _FLOAT:
+        value = _numbers(value) if isinstance(value, _ARRAY | list | tuple) else None
+    return None if value is None or value.ndim != axes else value
 
 
 def _numbers(value: Any) -> Array | None:

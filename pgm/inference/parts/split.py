@@ -19,10 +19,9 @@ from pgm.factors.arrays import flat
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
-from pgm.inference.chain.gate_record import GateRecord
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
-from pgm.inference.chain.sensor import Sensor
+from pgm.inference.chain.sensor import GateRecord, Sensor
 from pgm.inference.family import Family
 from pgm.inference.options import Start, over_runs, require_hidden
 from pgm.inference.status import FILTERED, SMOOTHED, Status

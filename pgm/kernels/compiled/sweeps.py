@@ -453,7 +453,7 @@ def _push(gain, offset, noise, mean, cov, height, size, work):
     copy(noise, cov, height * tall)
 
 
-_kept: Any = njit("void(int64,int64,int64,int64)", error_model="numpy", nogil=True, cache=True)
+_kept: Any = njit(error_model="numpy", nogil=True, cache=True)
 
 
 @_kept

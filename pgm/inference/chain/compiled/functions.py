@@ -17,7 +17,8 @@ class Functions(NamedTuple):
     """A CPD's function, by itself and with its derivative: ``f(x, u, value, slope)``.
 
     Both take the stacked hidden parents and the stacked others; rows of the derivative are padded
-    with zeros to whole fours, as kernels have them. `kept` keeps both in memory.
+    with zeros to whole fours, as kernels have them. `kept` keeps both in memory; they may be one,
+    where the function by itself is hardly called.
     `trace` is of the function together with the derivatives that were given.
     """
 
@@ -27,18 +28,26 @@ class Functions(NamedTuple):
     trace: Trace
 
 
-def compiled(template: FunctionTemplate, before: object = None) -> Functions | str:
-    """Compile a function, if it is not as it was before; a reason, where that cannot be."""
+def compiled(
+    template: FunctionTemplate, before: Functions | str | None, *, alone: bool
+) -> Functions | str:
+    """Compile a function, if it is not as it was before; a reason, where that cannot be.
+
+    `alone` says whether its values are needed by themselves, as on points.
+    """
     reason = template.whole_reason
     if reason is not None:
         return reason
     trace = template.whole.trace
     assert trace is not None
-    if isinstance(before, Functions) and before.trace is trace:
-        return before
+    known = isinstance(before, Functions) and before.trace is trace and before
+    if known and (not alone or len(known.kept) > 1):
+        return known
     program = _program(template, trace)
-    slope, value = machine_code(program), machine_code(replace(program, slope=()))
-    return Functions(value.address, slope.address, (value, slope), trace)
+    kept = [machine_code(program)]
+    if alone:
+        kept.append(machine_code(replace(program, slope=())))
+    return Functions(kept[-1].address, kept[0].address, tuple(kept), trace)
 
 
 def _program(template: FunctionTemplate, trace: Trace) -> Program:

@@ -160,9 +160,11 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
     template, rule = family.template, family.lineariser
     assert template is not None
     known = plan.layout.functions
-    functions = known[template] = compiled(template, known.get(template))
+    alone = bool(family.hidden) and type(rule) is not Taylor
+    functions = known[template] = compiled(template, known.get(template), alone=alone)
     if not isinstance(functions, Functions):
         raise Uncompiled(f"{family.cpd!r}: {functions}")
+    rows.kept.append(functions)
     table[f.VALUE], table[f.FUNCTION] = functions.value, functions.slope
     inputs = [
         family.inputs[parent]

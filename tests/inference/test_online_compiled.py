@@ -1,0 +1,245 @@
+"""Steps online in machine code: those of NumPy to 1e-9 deviations, and the same refusals."""
+
+import pickle
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from robots import LANDMARKS, SENSORS, m, u, x
+from textbooks import assert_belief, assert_log
+from zoo import MODELS, RULES, at_step, of_run, recording
+
+import pgm
+
+pytest.importorskip("numba")
+SIGHT = SENSORS["range_bearing"]
+z = SIGHT.z
+CASES = [
+    *((name, "taylor") for name in MODELS if name != "a start for each run"),
+    *(("plain", rule) for rule in ("unscented", "negative weights", "hermite", "sobol")),
+    ("everything", "unscented"),
+    ("wrapping drive", "cubature"),
+]
+# The steps that machine code makes none of, since it does not know their noise or their rule.
+GENERAL = {
+    ("noise by control", "taylor"): {"predicted"},
+    ("noise by landmark", "taylor"): {"filtered"},
+    ("an exact range", "taylor"): {"filtered"},
+    ("plain", "sobol"): {"predicted", "filtered"},
+}
+
+
+def is_compiled(belief):
+    return "step" not in vars(belief)  # which is made when it is asked for
+
+
+def pair(model, rule="taylor"):
+    return [pgm.OnlineFilter(model, RULES[rule], compiled=each) for each in (False, True)]
+
+
+def assert_equal(found, due):
+    for variable in due.layout.slice if due.step else due.layout.states:
+        assert_belief(found[variable], due[variable].mean, due[variable].cov, 1e-9)
+    assert_log(found.log_evidence, due.log_evidence, 1e-9)
+    assert (found.step, str(found.kind), found.lead) == (due.step, str(due.kind), ())
+    assert str(found.status) == str(due.status)
+    assert not found.mean.flags.writeable
+    assert not found[variable].cov.flags.writeable
+
+
+def journey(robot, evidence, steps=9):
+    """Each belief of a run, and the kinds of those made in machine code."""
+    belief = robot.initial()
+    yield belief, set()
+    for step in range(steps):
+        inputs, readings = at_step(evidence, step)
+        if step:
+            belief = robot.predict(belief, inputs)
+            yield belief, {"predicted"} if is_compiled(belief) else set()
+        if readings:
+            belief = robot.update(belief, readings)
+            yield belief, {"filtered"} if is_compiled(belief) else set()
+
+
+@pytest.mark.parametrize(("name", "rule"), CASES)
+def test_steps_are_those_of_numpy(name, rule):
+    evidence, kinds = of_run(recording(name), 1), set()
+    plain, quick = pair(MODELS[name], rule)
+    for (due, _), (found, kind) in zip(
+        journey(plain, evidence), journey(quick, evidence), strict=True
+    ):
+        kinds |= kind
+        assert_equal(found, due)
+    assert kinds == {"predicted", "filtered"} - GENERAL.get((name, rule), set())
+
+
+def test_linear_steps_with_inputs_are_those_of_numpy():
+    """Two states, inputs of the motion and of a sensor, which hold for one sighting or for all."""
+    a, b = pgm.Variable("a", components=("place", "speed")), pgm.Variable("b")
+    force, lift, level = pgm.Variable("force"), pgm.Variable("lift"), pgm.Variable("level")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, [0.0, 1.0], np.eye(2)), pgm.GaussianCPD(b, [1.0], 2.0)],
+        transition=[
+            pgm.LinearGaussianCPD(
+                a, {a.previous: [[1.0, 0.1], [0.0, 1.0]], force: [[0.0], [0.1]]}, cov=0.1
+            ),
+            pgm.LinearGaussianCPD(b, {b.previous: 0.9, a: [[0.1, 0.0]]}, offset=[0.3], cov=0.2),
+        ],
+        observation=[
+            pgm.LinearGaussianCPD(level, {a: [[1.0, 0.0]], b: 1.0, lift: 2.0}, offset=1.0, cov=0.3)
+        ],
+    )
+    plain, quick = pair(model)
+    due, found = plain.initial(), quick.initial()
+    updates = (
+        {level: np.array([2.0]), lift: np.array([0.1])},
+        {level: pgm.sightings([[2.0], [1.0]], given={lift: [[0.1], [0.2]]})},
+        {level: pgm.sightings([[2.0], [np.nan], [0.5]]), lift: np.array([0.4])},
+        {level: [1.5], lift: [0.2]},
+    )
+    for readings in updates:
+        given = {force: np.array([0.5])}
+        due, found = plain.predict(due, given), quick.predict(found, given)
+        assert is_compiled(found)
+        assert_equal(found, due)
+        due, found = plain.update(due, readings), quick.update(found, readings)
+        assert is_compiled(found)
+        assert_equal(found, due)
+
+
+@pytest.fixture(scope="module")
+def robots():
+    """A filter with and one without, and their beliefs after a step."""
+    filters = pair(MODELS["plain"])
+    beliefs = [robot.predict(robot.initial(), {u: [1.0, 0.1]}) for robot in filters]
+    sight = {z: pgm.sightings([[5.0, 1.0]], given={m: LANDMARKS[:1]})}
+    return [(r, r.update(belief, sight)) for r, belief in zip(filters, beliefs, strict=True)]
+
+
+ODD = {
+    "whole numbers": lambda v: v.astype(int),
+    "lists": lambda v: v.tolist(),
+    "single precision": lambda v: v.astype(np.float32),
+    "strided": lambda v: np.repeat(v, 3, axis=-1)[..., ::3],
+    "other bytes": lambda v: v.astype(">f8"),
+}
+
+
+@pytest.mark.parametrize("odd", ODD.values(), ids=ODD)
+@pytest.mark.parametrize("count", [1, 2])
+def test_arrays_of_any_kind_are_taken(robots, odd, count):
+    found = []
+    for robot, belief in robots:
+        belief = robot.predict(belief, {u: odd(np.array([1.0, 0.0]))})
+        seen = pgm.sightings(
+            odd(np.tile([5.0, 1.0], (count, 1))), given={m: odd(LANDMARKS[:count])}
+        )
+        found.append(robot.update(belief, {z: seen}))
+    assert_equal(*reversed(found))
+
+
+BAD = {
+    "no input": ("predict", {}),
+    "none": ("predict", None),
+    "a stranger": ("predict", {u: [1.0, 0.1], x: [0.0, 0.0, 0.0]}),
+    "too wide": ("predict", {u: np.ones(3)}),
+    "two axes": ("predict", {u: np.ones((2, 3))}),
+    "a number": ("predict", {u: 1.0}),
+    "NaN": ("predict", {u: np.array([1.0, np.nan])}),
+    "infinite": ("predict", {u: np.array([np.inf, 1.0])}),
+    "no mapping": ("predict", [u]),
+    "too long": ("update", {z: pgm.sightings(np.ones((1, 3)), given={m: LANDMARKS[:1]})}),
+    "other counts": ("update", {z: pgm.sightings(np.ones((2, 2)), given={m: LANDMARKS[:1]})}),
+    "one axis": ("update", {z: pgm.sightings(np.ones(2), given={m: LANDMARKS[:1]})}),
+    "infinite bearings": ("update", {z: pgm.sightings([[1.0, np.inf]], given={m: LANDMARKS[:1]})}),
+    "a lost landmark": ("update", {z: pgm.sightings(np.ones((1, 2)), given={m: [[np.nan, 1.0]]})}),
+    "no landmark": ("update", {z: pgm.sightings(np.ones((1, 2)))}),
+    "a step": ("update", {z: pgm.sightings(np.ones((1, 2)), step=[1], given={m: LANDMARKS[:1]})}),
+    "a state": ("update", {x: np.ones(3)}),
+}
+
+
+@pytest.mark.parametrize(("method", "given"), BAD.values(), ids=BAD)
+def test_refusals_are_the_same(robots, method, given):
+    said = []
+    for robot, belief in robots:
+        with pytest.raises(pgm.PgmError) as error:
+            getattr(robot, method)(belief, given)
+        said.append((type(error.value), str(error.value)))
+    assert said[0] == said[1]
+
+
+def test_a_landmark_where_the_robot_is_has_no_bearing(robots):
+    said = []
+    for robot, belief in robots:
+        here = belief[x].mean[None, :2]
+        with pytest.raises(pgm.PgmError) as error:
+            robot.update(belief, {z: pgm.sightings([[1.0, 1.0]], given={m: here})})
+        said.append(str(error.value))
+    assert said[0] == said[1]
+
+
+def test_beliefs_of_others_are_refused_or_taken(robots):
+    (plain, due), (quick, found) = robots
+    given = {u: np.array([1.0, 0.1])}
+    for robot, belief in ((quick, due), (plain, found)):
+        assert_equal(robot.predict(belief, given), plain.predict(due, given))
+    with pytest.raises(pgm.ModelError, match="no belief of this filter's model"):
+        pgm.OnlineFilter(MODELS["grouped"], compiled=True).predict(found, given)
+    with pytest.raises(pgm.ModelError, match="begin with initial"):
+        quick.predict(None, given)
+
+
+def test_filters_and_beliefs_are_pickled(robots):
+    quick, found = robots[1]
+    robot, belief = pickle.loads(pickle.dumps((quick, quick.predict(found, {u: [1.0, 0.1]}))))
+    assert robot.compiled
+    both = [(robot, belief), (quick, quick.predict(found, {u: [1.0, 0.1]}))]
+    assert_equal(*(each.predict(known, {u: np.array([1.0, 0.1])}) for each, known in both))
+
+
+def test_threads_share_a_filter(robots):
+    quick, belief = robots[1]
+    controls = [np.array([1.0, 0.01 * k]) for k in range(200)]
+
+    def last(_):
+        known = belief
+        for control in controls:
+            known = quick.predict(known, {u: control})
+        return known[x].mean
+
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(last, range(8)))
+    assert all((each == found[0]).all() for each in found)
+
+
+def test_settings_are_refused(monkeypatch):
+    model = MODELS["plain"]
+    with pytest.raises(pgm.ModelError, match="compiled='fast'"):
+        pgm.OnlineFilter(model, compiled="fast")
+    with pytest.raises(pgm.ModelError, match="compiled= is for beliefs that are Gaussian"):
+        pgm.OnlineFilter(model, belief=pgm.Particles(10), compiled=True)
+    monkeypatch.setitem(sys.modules, "numba", None)
+    assert not pgm.OnlineFilter(model).compiled
+    with pytest.raises(ImportError, match=r"sepset\[fast\]"):
+        pgm.OnlineFilter(model, compiled=True)
+
+
+def test_a_control_is_not_measured_at_step_0():
+    a, b, c = pgm.Variable("a"), pgm.Variable("b"), pgm.Variable("c")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, [0.0], 1.0)],
+        transition=[
+            pgm.GaussianCPD(b, [1.0], 0.5),
+            pgm.LinearGaussianCPD(a, {a.previous: 1.0, b: 1.0}, cov=0.1),
+        ],
+        observation=[pgm.LinearGaussianCPD(c, {b: 1.0}, cov=0.2)],
+    )
+    plain, quick = pair(model)
+    readings = {c: np.array([1.0])}
+    due, found = (r.update(r.predict(r.initial()), readings) for r in (plain, quick))
+    assert is_compiled(found)
+    assert_equal(found, due)
+    with pytest.raises(pgm.EvidenceError, match="controls begin at step 1"):
+        quick.update(quick.initial(), readings)
