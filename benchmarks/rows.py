@@ -107,6 +107,7 @@ def online(rule: str) -> Row:
         work=lambda size: robots.draw(1, size),
         contenders={
             "pgm": part("pgm_robots", "online", rule),
+            "pgm_compiled": part("pgm_robots", "online", rule, compiled=True),
             "filterpy": part(f"filterpy_{rule}", "online"),
             **_taylor_only(rule, filterpy_scalar=part("filterpy_scalar", "online")),
             "stonesoup": part("stonesoup_robots", "online", rule),

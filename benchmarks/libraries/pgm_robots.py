@@ -5,8 +5,6 @@ With `compiled` sweeps are in machine code, for which there has to be Numba.
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-
 import numpy as np
 
 import pgm
@@ -64,10 +62,9 @@ def no_jacobian(runs: str, derivatives: str, work: Robots) -> Contender:
     return {"one": smoothing, "many": filtering}[runs]("taylor", work)
 
 
-def online(rule: str, work: Robots, iterations: int = 1) -> Contender:
+def online(rule: str, work: Robots, iterations: int = 1, *, compiled: bool = False) -> Contender:
     """One robot in its loop: means (T, 3) and covariances."""
     schedule = pgm.Filtering(iterations=iterations)
-    compiled = find_spec("numba") is not None
     robot = pgm.OnlineFilter(work.network, RULES[rule], schedule, compiled=compiled)
 
     def call() -> tuple[Array, Array]:
@@ -81,7 +78,7 @@ def online(rule: str, work: Robots, iterations: int = 1) -> Contender:
             means[k], covs[k] = here.mean, here.cov
         return means, covs
 
-    return Contender(call, work.steps)
+    return compiled_or_not(call, work.steps, compiled)
 
 
 def iterated(work: Robots, *, compiled: Choice = False) -> Contender:
