@@ -2,7 +2,8 @@
 
 Each library has a process of its own. Machine code of the sweeps is kept on disk, so pgm is started
 twice with one empty folder for it: cold, and then warm. Loading Numba and compiling the graph are
-in its time; loading JAX is not in dynamax's.
+in its time; loading JAX is not in dynamax's. Then smoothers of several lengths are called in
+processes of their own, warm, with machine code and without.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import sys
 import tempfile
 import time
 from importlib import import_module
+from typing import Any
 
 from benchmarks.rows import ROWS
 from benchmarks.verdicts import Verdict
@@ -23,6 +25,8 @@ NAMES = ("rts_taylor", "rts_unscented")
 WAYS = {"cold": "pgm_compiled", "warm": "pgm_compiled", "dynamax": "dynamax"}
 COLD, WARM = 15.0, 1.5  # seconds; times dynamax's compiling
 STEPS = 1_000
+LENGTHS = (1_000, 10_000, 20_000, 30_000)
+CHOICES = {"NumPy": False, "compiled": True}
 
 
 def main() -> None:
@@ -43,6 +47,21 @@ def main() -> None:
         for one in told:
             holds = "holds" if one.holds else "does NOT hold"
             note(f"{one.what}: {one.measured:.2f}, at most {one.asked:g}: {holds}")
+    with tempfile.TemporaryDirectory() as folder:
+        _answer(folder, "smooth", "compiled", "10")  # now it is warm
+        times = [
+            [_answer(folder, "smooth", choice, str(steps)) for choice in CHOICES]
+            for steps in LENGTHS
+        ]
+    table(
+        "pgm.smooth in a process of its own: seconds of the processor, first and second call",
+        ("steps", *(f"{choice}, {call}" for choice in CHOICES for call in ("first", "second"))),
+        [
+            (f"{steps:,}", *(each[call] for each in row for call in ("first", "second")))
+            for steps, row in zip(LENGTHS, times, strict=True)
+            if all("first" in each for each in row)
+        ],
+    )
 
 
 def measure(name: str) -> dict[str, float]:
@@ -50,19 +69,44 @@ def measure(name: str) -> dict[str, float]:
     found = {}
     with tempfile.TemporaryDirectory() as folder:
         for way, library in WAYS.items():
-            done = subprocess.run(
-                [sys.executable, "-m", "benchmarks.first_call", name, library],
-                check=True,
-                capture_output=True,
-                text=True,
-                env=os.environ | {"NUMBA_CACHE_DIR": folder},
-            )
-            answer = json.loads(done.stdout)
+            answer = _answer(folder, name, library)
             if "missing" in answer:
                 note(f"{name}: {library} is left out, {answer['missing']}")
             else:
                 found[way] = answer["seconds"]
     return found
+
+
+def _answer(folder: str, *arguments: str) -> dict[str, Any]:
+    """Of a process that keeps machine code in a folder."""
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.first_call", *arguments],
+        check=True,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"NUMBA_CACHE_DIR": folder},
+    )
+    answer: dict[str, Any] = json.loads(done.stdout)
+    return answer
+
+
+def smooth(choice: str, steps: str) -> None:
+    """Print as JSON the seconds of the first and second call of this process."""
+    import pgm
+    from benchmarks.timing import seconds
+    from benchmarks.work import robots
+
+    work = robots.draw(1, int(steps))
+    evidence = work.evidence(0)
+    try:
+        first, second = (
+            seconds(lambda: pgm.smooth(work.network, evidence, compiled=CHOICES[choice]))
+            for _ in range(2)
+        )
+    except ImportError as error:
+        print(json.dumps({"missing": str(error)}))
+        return
+    print(json.dumps({"first": first, "second": second}))
 
 
 def alone(name: str, library: str) -> None:
@@ -88,4 +132,10 @@ def alone(name: str, library: str) -> None:
 
 
 if __name__ == "__main__":
-    alone(*sys.argv[1:]) if len(sys.argv) > 1 else main()
+    match sys.argv[1:]:
+        case ["smooth", choice, steps]:
+            smooth(choice, steps)
+        case [name, library]:
+            alone(name, library)
+        case _:
+            main()
