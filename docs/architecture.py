@@ -60,7 +60,7 @@ LAYERS = [
     Layer("linearisers", "slope, value, error"),
     Layer("factors, tracing", "densities; functions as graphs"),
     Layer("variables, errors, boundary, immutable, resources, progress, display", "names"),
-    Layer("kernels", "mathematics of arrays"),
+    Layer("kernels", "of arrays; compiled"),
 ]
 STATIONS = {
     "call": Station("pgm.filter", "inference", 3.3, 0.84, 1.2),
@@ -74,6 +74,7 @@ STATIONS = {
     "vector": Station("vector", "inference", 8.95, 0.13, 1.4),
     "rule": Station("the lineariser", "linearisers", 6.45, width=1.4),
     "bound": Station("BoundFunction", "linearisers", 4.75, width=1.5),
+    "trace": Station("its trace", "factors, tracing", 4.75, width=1.2),
     "yours": Station("your f(x, u)", "linearisers", 3.15, width=1.2),
     "ahead": Station("gaussian.predict", "kernels", 7.6, width=1.6),
     "update": Station("gaussian.update", "kernels", 9.7, width=1.6),
@@ -92,6 +93,7 @@ LEGS = [
     Leg("line", "rule", -0.3, 0.0, "belief\nover the\nparents", (-0.48, 0.1)),
     Leg("rule", "bound"),
     Leg("bound", "yours"),
+    Leg("bound", "trace"),
     Leg("line", "ahead", 0.45, 0.0, "F, value,\nerror", (-0.5, 0.1), back=True),
     Leg("line", "vector", back=True),
     Leg("ahead", "update", text="belief", beside=(0.0, 0.25), back=True),
