@@ -19,7 +19,7 @@ PAGE = Path("docs") / "speed.md"
 FULL = "speed_full.md"
 FIRST, LAST = "<!-- measured -->", "<!-- end of what was measured -->"
 COLUMNS = (
-    *("pgm", "filterpy", "stonesoup", "dynamax", "hmmlearn", "cuthbert"),
+    *("pgm", "pgm_compiled", "filterpy", "stonesoup", "dynamax", "hmmlearn", "cuthbert"),
     *("gtsam", "pyagrum", "pgmpy"),
 )
 FAMILIES = ("repository", "cold", "sets", "reading")  # rows of many networks

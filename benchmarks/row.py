@@ -82,12 +82,12 @@ class Row:
         return min(size, self.most.get(library, size))
 
 
-def part(module: str, function: str, *args: Any) -> Prepare:
+def part(module: str, function: str, *args: Any, **settings: Any) -> Prepare:
     """A library's part; the library is imported only when its part is prepared."""
 
     def prepare(work: Any) -> Contender:
         home = import_module(f"benchmarks.libraries.{module}")
-        made: Contender = getattr(home, function)(*args, work)
+        made: Contender = getattr(home, function)(*args, work, **settings)
         return made
 
     return prepare

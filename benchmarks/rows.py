@@ -28,6 +28,7 @@ def one_step(rule: str) -> Row:
         work=lambda size: robots.draw(size, 1, own_controls=True),
         contenders={
             "pgm": part("pgm_robots", "filtering", rule),
+            "pgm_compiled": part("pgm_robots", "filtering", rule, compiled=True),
             "filterpy": part(f"filterpy_{rule}", "filtering"),
             "stonesoup": part("stonesoup_robots", "filtering", rule),
             "dynamax": part("dynamax_robots", "one_step", rule),
@@ -47,6 +48,7 @@ def many_robots(rule: str) -> Row:
         work=lambda size: robots.draw(size, 200),
         contenders={
             "pgm": part("pgm_robots", "filtering", rule),
+            "pgm_compiled": part("pgm_robots", "filtering", rule, compiled=True),
             "filterpy": part(f"filterpy_{rule}", "filtering"),
             "stonesoup": part("stonesoup_robots", "filtering", rule),
             "dynamax": part("dynamax_robots", "filtering", rule),
@@ -66,6 +68,7 @@ def smoother(rule: str) -> Row:
         work=lambda size: robots.draw(1, size),
         contenders={
             "pgm": part("pgm_robots", "smoothing", rule),
+            "pgm_compiled": part("pgm_robots", "smoothing", rule, compiled=True),
             "filterpy": part(f"filterpy_{rule}", "smoothing"),
             **_taylor_only(rule, filterpy_scalar=part("filterpy_scalar", "smoothing")),
             "stonesoup": part("stonesoup_robots", "smoothing", rule),
@@ -79,6 +82,23 @@ def smoother(rule: str) -> Row:
     )
 
 
+def no_jacobian(runs: str) -> Row:
+    """Taylor where no Jacobian is given: `pgm` with those of traces, and by differences."""
+    one = runs == "one"
+    return Row(
+        name=f"no_jacobian_{runs}",
+        unit="step" if one else "robot and step",
+        work=lambda size: robots.draw(1, size) if one else robots.draw(size, 200),
+        contenders={
+            "pgm": part("pgm_robots", "no_jacobian", runs, "traced"),
+            "pgm_differences": part("pgm_robots", "no_jacobian", runs, "differences"),
+        },
+        check=agreement.beliefs,
+        size=10_000 if one else 1_000,
+        quick=2_000 if one else 1_000,
+    )
+
+
 def online(rule: str) -> Row:
     """One robot in its loop."""
     return Row(
@@ -87,6 +107,7 @@ def online(rule: str) -> Row:
         work=lambda size: robots.draw(1, size),
         contenders={
             "pgm": part("pgm_robots", "online", rule),
+            "pgm_compiled": part("pgm_robots", "online", rule, compiled=True),
             "filterpy": part(f"filterpy_{rule}", "online"),
             **_taylor_only(rule, filterpy_scalar=part("filterpy_scalar", "online")),
             "stonesoup": part("stonesoup_robots", "online", rule),
@@ -108,6 +129,7 @@ def most_probable() -> Row:
         work=lambda size: robots.precise(size),
         contenders={
             "pgm": part("pgm_robots", "iterated"),
+            "pgm_compiled": part("pgm_robots", "iterated", compiled=True),
             "gtsam": part("gtsam_robots", "smoothing", "gauss_newton"),
             "gtsam_levenberg_marquardt": part("gtsam_robots", "smoothing", "levenberg_marquardt"),
             "gtsam_optimum_alone": part("gtsam_robots", "optimising", "gauss_newton"),
@@ -129,6 +151,7 @@ def linear() -> Row:
         contenders={
             "pgm": part("pgm_targets", "smoothing", "balanced"),
             "pgm_sequential": part("pgm_targets", "smoothing", "sequential"),
+            "pgm_compiled": part("pgm_targets", "smoothing", "sequential", compiled=True),
             "dynamax": part("dynamax_targets", "smoothing", "parallel"),
             "dynamax_sequential": part("dynamax_targets", "smoothing", "sequential"),
             "cuthbert": part("cuthbert_targets", "smoothing"),
@@ -360,6 +383,7 @@ def _taylor_only(rule: str, **contenders: Prepare) -> dict[str, Prepare]:
 
 ROWS = [
     *(make(rule) for make in (one_step, many_robots, smoother, online) for rule in SHORT),
+    *(no_jacobian(runs) for runs in ("one", "many")),
     most_probable(),
     linear(),
     hidden_markov(1_000, steps=300, quick=100),

@@ -46,6 +46,11 @@ def compiled(call: Callable[[], Any], units: int) -> Contender:
     return Contender(call, units, first - later)
 
 
+def compiled_or_not(call: Callable[[], Any], units: int, choice: object) -> Contender:
+    """A contender whose first call compiles if that was chosen."""
+    return compiled(call, units) if choice else Contender(call, units)
+
+
 def seconds(
     call: Callable[..., object], times: int = 1, fresh: Callable[[], Any] | None = None
 ) -> float:

@@ -26,6 +26,7 @@ FASTER = (  # row, peer, how many times the peer's cost must be ours
     ("particles_plain", "particles", 1.4),
     ("particles_backwards", "pgm_full", 20.0),
     ("likelihood_field", "amcl", 10.0),
+    *((f"no_jacobian_{runs}", "pgm_differences", 2.0) for runs in ("one", "many")),
     *((f"reading_{name}", "pgmpy", 1.0) for name in (*repository.NAMES, *repository.LARGE)),
 )
 CHEAPER = (  # row, peer, how many times our cost may be the peer's
@@ -45,6 +46,17 @@ NEAR = (  # row, peer, how many times the cost of its fastest way ours may be
     ("markov_10", "dynamax", 1.5),
     ("markov_runs", "pgm_alone", 0.4),
 )
+COMPILED = (  # row, peer, how many times the cost of its fastest way ours in machine code may be
+    ("rts_taylor", "dynamax", 0.4),
+    ("rts_unscented", "dynamax", 0.5),
+    *((f"online_{rule}", "dynamax", 0.4) for rule in ("taylor", "unscented")),
+    ("online_taylor", "gtsam", 0.5),
+    *((name, "dynamax", 0.5) for name in ("ekf_robots", "ukf_robots")),
+    *((name, "dynamax", 0.5) for name in ("ekf_one_step", "ukf_one_step")),
+    ("linear", "dynamax", 0.5),
+    ("linear", "cuthbert", 0.5),
+    ("map", "gtsam", 0.05),
+)
 COLD = [
     f"cold_{name}" for name in repository.NAMES
 ]  # rows in which no engine of pyAgrum may be faster
@@ -56,6 +68,7 @@ RATES = (  # row whose unit is a cell and step, how many steps a second it must 
     *((name, 25.0) for name in ("grid_filter", "grid_wide_filter")),
     *((name, 15.0) for name in ("grid_smoother", "grid_wide_smoother")),
 )
+PARTS = ("gtsam_optimum_alone", "gtsam_building")  # of the work of `map`
 LEVEL = (  # curve, from which length on, how many times its highest cost a step may be its lowest
     ("filter", 1_000, 1.2),
     ("smoother", 1_000, 1.2),
@@ -108,6 +121,9 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
     for row, peer, asked in NEAR:
         for ratio in _to_fastest(summary, row, peer):
             yield Verdict(f"{row}: pgm / fastest of {peer}", ratio, asked, False)
+    for row, peer, asked in COMPILED:
+        for ratio in _to_fastest(summary, row, peer, "pgm_compiled"):
+            yield Verdict(f"{row}: pgm_compiled / fastest of {peer}", ratio, asked, False)
     for row, asked in FLOAT32:
         times = summary.get(row, {})
         if "pgm_float32" in times:
@@ -144,9 +160,11 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
             yield Verdict(f"{curve}, {between}: dearest / cheapest step", ratio, asked, False)
 
 
-def _to_fastest(summary: Mapping[str, Any], row: str, peer: str) -> Iterator[float]:
-    """How many times the cost of a peer's fastest way ours is, if the peer was run."""
-    times = summary.get(row, {})
+def _to_fastest(
+    summary: Mapping[str, Any], row: str, peer: str, ours: str = "pgm"
+) -> Iterator[float]:
+    """How many times the cost of a peer's fastest way ours is, if both were run."""
+    times = {key: cost for key, cost in summary.get(row, {}).items() if key not in PARTS}
     ways = [value for library, value in times.items() if f"{library}_".startswith(f"{peer}_")]
-    if ways:
-        yield times["pgm"] / min(ways)
+    if ways and ours in times:
+        yield times[ours] / min(ways)

@@ -60,7 +60,7 @@ LAYERS = [
     Layer("linearisers", "slope, value, error"),
     Layer("factors, tracing", "densities; functions as graphs"),
     Layer("variables, errors, boundary, immutable, resources, progress, display", "names"),
-    Layer("kernels", "of arrays; compiled"),
+    Layer("kernels", "mathematics of arrays; Numba"),
 ]
 STATIONS = {
     "call": Station("pgm.filter", "inference", 3.3, 0.84, 1.2),

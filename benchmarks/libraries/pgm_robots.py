@@ -1,16 +1,19 @@
-"""pgm's part of each row: graphs are compiled beforehand, evidence goes in with the call."""
+"""pgm's part of each row: graphs are compiled beforehand, evidence goes in with the call.
+
+With `compiled` sweeps are in machine code, for which there has to be Numba.
+"""
 
 from __future__ import annotations
-
-from importlib.util import find_spec
 
 import numpy as np
 
 import pgm
-from benchmarks.timing import Contender
-from benchmarks.work.changes import OwnTaylor
+from benchmarks.timing import Contender, compiled_or_not
+from benchmarks.work.changes import OwnTaylor, without_jacobians
 from benchmarks.work.robots import Array, Robots, pose
 from models.networks import landmark, sighting, velocity
+
+Choice = bool | pgm.Compiled
 
 RULES: dict[str, pgm.Lineariser] = {
     "taylor": pgm.Taylor(),
@@ -19,9 +22,11 @@ RULES: dict[str, pgm.Lineariser] = {
 }
 
 
-def filtering(rule: str, work: Robots, iterations: int = 1) -> Contender:
+def filtering(
+    rule: str, work: Robots, iterations: int = 1, *, compiled: Choice = False
+) -> Contender:
     """All runs in one call: means (runs, T, 3) and covariances."""
-    graph = pgm.compile(work.network, work.steps)
+    graph = pgm.compile(work.network, work.steps, compiled=compiled)
     schedule = pgm.Filtering(iterations=iterations)
 
     def call() -> tuple[Array, Array]:
@@ -29,7 +34,7 @@ def filtering(rule: str, work: Robots, iterations: int = 1) -> Contender:
         belief = posterior[pose]
         return belief.mean[:, 1:], belief.cov[:, 1:]
 
-    return Contender(call, work.runs * work.steps)
+    return compiled_or_not(call, work.runs * work.steps, compiled)
 
 
 def together(rule: str, work: Robots, iterations: int = 1) -> Contender:
@@ -37,9 +42,9 @@ def together(rule: str, work: Robots, iterations: int = 1) -> Contender:
     return Contender(filtering(rule, work, iterations).call, work.steps)
 
 
-def smoothing(rule: str, work: Robots) -> Contender:
+def smoothing(rule: str, work: Robots, *, compiled: Choice = False) -> Contender:
     """One run, forward and back: means (T, 3) and covariances."""
-    graph = pgm.compile(work.network, work.steps)
+    graph = pgm.compile(work.network, work.steps, compiled=compiled)
 
     def call() -> tuple[Array, Array]:
         posterior = pgm.infer(
@@ -48,13 +53,18 @@ def smoothing(rule: str, work: Robots) -> Contender:
         belief = posterior[pose]
         return belief.mean[1:], belief.cov[1:]
 
-    return Contender(call, work.steps)
+    return compiled_or_not(call, work.steps, compiled)
 
 
-def online(rule: str, work: Robots, iterations: int = 1) -> Contender:
+def no_jacobian(runs: str, derivatives: str, work: Robots) -> Contender:
+    """A smoother of one run, or a filter of many, without Jacobians: traced, or by differences."""
+    work = without_jacobians(work, traced=derivatives == "traced")
+    return {"one": smoothing, "many": filtering}[runs]("taylor", work)
+
+
+def online(rule: str, work: Robots, iterations: int = 1, *, compiled: bool = False) -> Contender:
     """One robot in its loop: means (T, 3) and covariances."""
     schedule = pgm.Filtering(iterations=iterations)
-    compiled = find_spec("numba") is not None
     robot = pgm.OnlineFilter(work.network, RULES[rule], schedule, compiled=compiled)
 
     def call() -> tuple[Array, Array]:
@@ -68,12 +78,16 @@ def online(rule: str, work: Robots, iterations: int = 1) -> Contender:
             means[k], covs[k] = here.mean, here.cov
         return means, covs
 
-    return Contender(call, work.steps)
+    return compiled_or_not(call, work.steps, compiled)
 
 
-def iterated(work: Robots) -> Contender:
-    """One run, linearised anew until it converges from dead reckoning: (T, 3) and covariances."""
-    return _iterated(work, pgm.Smoothing(iterations=50, tolerance=1e-4), work.dead_reckoning(0))
+def iterated(work: Robots, *, compiled: Choice = False) -> Contender:
+    """One run, linearised anew until it converges from dead reckoning: (T, 3) and covariances.
+
+    In machine code the sweeps go along the chain, else rounds up and down a balanced tree.
+    """
+    schedule = pgm.Smoothing(iterations=50, tolerance=1e-4)
+    return _iterated(work, schedule, work.dead_reckoning(0), compiled)
 
 
 def thrice(work: Robots) -> Contender:
@@ -81,12 +95,15 @@ def thrice(work: Robots) -> Contender:
     return _iterated(work, pgm.Smoothing(iterations=3, tolerance=1e-12), work.truth[0])
 
 
-def _iterated(work: Robots, schedule: pgm.Smoothing, start: Array) -> Contender:
-    graph = pgm.compile(work.network, work.steps, method=pgm.Balanced())
+def _iterated(
+    work: Robots, schedule: pgm.Smoothing, start: Array, compiled: Choice = False
+) -> Contender:
+    method = None if compiled else pgm.Balanced()
+    graph = pgm.compile(work.network, work.steps, method=method, compiled=compiled)
 
     def call() -> tuple[Array, Array]:
         posterior = pgm.infer(graph, work.evidence(0), schedule=schedule, start={pose: start})
         belief = posterior[pose]
         return belief.mean[1:], belief.cov[1:]
 
-    return Contender(call, work.steps)
+    return compiled_or_not(call, work.steps, compiled)

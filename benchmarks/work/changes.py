@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 import pgm
 from benchmarks.work import robots
 from benchmarks.work.robots import DRIVE, DT, Array, Robots
-from models.networks import pose, velocity
+from models.networks import landmark, pose, sighting, velocity
+from models.sensors import range_bearing
 
 MISSING = 1e-5  # of all measurements
 NOISE_STD = (0.0, 0.03, 0.02)  # as `robots.MOTION_STD`, but for the first component
@@ -50,11 +52,32 @@ def second_state(work: Robots) -> Robots:
 
 
 def no_jacobian(work: Robots) -> Robots:
-    """The motion's derivatives are taken by differences."""
+    """The motion is given without a Jacobian."""
     drive = pgm.NonlinearGaussianCPD(
         pose, given=(pose.previous, velocity), function=DRIVE, cov=work.motion_cov
     )
     return replace(work, network=work.network.replace(transition=[drive]))
+
+
+def without_jacobians(work: Robots, *, traced: bool) -> Robots:
+    """No Jacobian is given: derivatives are those of traces, or else differences."""
+    drive, sight = (f if traced else _untraced(f) for f in (DRIVE, range_bearing))
+    motion = pgm.NonlinearGaussianCPD(
+        pose, given=(pose.previous, velocity), function=drive, cov=work.motion_cov
+    )
+    sensor = pgm.NonlinearGaussianCPD(
+        sighting, given=(pose, landmark), function=sight, cov=work.sensor_cov
+    )
+    return replace(work, network=work.network.replace(transition=[motion], observation=[sensor]))
+
+
+def _untraced(function: Callable[..., Array]) -> Callable[..., Array]:
+    """The same function, which has no trace, since it makes its arguments arrays of floats."""
+
+    def called(*arguments: Array) -> Array:
+        return function(*(np.asarray(each, dtype=float) for each in arguments))
+
+    return called
 
 
 def singular(work: Robots) -> Robots:

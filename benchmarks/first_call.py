@@ -1,0 +1,91 @@
+"""`python -m benchmarks.first_call`: what the first call of a process takes over the next one.
+
+Each library has a process of its own. Machine code of the sweeps is kept on disk, so pgm is started
+twice with one empty folder for it: cold, and then warm. Loading Numba and compiling the graph are
+in its time; loading JAX is not in dynamax's.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from importlib import import_module
+
+from benchmarks.rows import ROWS
+from benchmarks.verdicts import Verdict
+from experiments.record import note, table
+
+NAMES = ("rts_taylor", "rts_unscented")
+WAYS = {"cold": "pgm_compiled", "warm": "pgm_compiled", "dynamax": "dynamax"}
+COLD, WARM = 15.0, 1.5  # seconds; times dynamax's compiling
+STEPS = 1_000
+
+
+def main() -> None:
+    """Print a table, and what must hold."""
+    found = {name: measure(name) for name in NAMES}
+    table(
+        "the first call of a process over its second one, in seconds of the processor",
+        ("row", *WAYS),
+        [(name, *(each.get(way, "") for way in WAYS)) for name, each in found.items()],
+    )
+    for name, each in found.items():
+        told = []
+        if "cold" in each:
+            told.append(Verdict(f"{name}, cold: seconds", each["cold"], COLD, False))
+        if "warm" in each and "dynamax" in each:
+            ratio = each["warm"] / each["dynamax"]
+            told.append(Verdict(f"{name}, warm / dynamax's compiling", ratio, WARM, False))
+        for one in told:
+            holds = "holds" if one.holds else "does NOT hold"
+            note(f"{one.what}: {one.measured:.2f}, at most {one.asked:g}: {holds}")
+
+
+def measure(name: str) -> dict[str, float]:
+    """Seconds, by way; of the libraries that are here."""
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for way, library in WAYS.items():
+            done = subprocess.run(
+                [sys.executable, "-m", "benchmarks.first_call", name, library],
+                check=True,
+                capture_output=True,
+                text=True,
+                env=os.environ | {"NUMBA_CACHE_DIR": folder},
+            )
+            answer = json.loads(done.stdout)
+            if "missing" in answer:
+                note(f"{name}: {library} is left out, {answer['missing']}")
+            else:
+                found[way] = answer["seconds"]
+    return found
+
+
+def alone(name: str, library: str) -> None:
+    """Print as JSON what a library needs in this process."""
+    (row,) = (each for each in ROWS if each.name == name)
+    work = row.work(STEPS)
+    try:
+        if library == "dynamax":
+            import_module("dynamax.nonlinear_gaussian_ssm")
+            import_module("dynamax.linear_gaussian_ssm")
+        else:
+            import_module("benchmarks.libraries.pgm_robots")
+        begin = time.process_time()
+        contender = row.contenders[library](work)
+        first = time.process_time() - begin  # preparing calls twice
+        begin = time.process_time()
+        contender.call()
+        again = time.process_time() - begin
+    except ImportError as error:
+        print(json.dumps({"missing": str(error)}))
+        return
+    print(json.dumps({"seconds": first - 2 * again}))
+
+
+if __name__ == "__main__":
+    alone(*sys.argv[1:]) if len(sys.argv) > 1 else main()
