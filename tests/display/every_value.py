@@ -315,7 +315,14 @@ def small():
     rules += [pgm.MonteCarlo(100, seed=1), pgm.QuasiMonteCarlo(64, seed=1)]
     schedules = [pgm.Filtering(), pgm.Smoothing(), pgm.FixedLag(2), pgm.Calibration()]
     schedules += [pgm.Flooding(), pgm.Sequential(), pgm.Residual(), pgm.LevenbergMarquardt()]
-    methods = [pgm.JunctionTree(), pgm.JoinGraph(3), pgm.Bethe(), pgm.LTRIP(), pgm.Balanced()]
+    methods = [
+        pgm.JunctionTree(),
+        pgm.JoinGraph(3),
+        pgm.Bethe(),
+        pgm.LTRIP(),
+        pgm.Balanced(),
+        pgm.Compiled(2),
+    ]
     orders = [pgm.MinFill(), pgm.WeightedMinFill(), pgm.NestedDissection()]
     orders += [pgm.StochasticMinFill(seed=1)]
     marks = maps.FeatureMap(np.zeros((300, 2)))

@@ -243,3 +243,15 @@ def test_a_control_is_not_measured_at_step_0():
     assert_equal(found, due)
     with pytest.raises(pgm.EvidenceError, match="controls begin at step 1"):
         quick.update(quick.initial(), readings)
+
+
+def test_sightings_of_unknown_landmarks_are_associated(robots):
+    readings = {z: pgm.sightings([[5.0, 1.0]], given={m: pgm.unknown(LANDMARKS)})}
+    due, found = (robot.update(belief, readings) for robot, belief in robots)
+    assert_equal(found, due)
+    assert str(found.associations[z]) == str(due.associations[z])
+    plain, quick = (robot for robot, _ in robots)
+    controls = {u: np.array([1.0, 0.1])}
+    again = quick.predict(found, controls)
+    assert is_compiled(again)
+    assert_equal(again, plain.predict(due, controls))

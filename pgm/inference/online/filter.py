@@ -204,8 +204,8 @@ class OnlineFilter(InCode, Immutable):
         schedule = self.schedule
         single = isinstance(schedule, Filtering) and schedule.iterations == 1
         if single and schedule.gate is None and not self.watch:
-            layout, ends = self._graph.layout, (_DONE, _LINEARISED)
-            steps = CompiledSteps(layout, self._ahead, self._seen, self._moved, self._taken, *ends)
+            plans, ends = (self._ahead, self._seen), (_DONE, _LINEARISED)
+            steps = CompiledSteps(self._graph.layout, *plans, self.predict, self.update, *ends)
             self._set(_steps=steps, predict=steps.predict, update=steps.update)
 
     def initial(self) -> OnlineBelief:
@@ -234,6 +234,7 @@ class OnlineFilter(InCode, Immutable):
             return belief_of(plan, 0, found, log_evidence, status, PREDICTED, self._behind, carried)
         return careful_belief(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
 
+    @_quiet
     def predict(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None = None
     ) -> OnlineBelief:
@@ -258,10 +259,6 @@ class OnlineFilter(InCode, Immutable):
         LinearisationError, NumericalError
             If a number that is needed does not exist.
         """
-        return self._moved(belief, inputs)
-
-    @_quiet
-    def _moved(self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None) -> OnlineBelief:
         later = self._later(belief, inputs)
         return later if belief.watch is None else later.judged((), belief.watch.on(belief.step))
 
@@ -322,6 +319,7 @@ class OnlineFilter(InCode, Immutable):
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         return self._plan(step_evidence.inputs(self.model, belief, inputs), belief.step)
 
+    @_quiet
     def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
         """The belief given measurements of its step; a further update goes on from the first.
 
@@ -345,10 +343,6 @@ class OnlineFilter(InCode, Immutable):
         NumericalError
             If a measurement contradicts an exact model, or a number does not exist.
         """
-        return self._taken(belief, readings)
-
-    @_quiet
-    def _taken(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
         require_own(belief, self.model, self.schedule, self._behind)
         if type(readings) is not dict:
             readings = step_evidence.mapping(readings, "update", "sensors to measurements")

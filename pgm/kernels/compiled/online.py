@@ -8,12 +8,13 @@ a shift the offset of an affine CPD, which inputs move.
 from __future__ import annotations
 
 from math import inf, isfinite, nan
+from typing import Any
 
 import numpy as np
 from numba import njit
 
 from pgm.kernels.compiled.algebra import compiled, least_open, padded
-from pgm.kernels.compiled.memory import numbers, past, places
+from pgm.kernels.compiled.memory import STAMP, numbers, past, places
 from pgm.kernels.compiled.sweeps import SINGLE, WIDTH, _joined, _moved, _once
 
 (CHAIN, MEMORY, PACKED, PARTS, PART_COUNT, SHIFTS, SHIFT_COUNT, STEP) = range(8)
@@ -88,47 +89,56 @@ def _settled(mean, cov, before, out, size, work):
     return least_open(cov, work, size) > _REGULAR
 
 
-@njit("int64(int64,float64[:,::1],float64[:],float64[:,::1])", error_model="numpy", cache=True)
-def predict(step, belief, given, out):
-    """The slice after a step; whether that is done (0), or arrays are of other shapes (2).
+def _entries(stamp: int) -> tuple[Any, Any]:
+    """The steps that Python calls; of the stamp as those of `sweeps`."""
 
-    A belief is (n + 1, n): its mean, then its covariance.
-    """
-    head, row = places(step), given[np.newaxis, :]
-    told = _fill(head, row, row)
-    if told != DONE:
-        return told
-    fields, known = places(head[CHAIN]), numbers(head[MEMORY])
-    size = fields[WIDTH]
-    wide = padded(size)
-    before, mean = past(known, wide), past(known, wide + size * wide)
-    cov, work = past(mean, wide), past(mean, wide + size * wide)
-    _unpacked(belief, size, known, before)
-    if fields[SINGLE]:
-        done = _moved(fields, 0, 0, known, before, mean, cov, work)
-    else:
-        done = _joined(fields, 0, 0, known, before, mean, cov, work)
-    return DONE if done and _settled(mean, cov, cov, out, size, work) else NO
+    @njit("int64(int64,float64[:,::1],float64[:],float64[:,::1])", error_model="numpy", cache=True)
+    def predict(step, belief, given, out):
+        # The slice after a step; whether that is done (0), or arrays are of other shapes (2).
+        # A belief is (n + 1, n): its mean, then its covariance.
+        if stamp < 0:
+            return NO
+        head, row = places(step), given[np.newaxis, :]
+        told = _fill(head, row, row)
+        if told != DONE:
+            return told
+        fields, known = places(head[CHAIN]), numbers(head[MEMORY])
+        size = fields[WIDTH]
+        wide = padded(size)
+        before, mean = past(known, wide), past(known, wide + size * wide)
+        cov, work = past(mean, wide), past(mean, wide + size * wide)
+        _unpacked(belief, size, known, before)
+        if fields[SINGLE]:
+            done = _moved(fields, 0, 0, known, before, mean, cov, work)
+        else:
+            done = _joined(fields, 0, 0, known, before, mean, cov, work)
+        return DONE if done and _settled(mean, cov, cov, out, size, work) else NO
+
+    @njit(
+        "float64(int64,float64[:,::1],float64[:,:],float64[:,:],float64[:,::1])",
+        error_model="numpy",
+        cache=True,
+    )
+    def update(step, belief, first, second, out):
+        # The belief given measurements, and their log-density; ∞ for other shapes, NaN if not done.
+        if stamp < 0:
+            return nan
+        head = places(step)
+        told = _fill(head, first, second)
+        if told != DONE:
+            return inf if told == OTHER else nan
+        fields, known = places(head[CHAIN]), numbers(head[MEMORY])
+        size = fields[WIDTH]
+        wide = padded(size)
+        before, mean = past(known, wide), past(known, wide + size * wide)
+        cov, work = past(mean, wide), past(mean, wide + size * wide)
+        _unpacked(belief, size, known, before)
+        done, density = _once(fields, 0, 0, known, before, known, before, mean, cov, work)
+        if done and isfinite(density) and _settled(mean, cov, before, out, size, work):
+            return density
+        return nan
+
+    return predict, update
 
 
-@njit(
-    "float64(int64,float64[:,::1],float64[:,:],float64[:,:],float64[:,::1])",
-    error_model="numpy",
-    cache=True,
-)
-def update(step, belief, first, second, out):
-    """The belief given measurements, and their log-density; ∞ for other shapes, NaN if not done."""
-    head = places(step)
-    told = _fill(head, first, second)
-    if told != DONE:
-        return inf if told == OTHER else nan
-    fields, known = places(head[CHAIN]), numbers(head[MEMORY])
-    size = fields[WIDTH]
-    wide = padded(size)
-    before, mean = past(known, wide), past(known, wide + size * wide)
-    cov, work = past(mean, wide), past(mean, wide + size * wide)
-    _unpacked(belief, size, known, before)
-    done, density = _once(fields, 0, 0, known, before, known, before, mean, cov, work)
-    if done and isfinite(density) and _settled(mean, cov, before, out, size, work):
-        return density
-    return nan
+predict, update = _entries(STAMP)

@@ -52,7 +52,7 @@ from pgm.kernels.compiled.factors import (
     save,
     to_chart,
 )
-from pgm.kernels.compiled.memory import numbers, past, places
+from pgm.kernels.compiled.memory import STAMP, numbers, past, places
 
 # The shape of a chain: T, whether one CPD makes all of a slice of all of the one before, and the
 # components of states and of a slice.
@@ -456,31 +456,40 @@ def _push(gain, offset, noise, mean, cov, height, size, work):
 _kept: Any = njit(error_model="numpy", nogil=True, cache=True)
 
 
-@_kept
-def forward(chain, first, last, memory):
-    """Sweep some runs of the chain at an address forward; `memory` is the address of `room`."""
-    fields, beliefs = places(chain), numbers(memory)
-    status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * padded(fields[WIDTH])
-    work = past(beliefs, TOGETHER * apart)
-    for begin in range(first, last, TOGETHER):
-        end = min(begin + TOGETHER, last)
-        for step in range(fields[LAST] + 1):
-            for run in range(begin, end):
-                belief = past(beliefs, (run - begin) * apart)
-                if status[run] == DONE and not _step(fields, step, run, belief, work):
-                    status[run] = LEFT
+def _entries(stamp: int) -> tuple[Any, Any]:
+    """The sweeps that Python calls. Numba keeps them on disk by what they close over: the stamp."""
+
+    @_kept
+    def forward(chain, first, last, memory):
+        fields, beliefs = places(chain), numbers(memory)
+        status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * padded(fields[WIDTH])
+        work = past(beliefs, TOGETHER * apart)
+        for begin in range(first, last, TOGETHER):
+            end = min(begin + TOGETHER, last)
+            for step in range(fields[LAST] + 1):
+                for run in range(begin, end):
+                    belief = past(beliefs, (run - begin) * apart)
+                    if status[run] == DONE and not _step(fields, step, run, belief, work):
+                        status[run] = LEFT
+        return stamp
+
+    @_kept
+    def backward(chain, first, last, memory):
+        fields, beliefs = places(chain), numbers(memory)
+        status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * padded(fields[WIDTH])
+        work = past(beliefs, TOGETHER * apart)
+        for begin in range(first, last, TOGETHER):
+            end = min(begin + TOGETHER, last)
+            for step in range(fields[LAST], -1, -1):
+                for run in range(begin, end):
+                    belief = past(beliefs, (run - begin) * apart)
+                    if status[run] == DONE and not _back(fields, step, run, belief, work):
+                        status[run] = LEFT
+        return stamp
+
+    return forward, backward
 
 
-@_kept
-def backward(chain, first, last, memory):
-    """Reverse the transitions of some runs, and send the last belief back, if it has a place."""
-    fields, beliefs = places(chain), numbers(memory)
-    status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * padded(fields[WIDTH])
-    work = past(beliefs, TOGETHER * apart)
-    for begin in range(first, last, TOGETHER):
-        end = min(begin + TOGETHER, last)
-        for step in range(fields[LAST], -1, -1):
-            for run in range(begin, end):
-                belief = past(beliefs, (run - begin) * apart)
-                if status[run] == DONE and not _back(fields, step, run, belief, work):
-                    status[run] = LEFT
+# Sweep some runs of the chain at an address forward; reverse their transitions, and send the last
+# belief back, if it has a place. The last argument is the address of `room`.
+forward, backward = _entries(STAMP)

@@ -119,7 +119,8 @@ def sensor_row(
         values = np.where(sensor.taken, values, np.nan)
     table[f.READINGS : f.READINGS + 4] = rows.told(values, 1)
     noise, sharp = family.own_noise, np.zeros(1)
-    if noise.shape[:2] == (1, 1):
+    # An error that may be indefinite makes no sum of squares of a difference.
+    if noise.shape[:2] == (1, 1) and family.semidefinite:
         sharp = along_runs.sharpness(noise[0].transpose(1, 2, 0))
     table[f.SHARP] = rows.at(sharp)
 

@@ -1,0 +1,186 @@
+"""Sweeps in machine code against the general kernels, on models and rules of all kinds."""
+
+import numpy as np
+import pytest
+from carts import drawn
+from numpy.testing import assert_array_equal
+from robots import SENSORS, network, sighted, u, x
+from textbooks import assert_belief
+from zoo import MODELS, RULES, SIGHT, model_of, of_run, recording
+
+import pgm
+from pgm.inference.chain import forward
+
+pytest.importorskip("numba", reason="sweeps are compiled by Numba, the extra fast")
+
+# Sharp readings leave few digits of a belief, and each order of operations other ones.
+TOLERANCE = {"sharp readings": 1e-6, "an exact range": 1e-7}
+COMPILED = ["taylor", "unscented", "negative weights", "cubature", "hermite"]
+CHECKED = [(name, rule) for name in MODELS for rule in ("taylor", "unscented")]
+CHECKED += [("everything", rule) for rule in RULES if rule not in ("taylor", "unscented")]
+
+
+def assert_log(found, due, tolerance):
+    due = np.asarray(due)
+    assert (np.abs(found - due) <= tolerance * (1.0 + np.abs(due))).all()
+
+
+def assert_posterior(found, due, tolerance=1e-9, smooth=True):
+    """All that a posterior tells is that of another one."""
+    model = due.graph.model
+    for variable in (*model.states, *model.controls):
+        kinds = ("filtered", "predicted")
+        pairs = [(getattr(found, kind)[variable], getattr(due, kind)[variable]) for kind in kinds]
+        for one, other in (*pairs, (found[variable], due[variable]))[: 3 if smooth else 2]:
+            assert_belief(one, other.mean, other.cov, tolerance)
+    assert_log(found.log_evidence, due.log_evidence, tolerance)
+    assert_array_equal(found.status.converged, due.status.converged)
+    assert found.status.iterations == due.status.iterations
+    for sensor, other in due.innovations.items():
+        ours = found.innovations[sensor]
+        unit = np.sqrt(np.einsum("...ii->...i", other.cov))
+        off = np.abs(ours.residual - other.residual) / unit
+        assert (np.isnan(off) | (off <= 100 * tolerance)).all()
+        assert_array_equal(np.isnan(ours.residual), np.isnan(other.residual))
+
+
+def both(infer, model, evidence, **options):
+    return [infer(model, evidence, compiled=choice, **options) for choice in (True, False)]
+
+
+@pytest.fixture
+def alone(monkeypatch):
+    """The general kernels refused, but to choices that are not compiled."""
+    stepwise = forward._stepwise
+
+    def refused(plan, *arguments, **options):
+        assert plan.layout.compiled is False, "runs were left to the general kernels"
+        return stepwise(plan, *arguments, **options)
+
+    monkeypatch.setattr(forward, "_stepwise", refused)
+
+
+@pytest.mark.parametrize(("name", "rule"), CHECKED)
+def test_runs_of_all_kinds(name, rule):
+    evidence = recording(name)
+    found = both(pgm.smooth, model_of(name), evidence, lineariser=RULES[rule])
+    assert_posterior(*found, TOLERANCE.get(name, 1e-9))
+
+
+@pytest.mark.parametrize("rule", COMPILED)
+@pytest.mark.parametrize("run", [None, 1], ids=["batch", "one"])
+@pytest.mark.parametrize("name", ["plain", "noise by control", "a start for each run"])
+def test_ordinary_runs_are_not_left_to_the_general_kernels(alone, name, rule, run):
+    evidence = recording(name) if run is None else of_run(recording(name), run)
+    found = both(pgm.smooth, model_of(name, run), evidence, lineariser=RULES[rule])
+    assert_posterior(*found)
+
+
+@pytest.mark.parametrize("name", ["plain", "everything", "a start for each run"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_many_runs_and_threads(name, threads):
+    which = np.arange(40) % 3
+    model, evidence = model_of(name, which), of_run(recording(name), which)
+    found = pgm.filter(model, evidence, compiled=pgm.Compiled(threads=threads))
+    due = pgm.filter(model, evidence, compiled=False)
+    assert_posterior(found, due, smooth=False)
+
+
+@pytest.mark.parametrize("options", [{}, {"damping": 0.3}, {"lineariser": pgm.Unscented()}])
+@pytest.mark.parametrize("name", ["plain", "grouped", "everything"])
+def test_iterated_updates(name, options):
+    found = both(pgm.filter, MODELS[name], recording(name), iterations=4, **options)
+    assert_posterior(*found, smooth=False)
+
+
+@pytest.mark.parametrize("rule", ["taylor", "unscented"])
+def test_iterated_smoothing(rule):
+    rule = RULES[rule]
+    found = both(pgm.smooth, MODELS["plain"], recording("plain"), iterations=5, lineariser=rule)
+    assert_posterior(*found, 1e-8)
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+@pytest.mark.parametrize("lag", [0, 2])
+def test_a_fixed_lag_with_hidden_controls(nonlinear, lag):
+    model, evidence, steps, _ = drawn(3, nonlinear)
+    found, due = both(pgm.smooth, model, evidence, steps=steps, lag=lag)
+    for variable in (*model.states, *model.controls):
+        assert_belief(found[variable], due[variable].mean, due[variable].cov, 1e-9)
+
+
+@pytest.mark.parametrize("steps", [0, 1])
+def test_few_steps_and_no_sensor(steps):
+    for model in (MODELS["plain"], network()):
+        found = both(pgm.smooth, model, {u: np.ones((steps, 2))}, steps=steps)
+        assert_posterior(*found)
+
+
+def test_graphs_ask_for_joints_and_messages():
+    evidence = sighted(3)
+    model = MODELS["plain"]
+    posteriors = [
+        pgm.infer(pgm.compile(model, 12, compiled=choice), evidence) for choice in (True, False)
+    ]
+    found, due = (each.joint(x.at(4), x.at(5)) for each in posteriors)
+    assert_belief(found, due.mean, due.cov, 1e-9)
+
+
+def bent(values):
+    """A robot whose function gives odd numbers."""
+    drive = pgm.NonlinearGaussianCPD(
+        x, (x.previous, u), lambda s, c: values(s + 0.1 * c[..., :1]), np.eye(3)
+    )
+    return network(SENSORS["range_bearing"].cpd(), transition=drive)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        lambda s: s / np.where(s > 0.5, 0.0, 1.0),
+        lambda s: np.sqrt(s - 0.4),
+        lambda s: np.exp(400 * s),
+        lambda s: s * 1e200,
+    ],
+    ids=["infinite", "not a number", "overflow", "large"],
+)
+@pytest.mark.parametrize("runs", [None, 3])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_what_is_refused_is_refused_alike(values, runs):
+    told = []
+    for choice in (True, False):
+        with pytest.raises(pgm.PgmError) as refusal:
+            pgm.filter(bent(values), sighted(runs), compiled=choice)
+        told.append((type(refusal.value), str(refusal.value)))
+    assert told[0] == told[1]
+
+
+def test_a_run_that_contradicts_an_exact_model_is_named():
+    a, z = pgm.variables("a z")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(a, 0.0, 1.0)],
+        [pgm.LinearGaussianCPD(a, {a.previous: 1.0}, cov=0.0)],
+        [pgm.LinearGaussianCPD(z, {a: 1.0}, cov=0.0)],
+    )
+    values = np.ones((5, 4, 1))
+    values[3, 2] = 2.0
+    told = []
+    for choice in (True, False):
+        with pytest.raises(pgm.PgmError) as refusal:
+            pgm.filter(model, {z: values}, compiled=choice)
+        told.append((type(refusal.value), str(refusal.value)))
+    assert told[0] == told[1]
+
+
+def test_a_function_is_seen_as_it_is_now():
+    turn = {"by": 0.1}
+
+    def moved(state, command):
+        return state + turn["by"] * command[..., :1]
+
+    model = network(
+        SIGHT.cpd(), transition=pgm.NonlinearGaussianCPD(x, (x.previous, u), moved, np.eye(3))
+    )
+    evidence, graphs = sighted(), [pgm.compile(model, 12, compiled=c) for c in (True, False)]
+    for turn["by"] in (0.1, 2.0):
+        assert_posterior(*(pgm.infer(graph, evidence) for graph in graphs))
