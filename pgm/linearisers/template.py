@@ -150,6 +150,10 @@ class FunctionTemplate:
             return None
         return tracer.trace.program(self._missing_columns)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # The function that is traced with its derivatives is of this process.
+        return {name: value for name, value in self.__dict__.items() if name != "whole"}
+
     @cached_property
     def whole(self) -> Tracer:
         """Of the function's value, followed by the derivatives that were given."""

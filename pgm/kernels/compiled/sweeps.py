@@ -391,7 +391,8 @@ def _back(fields, step, run, later, work):
         load(fields, MEAN, step, run, later, 1, width)
         load(fields, COV, step, run, spread, width, width)
     else:
-        gain, shift = work, past(work, width * thin)
+        # The gain, and then the transpose of that of controls.
+        gain, shift = work, past(work, max(width * thin, front * wide))
         left = past(shift, wide)
         rest = past(left, width * wide)
         if not _reverse(fields, step, run, gain, shift, left, rest):
