@@ -149,6 +149,24 @@ def test_hidden_controls_of_narrow_states(slopes):
     assert_posterior(*found)
 
 
+def test_variances_that_grow_and_shrink_between_readings_are_looked_at():
+    a, z, w = pgm.Variable("a", components=("p", "q")), *pgm.variables("z w")
+    pair, far = np.ones((2, 2)), 1e6
+
+    def spread(state, by):
+        return state + by * (state @ pair)
+
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(a, [1.0, 2.0], [[1.0, 0.2], [0.2, 2.0]])],
+        [pgm.NonlinearGaussianCPD(a, (a.previous, w), spread, 1e-4 * np.eye(2))],
+        [pgm.LinearGaussianCPD(z, {a: [[1.0, 0.0]]}, cov=1.0)],
+    )
+    by = np.zeros((3, 7, 1))
+    by[1, 2:4, 0] = far, -far / (1.0 + 2.0 * far)
+    found, due = both(pgm.filter, model, {w: by})
+    assert_belief(found[a], due[a].mean, due[a].cov, 1e-9)
+
+
 def bent(values):
     """A robot whose function gives odd numbers."""
     drive = pgm.NonlinearGaussianCPD(
