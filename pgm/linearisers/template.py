@@ -151,7 +151,7 @@ class FunctionTemplate:
         return tracer.trace.program(self._missing_columns)
 
     def __getstate__(self) -> dict[str, Any]:
-        # Which is made when it is first asked for, of a function that cannot be pickled.
+        # The function that is traced with its derivatives is of this process.
         return {name: value for name, value in self.__dict__.items() if name != "whole"}
 
     @cached_property

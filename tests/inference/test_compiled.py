@@ -1,10 +1,14 @@
 """Sweeps in machine code against the general kernels, on models and rules of all kinds."""
 
+import pickle
+
 import numpy as np
 import pytest
 from carts import drawn
 from numpy.testing import assert_array_equal
+from plain import evidence_of, linear_network
 from robots import SENSORS, network, sighted, u, x
+from test_zoo import by_function
 from textbooks import assert_belief
 from zoo import MODELS, RULES, SIGHT, model_of, of_run, recording
 
@@ -124,6 +128,43 @@ def test_graphs_ask_for_joints_and_messages():
     ]
     found, due = (each.joint(x.at(4), x.at(5)) for each in posteriors)
     assert_belief(found, due.mean, due.cov, 1e-9)
+
+
+def test_a_graph_travels_after_its_functions_were_compiled():
+    graph, evidence = pgm.compile(MODELS["plain"], 8, compiled=True), recording("plain")
+    due = pgm.infer(graph, evidence)
+    assert_posterior(pgm.infer(pickle.loads(pickle.dumps(graph)), evidence), due)
+
+
+@pytest.mark.parametrize("slopes", [False, True])
+def test_hidden_controls_of_narrow_states(slopes):
+    """The smoother's gain of controls has more rows of four than that of states."""
+    model, inputs, readings = linear_network()[0], *linear_network()[2:]
+    if slopes:
+        parts = (model.prior, model.transition, model.observation)
+        model = pgm.DynamicBayesianNetwork(
+            *([by_function(cpd, True) for cpd in cpds] for cpds in parts)
+        )
+    found = both(pgm.smooth, model, evidence_of(inputs, readings))
+    assert_posterior(*found)
+
+
+def test_variances_that_grow_and_shrink_between_readings_are_looked_at():
+    a, z, w = pgm.Variable("a", components=("p", "q")), *pgm.variables("z w")
+    pair, far = np.ones((2, 2)), 1e6
+
+    def spread(state, by):
+        return state + by * (state @ pair)
+
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(a, [1.0, 2.0], [[1.0, 0.2], [0.2, 2.0]])],
+        [pgm.NonlinearGaussianCPD(a, (a.previous, w), spread, 1e-4 * np.eye(2))],
+        [pgm.LinearGaussianCPD(z, {a: [[1.0, 0.0]]}, cov=1.0)],
+    )
+    by = np.zeros((3, 7, 1))
+    by[1, 2:4, 0] = far, -far / (1.0 + 2.0 * far)
+    found, due = both(pgm.filter, model, {w: by})
+    assert_belief(found[a], due[a].mean, due[a].cov, 1e-9)
 
 
 def bent(values):

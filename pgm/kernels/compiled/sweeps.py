@@ -60,7 +60,8 @@ from pgm.kernels.compiled.memory import STAMP, numbers, past, places
 # Linearisations of a step's measurements, where their settings are, (tolerance, damping), and their
 # record, (runs, iterations + 1): the residuals of each, how many, and whether some did not settle.
 (ITERATIONS, SETTINGS, RESIDUALS) = range(9, 12)
-# The least share of a variance that is left open, by run; how runs ended.
+# The least share of a variance that is left open, and variances to grow from, by run; how runs
+# ended.
 (CLOSEST, STATUS) = range(12, 14)
 # The belief that a sweep starts with, and its record.
 (BEGIN_MEAN, BEGIN_COV, PREDICTED_MEAN, PREDICTED_COV, MEAN, COV, DENSITY) = range(16, 44, 4)
@@ -71,7 +72,7 @@ FIELDS = 84
 # Runs whose arrays lie next to each other are swept together, so that memory is read in rows.
 TOGETHER = 64
 # As of `gaussian`, `moments` and `forward`.
-NEARLY_SINGULAR, _NEGLIGIBLE, _EVERY, _MILD = 1e-6, 1e-15, 8, 1e-3
+NEARLY_SINGULAR, _NEGLIGIBLE, _EVERY, _MILD, _GROWN = 1e-6, 1e-15, 8, 1e-3, 1e2
 # How a run ended: done, or to be done by the general kernels.
 DONE, LEFT = 0, 1
 
@@ -114,7 +115,7 @@ def _step(fields, step, run, known, work):
     rest[0] = density
     save(fields, DENSITY, step, run, rest, 1, 1)
     if fields[CLOSEST]:
-        closest = past(numbers(fields[CLOSEST]), run)
+        closest = past(numbers(fields[CLOSEST]), run * (size + 1))
         _look(closest, cov, spread, size, step, fields[LAST], rest)
     return True
 
@@ -122,14 +123,23 @@ def _step(fields, step, run, known, work):
 @compiled
 def _look(closest, before, after, size, step, last, work):
     """Look how much of variances is left open; see `Watch`."""
-    least, wide = 1.0, padded(size)
+    least, wide, level, grown = 1.0, padded(size), past(closest, 1), False
     for i in range(size):
         was, left = before[i * wide + i], after[i * wide + i]
+        grown = grown or was > _GROWN * level[i]
         if left < _MILD * was and left != 0.0 and was > 0.0:
             least = min(least, left / was)
-    if least < 1.0:
+    doubtful = grown or least < 1.0
+    if doubtful:
         least = min(least, least_open(before, work, size))
-    if least < 1.0 or step == last or step % _EVERY == 0:
+    for i in range(size):
+        if doubtful:
+            level[i] = before[i * wide + i]
+        if not step:
+            level[i] = after[i * wide + i]
+    if doubtful or step == last or step % _EVERY == 0:
+        for i in range(size):
+            level[i] = min(level[i], after[i * wide + i])
         least = min(least, least_open(after, work, size))
     closest[0] = min(closest[0], least)
 
@@ -391,7 +401,8 @@ def _back(fields, step, run, later, work):
         load(fields, MEAN, step, run, later, 1, width)
         load(fields, COV, step, run, spread, width, width)
     else:
-        gain, shift = work, past(work, width * thin)
+        # The gain, and then the transpose of that of controls.
+        gain, shift = work, past(work, max(width * thin, front * wide))
         left = past(shift, wide)
         rest = past(left, width * wide)
         if not _reverse(fields, step, run, gain, shift, left, rest):

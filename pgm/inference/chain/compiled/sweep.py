@@ -93,7 +93,8 @@ def forward(
     chain.put(s.MEAN, known[0])
     chain.put(s.COV, known[1])
     chain.put(s.DENSITY, known[2])
-    closest = np.ones(plan.runs)
+    closest = np.full((plan.runs, plan.layout.slice_size + 1), np.inf)
+    closest[:, 0] = 1.0
     if predicted:
         chain.put(s.PREDICTED_MEAN, predicted[0])
         chain.put(s.PREDICTED_COV, predicted[1])
@@ -110,7 +111,9 @@ def forward(
     converged = np.full(plan.runs, plan.linear)
     if iterations > 1 and not plan.linear:
         converged = record[:, -1] == 0.0
-    return Swept(left, list(record[:, :longest].T), converged, float(closest.min(initial=1.0)))
+    return Swept(
+        left, list(record[:, :longest].T), converged, float(closest[:, 0].min(initial=1.0))
+    )
 
 
 def backward(
