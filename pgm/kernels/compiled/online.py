@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from pgm.kernels.compiled.algebra import compiled, least_open, padded
-from pgm.kernels.compiled.memory import STAMP, numbers, past, places
+from pgm.kernels.compiled.memory import STAMP, numbers, past, places, ready
 from pgm.kernels.compiled.sweeps import SINGLE, WIDTH, _joined, _moved, _once
 
 (CHAIN, MEMORY, PACKED, PARTS, PART_COUNT, SHIFTS, SHIFT_COUNT, STEP) = range(8)
@@ -89,10 +89,13 @@ def _settled(mean, cov, before, out, size, work):
     return least_open(cov, work, size) > _REGULAR
 
 
+_kept: Any = njit(error_model="numpy", cache=True)
+
+
 def _entries(stamp: int) -> tuple[Any, Any]:
     """The steps that Python calls; of the stamp as those of `sweeps`."""
 
-    @njit("int64(int64,float64[:,::1],float64[:],float64[:,::1])", error_model="numpy", cache=True)
+    @_kept
     def predict(step, belief, given, out):
         # The slice after a step; whether that is done (0), or arrays are of other shapes (2).
         # A belief is (n + 1, n): its mean, then its covariance.
@@ -114,11 +117,7 @@ def _entries(stamp: int) -> tuple[Any, Any]:
             done = _joined(fields, 0, 0, known, before, mean, cov, work)
         return DONE if done and _settled(mean, cov, cov, out, size, work) else NO
 
-    @njit(
-        "float64(int64,float64[:,::1],float64[:,:],float64[:,:],float64[:,::1])",
-        error_model="numpy",
-        cache=True,
-    )
+    @_kept
     def update(step, belief, first, second, out):
         # The belief given measurements, and their log-density; ∞ for other shapes, NaN if not done.
         if stamp < 0:
@@ -142,3 +141,5 @@ def _entries(stamp: int) -> tuple[Any, Any]:
 
 
 predict, update = _entries(STAMP)
+ready(predict, "int64(int64,float64[:,::1],float64[:],float64[:,::1])")
+ready(update, "float64(int64,float64[:,::1],float64[:,:],float64[:,:],float64[:,::1])")

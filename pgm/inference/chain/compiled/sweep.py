@@ -207,6 +207,9 @@ class _Chain:
     def run(self, kernel: Any) -> list[slice]:
         """Run a kernel on all runs; those that it leaves."""
         from pgm.kernels.compiled import sweeps as s
+        from pgm.kernels.compiled.memory import ready
+
+        ready(kernel, "int64(int64,int64,int64,int64)")
 
         plan, rows = self.plan, self.rows
         size = s.room(plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points)
