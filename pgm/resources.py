@@ -1,4 +1,4 @@
-"""What a machine has: memory, refused before it is taken, and packages that may be missing."""
+"""Resources of a machine: memory, refused before it is taken, and packages that may be missing."""
 
 from __future__ import annotations
 

@@ -238,7 +238,7 @@ def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -
 
 @dataclass(frozen=True, eq=False)
 class Core:
-    """What is left of a graph when vertices without fill have been eliminated, by places in it."""
+    """The rest of a graph when vertices without fill have been eliminated, by places in it."""
 
     before: list[int]
     vertices: list[int]

@@ -144,7 +144,7 @@ class FunctionTemplate:
 
     @property
     def program(self) -> Program | None:
-        """What computes the value and the missing derivatives; None where there is no trace."""
+        """The program of value and missing derivatives; None where there is no trace."""
         tracer = self.tracer
         if tracer is None or tracer.trace is None or not self.missing:
             return None

@@ -1,4 +1,4 @@
-"""What comes of a trace: a value and its derivative, as code for batches, scalars and Numba."""
+"""Programs made of traces: a value and its derivative, as code for batches, scalars and Numba."""
 
 from __future__ import annotations
 

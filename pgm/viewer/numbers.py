@@ -1,4 +1,4 @@
-"""What a page holds: how much, numbers packed by planes of bytes, and the names of things."""
+"""Contents of a page: how much, numbers packed by planes of bytes, and the names of things."""
 
 import base64
 import zlib
