@@ -1,33 +1,32 @@
-"""Small matrices in machine code.
+"""Small matrices in machine code, of one run, or of a pack of runs.
 
-A matrix of m columns has rows of `padded(m)` floats, zeros at their ends: a processor takes a row
-by fours, so that sums go along rows, of which there are few.
+A matrix of m columns of one run has rows of `padded(m)` floats, zeros at their ends: a processor
+takes a row by fours, so that sums go along rows, of which there are few. Of packs nothing is added.
 """
 
 from __future__ import annotations
 
 from math import log, sqrt
-from typing import Any
 
-from numba import njit
-
-from pgm.kernels.compiled.memory import past
-
-# They are called by each other alone, and hold no object of Python's.
-compiled: Any = njit(
-    error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
-)
+from pgm.kernels.compiled.memory import by_row, compiled, past
+from pgm.kernels.compiled.packs import every, per_row, some, where
 
 
 @compiled
 def padded(columns):
-    """The floats of a row."""
+    """The floats of a row of one run."""
     return (columns + 3) & ~3
 
 
 @compiled
+def width(columns, pointer):
+    """The floats, or packs, of a row."""
+    return (columns + per_row(pointer) - 1) & -per_row(pointer)
+
+
+@compiled
 def copy(source, target, count):
-    """Copy so many floats."""
+    """Copy so many."""
     for i in range(count):
         target[i] = source[i]
 
@@ -41,18 +40,14 @@ def clear(target, count):
 
 @compiled
 def add(sign, a, down, across, b, out, rows, inner, wide):
-    """Add ± A B to rows of so many floats; entries of A lie `down` and `across` from each other."""
+    """Add ± A B to rows of so many; entries of A lie `down` and `across` from each other."""
+    blocks, right, sums = wide // per_row(out), by_row(b), by_row(out)
     for i in range(rows):
-        for j in range(0, wide, 4):
-            here = i * wide + j
-            s0, s1, s2, s3 = out[here], out[here + 1], out[here + 2], out[here + 3]
+        for j in range(blocks):
+            total = sums[i * blocks + j]
             for k in range(inner):
-                part, there = sign * a[i * down + k * across], k * wide + j
-                s0 += part * b[there]
-                s1 += part * b[there + 1]
-                s2 += part * b[there + 2]
-                s3 += part * b[there + 3]
-            out[here], out[here + 1], out[here + 2], out[here + 3] = s0, s1, s2, s3
+                total += sign * a[i * down + k * across] * right[k * blocks + j]
+            sums[i * blocks + j] = total
 
 
 @compiled
@@ -65,7 +60,7 @@ def product(a, down, across, b, out, rows, inner, wide):
 @compiled
 def transpose(a, out, rows, columns):
     """Aᵀ."""
-    wide, tall = padded(columns), padded(rows)
+    wide, tall = width(columns, a), width(rows, a)
     clear(out, columns * tall)
     for i in range(rows):
         for j in range(columns):
@@ -75,7 +70,7 @@ def transpose(a, out, rows, columns):
 @compiled
 def mirror(a, size):
     """Copy what is below the diagonal above it."""
-    wide = padded(size)
+    wide = width(size, a)
     for i in range(1, size):
         for j in range(i):
             a[j * wide + i] = a[i * wide + j]
@@ -83,11 +78,11 @@ def mirror(a, size):
 
 @compiled
 def root(s, upper, inverse, size, least):
-    """The Lᵀ of S = L Lᵀ, and one over its diagonal; |S|, or zero if a pivot is too small.
+    """The Lᵀ of S = L Lᵀ, and one over its diagonal; |S|, not above zero if a pivot is too small.
 
     Too small is not above the part `least` of its diagonal entry.
     """
-    wide, det = padded(size), 1.0
+    wide, det = width(size, s), 1.0
     for i in range(size):
         for j in range(i):
             rest = s[i * wide + j]
@@ -98,11 +93,11 @@ def root(s, upper, inverse, size, least):
         rest = s[i * wide + i]
         for k in range(i):
             rest -= upper[k * wide + i] * upper[k * wide + i]
-        if not rest > least * s[i * wide + i]:
-            return 0.0
+        det = where(rest > least * s[i * wide + i], det * rest, 0.0)
+        if not some(det > 0.0):
+            return det
         pivot = sqrt(rest)
         upper[i * wide + i], inverse[i] = pivot, 1.0 / pivot
-        det *= rest
     for i in range(size):
         for j in range(size, wide):
             upper[i * wide + j] = 0.0
@@ -112,54 +107,43 @@ def root(s, upper, inverse, size, least):
 @compiled
 def log_det(det, inverse, size):
     """The logarithm of a determinant, which may be too large or too small a number."""
-    if 1e-280 < det < 1e280:
+    moderate = (det > 1e-280) & (det < 1e280)
+    if every(moderate):
         return log(det)
     total = 0.0
     for i in range(size):
         total -= 2.0 * log(inverse[i])
-    return total
+    return where(moderate, log(det), total)
 
 
 @compiled
 def whiten(upper, inverse, b, size, wide):
-    """Put L⁻¹ B into B, of rows of so many floats."""
-    tall = padded(size)
-    for j in range(0, wide, 4):
+    """Put L⁻¹ B into B, of rows of so many."""
+    tall, blocks, right = width(size, b), wide // per_row(b), by_row(b)
+    for j in range(blocks):
         for i in range(size):
-            here = i * wide + j
-            s0, s1, s2, s3 = b[here], b[here + 1], b[here + 2], b[here + 3]
+            total = right[i * blocks + j]
             for k in range(i):
-                part, there = upper[k * tall + i], k * wide + j
-                s0 -= part * b[there]
-                s1 -= part * b[there + 1]
-                s2 -= part * b[there + 2]
-                s3 -= part * b[there + 3]
-            by = inverse[i]
-            b[here], b[here + 1], b[here + 2], b[here + 3] = s0 * by, s1 * by, s2 * by, s3 * by
+                total -= upper[k * tall + i] * right[k * blocks + j]
+            right[i * blocks + j] = total * inverse[i]
 
 
 @compiled
 def unwhiten(upper, inverse, b, size, wide):
-    """Put L⁻ᵀ B into B, of rows of so many floats."""
-    tall = padded(size)
-    for j in range(0, wide, 4):
+    """Put L⁻ᵀ B into B, of rows of so many."""
+    tall, blocks, right = width(size, b), wide // per_row(b), by_row(b)
+    for j in range(blocks):
         for i in range(size - 1, -1, -1):
-            here = i * wide + j
-            s0, s1, s2, s3 = b[here], b[here + 1], b[here + 2], b[here + 3]
+            total = right[i * blocks + j]
             for k in range(i + 1, size):
-                part, there = upper[i * tall + k], k * wide + j
-                s0 -= part * b[there]
-                s1 -= part * b[there + 1]
-                s2 -= part * b[there + 2]
-                s3 -= part * b[there + 3]
-            by = inverse[i]
-            b[here], b[here + 1], b[here + 2], b[here + 3] = s0 * by, s1 * by, s2 * by, s3 * by
+                total -= upper[i * tall + k] * right[k * blocks + j]
+            right[i * blocks + j] = total * inverse[i]
 
 
 @compiled
 def squares(cov, gain, matrix, noise, size, height, out, work):
     """The covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ, given Gᵀ, (height, size)."""
-    wide, tall = padded(size), padded(height)
+    wide, tall = width(size, cov), width(height, cov)
     keep, half = work, past(work, size * wide)
     clear(keep, size * wide)
     for i in range(size):
@@ -180,10 +164,10 @@ def least_open(s, work, size):
 
     One of zero does not count; a share below zero is rounding, or worse.
     """
-    least, wide = 1.0, padded(size)
+    least, wide = 1.0, width(size, s)
     for i in range(size):
-        rest = s[i * wide + i]
-        entry = rest
+        entry = s[i * wide + i]
+        rest = entry
         for j in range(i):
             part = s[i * wide + j]
             for k in range(j):
@@ -191,9 +175,7 @@ def least_open(s, work, size):
             work[j * wide + i] = part  # of L D, above the diagonal
             work[i * wide + j] = part / work[j * wide + j]
             rest -= part * work[i * wide + j]
-        if entry == 0.0:
-            rest = 1.0
-        elif not rest / abs(entry) > least:
-            least = rest / abs(entry)
-        work[i * wide + i] = rest
+        work[i * wide + i] = where(entry == 0.0, 1.0, rest)
+        share = where(entry == 0.0, 1.0, rest / abs(entry))
+        least = where(share > least, least, share)
     return least

@@ -7,12 +7,11 @@ lie between rows, between runs, and between components; address 0 is that of no 
 
 from __future__ import annotations
 
-from math import isfinite, pi, sqrt
+from math import pi, sqrt
 
 from pgm.kernels.compiled.algebra import (
     add,
     clear,
-    compiled,
     copy,
     mirror,
     padded,
@@ -20,8 +19,10 @@ from pgm.kernels.compiled.algebra import (
     root,
     transpose,
     unwhiten,
+    width,
 )
-from pgm.kernels.compiled.memory import call, numbers, past, places
+from pgm.kernels.compiled.memory import call, compiled, give, numbers, past, places, take
+from pgm.kernels.compiled.packs import every, lanes, some, where, whole
 
 # The columns of the table.
 (KIND, SIZE, HEIGHT, PARENTS, WHOLE, CHILD, FUNCTION, VALUE, TURNING, TURNS) = range(10)
@@ -39,12 +40,13 @@ _TURN = 2.0 * pi
 @compiled
 def load(cpd, array, row, run, out, rows, columns):
     """Copy the matrix of an array at a row and a run; a vector is a matrix of one row."""
-    source, wide = numbers(cpd[array]), padded(columns)
-    here, apart = row * cpd[array + 1] + run * cpd[array + 2], cpd[array + 3]
+    source, wide = numbers(cpd[array]), width(columns, out)
+    apart = cpd[array + 2]
+    here = row * cpd[array + 1] + run * apart
     for i in range(rows):
         for j in range(columns):
-            out[i * wide + j] = source[here]
-            here += apart
+            out[i * wide + j] = take(source, here, apart, out)
+            here += cpd[array + 3]
         for j in range(columns, wide):
             out[i * wide + j] = 0.0
 
@@ -53,74 +55,95 @@ def load(cpd, array, row, run, out, rows, columns):
 def save(cpd, array, row, run, values, rows, columns):
     """Put a matrix into an array at a row and a run, if there is one."""
     if cpd[array]:
-        target, wide = numbers(cpd[array]), padded(columns)
-        here, apart = row * cpd[array + 1] + run * cpd[array + 2], cpd[array + 3]
+        target, wide = numbers(cpd[array]), width(columns, values)
+        apart = cpd[array + 2]
+        here = row * cpd[array + 1] + run * apart
         for i in range(rows):
             for j in range(columns):
-                target[here] = values[i * wide + j]
-                here += apart
+                give(target, here, apart, values[i * wide + j], values)
+                here += cpd[array + 3]
 
 
 @compiled
-def gather(where, size, mean, cov, wide, x, spread):
-    """Some components of a belief, whose covariance has rows of so many floats."""
-    own = padded(size)
+def gather(chosen, size, mean, cov, wide, x, spread):
+    """Some components of a belief, whose covariance has rows of so many."""
+    own = width(size, spread)
     clear(spread, size * own)
     for i in range(size):
-        x[i] = mean[where[i]]
+        x[i] = mean[chosen[i]]
         for j in range(size):
-            spread[i * own + j] = cov[where[i] * wide + where[j]]
+            spread[i * own + j] = cov[chosen[i] * wide + chosen[j]]
+
+
+@compiled
+def evaluate(cpd, function, row, run, x, value, slope, work):
+    """Call a function of a CPD, `VALUE` or `FUNCTION`, for a run after another."""
+    size, height, count = cpd[SIZE], cpd[HEIGHT], lanes(x)
+    inputs = past(numbers(cpd[INPUTS]), row * cpd[INPUTS + 1] + run * cpd[INPUTS + 2])
+    points, values, slopes = numbers(x), numbers(value), numbers(slope)
+    if count == 1:
+        call(cpd[function], points, inputs, values, slopes)
+        return
+    wide, at = padded(size), numbers(work)
+    ends = past(at, size)
+    rows = past(ends, height)
+    for lane in range(count):
+        for j in range(size):
+            at[j] = points[j * count + lane]
+        call(cpd[function], at, past(inputs, lane * cpd[INPUTS + 2]), ends, rows)
+        for i in range(height):
+            values[i * count + lane] = ends[i]
+            if function == FUNCTION:
+                for j in range(size):
+                    slopes[(i * size + j) * count + lane] = rows[i * wide + j]
 
 
 @compiled
 def linearise(cpd, row, run, x, cov, matrix, value, noise, work):
-    """The F, F μ + b and noise of a CPD at a belief over its parents.
-
-    Whether the noise has an error of the linearisation in it: 1 or 0; −1 if the belief has no root.
-    """
+    """The F, F μ + b and noise of a CPD at a belief over its parents; whether that has a root."""
     size, height, kind = cpd[SIZE], cpd[HEIGHT], cpd[KIND]
     load(cpd, NOISE, row, run, noise, height, height)
-    if kind == AFFINE:
+    if kind == REGRESSION:
+        return _regress(cpd, row, run, x, cov, matrix, value, noise, work)
+    if kind == TAYLOR:
+        evaluate(cpd, FUNCTION, row, run, x, value, matrix, work)
+    else:
         load(cpd, MATRIX, row, run, matrix, height, size)
         load(cpd, OFFSET, row, run, value, 1, height)
-        wide = padded(size)
+        wide = width(size, matrix)
         for i in range(height):
             for k in range(size):
                 value[i] += matrix[i * wide + k] * x[k]
-        return 0
-    inputs = past(numbers(cpd[INPUTS]), row * cpd[INPUTS + 1] + run * cpd[INPUTS + 2])
-    if kind == TAYLOR:
-        call(cpd[FUNCTION], x, inputs, value, matrix)
-        return 0
-    return _regress(cpd, inputs, x, cov, matrix, value, noise, work)
+    return True
 
 
 @compiled
-def _regress(cpd, inputs, x, cov, matrix, value, noise, work):
+def _regress(cpd, row, run, x, cov, matrix, value, noise, work):
     size, height, count = cpd[SIZE], cpd[HEIGHT], cpd[COUNT]
-    wide, tall = padded(size), padded(height)
+    wide, tall = width(size, x), width(height, x)
     points = numbers(cpd[POINTS])
     rows, signs = past(points, count * size), past(points, count * (size + count))
     upper, inverse = work, past(work, size * wide)
     at, raw = past(inverse, wide), past(inverse, wide * (count + 1))
     found, error = past(raw, count * tall), past(raw, 2 * count * tall)
-    if root(cov, upper, inverse, size, _REGULAR) == 0.0:
-        return -1
+    ok = root(cov, upper, inverse, size, _REGULAR) > 0.0
+    if not some(ok):
+        return ok
     for p in range(count):
         copy(x, past(at, p * wide), wide)
     add(1.0, points, size, 1, upper, at, count, size, wide)
     clear(raw, count * tall)
     for p in range(count):
-        call(cpd[VALUE], past(at, p * wide), inputs, past(raw, p * tall), matrix)
+        evaluate(cpd, VALUE, row, run, past(at, p * wide), past(raw, p * tall), matrix, found)
     if cpd[ANGLES] and not cpd[CENTRED]:
-        call(cpd[VALUE], x, inputs, value, matrix)
+        evaluate(cpd, VALUE, row, run, x, value, matrix, found)
     else:
         copy(raw, value, tall)
     for p in range(count):
         for i in range(height):
             raw[p * tall + i] -= value[i]
     if cpd[ANGLES]:
-        _about(cpd, inputs, x, at, raw, found)
+        _about(cpd, row, run, x, at, raw, found)
     product(rows, count, 1, raw, found, count, count, tall)
     slope, left = past(found, tall), past(found, (1 + size) * tall)
     clear(error, height * tall)
@@ -129,71 +152,69 @@ def _regress(cpd, inputs, x, cov, matrix, value, noise, work):
     for i in range(height):  # the sizes of slopes, beside which rounding is told
         matrix[i] = value[i] * value[i]
         for j in range(size):
-            matrix[i] += slope[j * tall + i] ** 2
-    doubtful = False
+            matrix[i] += slope[j * tall + i] * slope[j * tall + i]
+    sound = True
     least = numbers(cpd[LEAST])  # of the own noise, then the rounding of the rule
     for i in range(height):
-        doubtful = doubtful or not error[i * tall + i] + least[i] > _PLAIN * matrix[i]
+        sound = sound & (error[i * tall + i] + least[i] > _PLAIN * matrix[i])
     sizes = past(error, height * tall)
     copy(matrix, sizes, height)
     unwhiten(upper, inverse, slope, size, tall)  # F L = J
     transpose(slope, matrix, size, height)
-    if doubtful:
+    if not every(sound):
         _clear_rounding(cpd, x, matrix, value, raw, error, sizes)
     for i in range(height):
         value[i] += found[i]
     for i in range(height * tall):
         noise[i] += error[i]
     mirror(noise, height)
-    return 1
+    return ok
 
 
 @compiled
-def _about(cpd, inputs, x, at, raw, work):
+def _about(cpd, row, run, x, at, raw, work):
     """Offsets of angles of which some exceed half a turn, wrapped about their line."""
     size, height, count, steep = cpd[SIZE], cpd[HEIGHT], cpd[COUNT], False
-    wide, tall = padded(size), padded(height)
+    wide, tall = width(size, x), width(height, x)
     slope = past(work, tall)
     for i in range(height):
-        far = False
-        if (cpd[ANGLES] >> i) & 1:
-            for p in range(count):
-                far = far or abs(raw[p * tall + i]) > pi
-        if not far:
+        if not (cpd[ANGLES] >> i) & 1:
+            continue
+        far = abs(raw[i]) > pi
+        for p in range(1, count):
+            far = far | (abs(raw[p * tall + i]) > pi)
+        if not some(far):
             continue
         if not steep:
-            call(cpd[FUNCTION], x, inputs, work, slope)
+            evaluate(cpd, FUNCTION, row, run, x, work, slope, past(slope, height * wide))
             steep = True
         for p in range(count):
             line = 0.0
             for j in range(size):
                 line += slope[i * wide + j] * (at[p * wide + j] - x[j])
             off = raw[p * tall + i] - line
-            raw[p * tall + i] = off - _TURN * round(off / _TURN) + line
+            turned = off - _TURN * whole(off / _TURN) + line
+            raw[p * tall + i] = where(far, turned, raw[p * tall + i])
 
 
 @compiled
 def _clear_rounding(cpd, x, matrix, reference, raw, error, sizes):
     """Make the error zero in components in which it may be rounding of the values."""
     size, height = cpd[SIZE], cpd[HEIGHT]
-    wide, tall = padded(size), padded(height)
+    wide, tall = width(size, x), width(height, x)
     least = numbers(cpd[LEAST])
     for i in range(height):
-        variance, summands = error[i * tall + i], abs(reference[i])
-        if variance + least[i] > _PLAIN * sizes[i]:
-            continue
-        variance = abs(variance)
-        if variance > (least[height] * summands) ** 2:
-            farthest = 0.0
-            for j in range(size):
-                summands += abs(matrix[i * wide + j] * x[j])
-            for p in range(cpd[COUNT]):
-                farthest = max(farthest, abs(raw[p * tall + i]))
-            if variance > (least[height] * (summands + farthest)) ** 2:
-                continue
+        variance, summands, farthest = error[i * tall + i], abs(reference[i]), 0.0
+        for j in range(size):
+            summands += abs(matrix[i * wide + j] * x[j])
+        for p in range(cpd[COUNT]):
+            far = abs(raw[p * tall + i])
+            farthest = where(far > farthest, far, farthest)
+        most = least[height] * (summands + farthest)
+        sound = (variance + least[i] > _PLAIN * sizes[i]) | (abs(variance) > most * most)
         for j in range(height):
-            error[i * tall + j] = 0.0
-            error[j * tall + i] = 0.0
+            error[i * tall + j] = where(sound, error[i * tall + j], 0.0)
+            error[j * tall + i] = where(sound, error[j * tall + i], 0.0)
 
 
 @compiled
@@ -203,45 +224,49 @@ def to_chart(cpd, row, run, before, x, value, work):
     One that wraps gives the same for angles a whole turn on; another turns too.
     """
     size, height = cpd[SIZE], cpd[HEIGHT]
-    pairs, far = places(cpd[TURNING]), False
+    pairs, near = places(cpd[TURNING]), True
     for k in range(cpd[TURNS]):
-        far = far or abs(value[pairs[3 * k]] - before[pairs[3 * k + 1]]) > pi
-    if not far:
+        near = near & (abs(value[pairs[3 * k]] - before[pairs[3 * k + 1]]) <= pi)
+    if every(near):
         return
-    inputs = past(numbers(cpd[INPUTS]), row * cpd[INPUTS + 1] + run * cpd[INPUTS + 2])
     at, ends, slope = work, past(work, size), past(work, size + 2 * height)
+    rest = past(slope, height * width(size, x))
     copy(x, at, size)
-    call(cpd[VALUE], at, inputs, ends, slope)
+    evaluate(cpd, VALUE, row, run, at, ends, slope, rest)
     for k in range(cpd[TURNS]):
         at[pairs[3 * k + 2]] += _TURN
-    call(cpd[VALUE], at, inputs, past(ends, height), slope)
+    evaluate(cpd, VALUE, row, run, at, past(ends, height), slope, rest)
     for k in range(cpd[TURNS]):
         new = pairs[3 * k]
-        if abs(ends[height + new] - ends[new]) < pi:
-            value[new] -= _TURN * round((value[new] - before[pairs[3 * k + 1]]) / _TURN)
+        turns = whole((value[new] - before[pairs[3 * k + 1]]) / _TURN)
+        wraps = abs(ends[height + new] - ends[new]) < pi
+        value[new] = where(wraps, value[new] - _TURN * turns, value[new])
 
 
 @compiled
 def predict(cpd, cov, matrix, noise, out, work):
     """F P Fᵀ + noise; whether zeros of components without noise need not be told from rounding."""
     size, height = cpd[SIZE], cpd[HEIGHT]
-    wide, tall = padded(size), padded(height)
+    wide, tall = width(size, cov), width(height, cov)
     half, turned = work, past(work, height * wide)
     product(matrix, wide, 1, cov, half, height, size, wide)
     transpose(matrix, turned, height, size)
     copy(noise, out, height * tall)
     add(1.0, half, wide, 1, turned, out, height, size, tall)
     mirror(out, height)
+    ok = True
     if cpd[BARE] and size:
         for i in range(height):
             if not (cpd[BARE] >> i) & 1:
                 continue
             most = 0.0
             for k in range(size):
-                most += abs(matrix[i * wide + k]) * sqrt(max(cov[k * wide + k], 0.0))
-            if not out[i * tall + i] > _ROUNDING * most * most:
-                return False
-    return not cpd[UNSURE] or root(out, work, past(work, height * tall), height, 1e-13) > 0.0
+                variance = cov[k * wide + k]
+                most += abs(matrix[i * wide + k]) * sqrt(where(variance > 0.0, variance, 0.0))
+            ok = ok & (out[i * tall + i] > _ROUNDING * most * most)
+    if cpd[UNSURE]:
+        ok = ok & (root(out, work, past(work, height * tall), height, 1e-13) > 0.0)
+    return ok
 
 
 @compiled
@@ -250,5 +275,5 @@ def nearest(cpd, value, reading):
     for i in range(cpd[HEIGHT]):
         if (cpd[ANGLES] >> i) & 1:
             off = reading[i] - value[i]
-            if abs(off) > pi and isfinite(off):
-                reading[i] -= _TURN * round(off / _TURN)
+            far = (abs(off) > pi) & (off - off == 0.0)
+            reading[i] = where(far, reading[i] - _TURN * whole(off / _TURN), reading[i])

@@ -8,22 +8,18 @@ from typing import Any
 from zlib import crc32
 
 from llvmlite import ir
-from numba import config, types
+from numba import config, njit, types
 from numba.extending import intrinsic
+
+from pgm.kernels.compiled.packs import NUMBERS, ROW_PACK, RUN_PACK, RUNS, Packs
 
 # Of the text of all kernels: code on disk is of this text, or is not loaded.
 STAMP = crc32(b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py"))))
-Numbers = types.CPointer(types.float64)
-Places = types.CPointer(types.int64)
-
-
-def _viewed(pointer: Any) -> Any:
-    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
-
-    return pointer(types.int64), made
-
-
+PLACES = types.CPointer(types.int64)
+# They are called by each other alone, and hold no object of Python's.
+compiled: Any = njit(
+    error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
+)
 _LOCK = Lock()
 
 
@@ -44,21 +40,40 @@ def ready(kernel: Any, signature: str) -> Any:
     return kernel
 
 
+def _seen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    target, value = context.get_value_type(signature.return_type), arguments[0]
+    whole = isinstance(value.type, ir.IntType)
+    return builder.inttoptr(value, target) if whole else builder.bitcast(value, target)
+
+
 @intrinsic
-def numbers(typing: Any, address: Any) -> Any:
-    """The floats at an address."""
-    return _viewed(Numbers)
+def numbers(typing: Any, place: Any) -> Any:
+    """The floats at an address or a pointer."""
+    return NUMBERS(place), _seen
 
 
 @intrinsic
 def places(typing: Any, address: Any) -> Any:
     """The integers at an address."""
-    return _viewed(Places)
+    return PLACES(address), _seen
+
+
+@intrinsic
+def by_row(typing: Any, pointer: Any) -> Any:
+    """Rows of floats as packs; packs of runs stay as they are."""
+    return (pointer if isinstance(pointer, Packs) else Packs(ROW_PACK))(pointer), _seen
+
+
+@intrinsic(prefer_literal=True)
+def opened(typing: Any, address: Any, count: Any) -> Any:
+    """The floats, or packs of as many runs, at an address."""
+    kind = NUMBERS if count.literal_value == 1 else Packs(RUN_PACK)
+    return kind(address, count), _seen
 
 
 @intrinsic
 def past(typing: Any, pointer: Any, count: Any) -> Any:
-    """The floats, or integers, so many on."""
+    """The pointer so many on."""
 
     def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.gep(arguments[0], [arguments[1]])
@@ -77,4 +92,60 @@ def call(typing: Any, address: Any, x: Any, u: Any, value: Any, slope: Any) -> A
         builder.call(function, arguments[1:])
         return context.get_dummy_value()
 
-    return types.void(types.int64, Numbers, Numbers, Numbers, Numbers), made
+    return types.void(types.int64, *[NUMBERS] * 4), made
+
+
+@intrinsic
+def take(typing: Any, source: Any, here: Any, apart: Any, like: Any) -> Any:
+    """A float of a run, or those of as many as a pointer has packs of, so far apart."""
+
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        source, here, apart, _ = arguments
+        first = builder.gep(source, [here])
+        if not isinstance(like, Packs):
+            return builder.load(first)
+        kind = context.get_value_type(RUN_PACK)
+        with builder.if_else(_is_one(builder, apart)) as (near, far):
+            with near:
+                found = builder.load(builder.bitcast(first, kind.as_pointer()), align=8)
+                begin = builder.block
+            with far:
+                pack = ir.Constant(kind, ir.Undefined)
+                for k in range(RUNS):
+                    value = builder.load(builder.gep(source, [here]))
+                    pack = builder.insert_element(pack, value, ir.Constant(ir.IntType(32), k))
+                    here = builder.add(here, apart)
+                end = builder.block
+        either = builder.phi(kind)
+        either.add_incoming(found, begin)
+        either.add_incoming(pack, end)
+        return either
+
+    return like.dtype(source, types.int64, types.int64, like), made
+
+
+@intrinsic
+def give(typing: Any, target: Any, here: Any, apart: Any, value: Any, like: Any) -> Any:
+    """Put a float of a run, or those of as many as a pointer has packs of, so far apart."""
+
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        target, here, apart, value, _ = arguments
+        first = builder.gep(target, [here])
+        if not isinstance(like, Packs):
+            builder.store(value, first)
+            return context.get_dummy_value()
+        with builder.if_else(_is_one(builder, apart)) as (near, far):
+            with near:
+                builder.store(value, builder.bitcast(first, value.type.as_pointer()), align=8)
+            with far:
+                for k in range(RUNS):
+                    each = builder.extract_element(value, ir.Constant(ir.IntType(32), k))
+                    builder.store(each, builder.gep(target, [here]))
+                    here = builder.add(here, apart)
+        return context.get_dummy_value()
+
+    return types.void(target, types.int64, types.int64, like.dtype, like), made
+
+
+def _is_one(builder: Any, apart: Any) -> Any:
+    return builder.icmp_signed("==", apart, ir.Constant(apart.type, 1))

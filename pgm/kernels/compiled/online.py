@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from pgm.kernels.compiled.algebra import compiled, least_open, padded
-from pgm.kernels.compiled.memory import STAMP, numbers, past, places, ready
+from pgm.kernels.compiled.algebra import least_open, padded
+from pgm.kernels.compiled.memory import STAMP, compiled, numbers, past, places, ready
 from pgm.kernels.compiled.sweeps import SINGLE, WIDTH, _joined, _moved, _once
 
 (CHAIN, MEMORY, PACKED, PARTS, PART_COUNT, SHIFTS, SHIFT_COUNT, STEP) = range(8)

@@ -6,7 +6,7 @@ of CPDs, and its arrays, by step where those of a CPD are by row.
 
 from __future__ import annotations
 
-from math import isfinite, sqrt
+from math import sqrt
 from typing import Any
 
 from numba import njit
@@ -15,18 +15,17 @@ from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.compiled.algebra import (
     add,
     clear,
-    compiled,
     copy,
     least_open,
     log_det,
     mirror,
-    padded,
     product,
     root,
     squares,
     transpose,
     unwhiten,
     whiten,
+    width,
 )
 from pgm.kernels.compiled.factors import (
     AFFINE,
@@ -40,6 +39,7 @@ from pgm.kernels.compiled.factors import (
     OFFSET,
     PARENTS,
     READINGS,
+    REGRESSION,
     SHARP,
     SIZE,
     STEPS,
@@ -52,7 +52,8 @@ from pgm.kernels.compiled.factors import (
     save,
     to_chart,
 )
-from pgm.kernels.compiled.memory import STAMP, numbers, past, places
+from pgm.kernels.compiled.memory import STAMP, compiled, give, numbers, opened, past, places, take
+from pgm.kernels.compiled.packs import RUNS, bits, every, full, some, where
 
 # The shape of a chain: T, whether one CPD makes all of a slice of all of the one before, and the
 # components of states and of a slice.
@@ -77,10 +78,11 @@ NEARLY_SINGULAR, _NEGLIGIBLE, _EVERY, _MILD, _GROWN = 1e-6, 1e-15, 8, 1e-3, 1e2
 DONE, LEFT = 0, 1
 
 
-def room(width: int, front: int, height: int, points: int) -> int:
+def room(width: int, front: int, height: int, points: int, lanes: int = 1) -> int:
     """How many floats of memory a sweep works in; its components and points are the largest."""
     size = max(width + front, height) + 3
-    return (16 + TOGETHER) * size * (size + 1) + points * (3 * size + points)
+    own = 16 * size * (size + 1) + points * (3 * size + points)
+    return TOGETHER * size * (size + 1) + lanes * own
 
 
 @compiled
@@ -90,26 +92,29 @@ def _step(fields, step, run, known, work):
     The belief is that of the step before, and then of this one.
     """
     size = fields[WIDTH]
-    wide = padded(size)
+    wide = width(size, known)
     spread = past(known, wide)
     mean, cov = work, past(work, wide)
     rest = past(cov, size * wide)
+    sure = True
     if not step:
         load(fields, BEGIN_MEAN, 0, run, mean, 1, size)
         load(fields, BEGIN_COV, 0, run, cov, size, size)
     elif fields[SINGLE]:
-        if not _moved(fields, step - 1, run, known, spread, mean, cov, rest):
-            return False
-    elif not _joined(fields, step - 1, run, known, spread, mean, cov, rest):
-        return False
+        sure = _moved(fields, step - 1, run, known, spread, mean, cov, rest)
+    else:
+        sure = _joined(fields, step - 1, run, known, spread, mean, cov, rest)
+    if not some(sure):
+        return sure
     save(fields, PREDICTED_MEAN, step, run, mean, 1, size)
     save(fields, PREDICTED_COV, step, run, cov, size, size)
     ok, density = _taken(fields, step, run, mean, cov, known, spread, rest)
     total = density
     for i in range(size):
         total += known[i] + spread[i * wide + i]
-    if not (ok and isfinite(total)):
-        return False
+    ok = ok & sure & (total - total == 0.0)
+    if not some(ok):
+        return ok
     save(fields, MEAN, step, run, known, 1, size)
     save(fields, COV, step, run, spread, size, size)
     rest[0] = density
@@ -117,31 +122,35 @@ def _step(fields, step, run, known, work):
     if fields[CLOSEST]:
         closest = past(numbers(fields[CLOSEST]), run * (size + 1))
         _look(closest, cov, spread, size, step, fields[LAST], rest)
-    return True
+    return ok
 
 
 @compiled
 def _look(closest, before, after, size, step, last, work):
     """Look how much of variances is left open; see `Watch`."""
-    least, wide, level, grown = 1.0, padded(size), past(closest, 1), False
+    wide, apart, least, grown = width(size, before), size + 1, 1.0, False
+    often = step == last or step % _EVERY == 0
     for i in range(size):
         was, left = before[i * wide + i], after[i * wide + i]
-        grown = grown or was > _GROWN * level[i]
-        if left < _MILD * was and left != 0.0 and was > 0.0:
-            least = min(least, left / was)
-    doubtful = grown or least < 1.0
-    if doubtful:
-        least = min(least, least_open(before, work, size))
+        grown = grown | (was > _GROWN * take(closest, i + 1, apart, before))
+        small = (left < _MILD * was) & (left != 0.0) & (was > 0.0) & (left < least * was)
+        least = where(small, left / was, least)
+    doubtful = grown | (least < 1.0)
+    if some(doubtful):
+        share = least_open(before, work, size)
+        least = where(doubtful & (share < least), share, least)
     for i in range(size):
-        if doubtful:
-            level[i] = before[i * wide + i]
+        was, left = before[i * wide + i], after[i * wide + i]
+        level = where(doubtful, was, take(closest, i + 1, apart, before))
         if not step:
-            level[i] = after[i * wide + i]
-    if doubtful or step == last or step % _EVERY == 0:
-        for i in range(size):
-            level[i] = min(level[i], after[i * wide + i])
-        least = min(least, least_open(after, work, size))
-    closest[0] = min(closest[0], least)
+            level = left
+        low = (doubtful | often) & (left < level)
+        give(closest, i + 1, apart, where(low, left, level), before)
+    if often or some(doubtful):
+        share = least_open(after, work, size)
+        least = where((doubtful | often) & (share < least), share, least)
+    known = take(closest, 0, apart, before)
+    give(closest, 0, apart, where(least < known, least, known), before)
 
 
 @compiled
@@ -149,45 +158,44 @@ def _moved(fields, row, run, before, spread, mean, cov, work):
     """The slice, where one CPD makes all of it of all of the slice before."""
     cpd = places(fields[LINKS])
     size = cpd[SIZE]
-    square = size * padded(size)
+    square = size * width(size, work)
     matrix, noise, rest = work, past(work, square), past(work, 2 * square)
-    error = linearise(cpd, row, run, before, spread, matrix, mean, noise, rest)
-    if error < 0 or not predict(cpd, spread, matrix, noise, cov, rest):
-        return False
-    to_chart(cpd, row, run, before, before, mean, rest)
-    _keep(cpd, row, run, before, mean, matrix, noise, error, rest)
-    return True
+    ok = linearise(cpd, row, run, before, spread, matrix, mean, noise, rest)
+    ok = ok & predict(cpd, spread, matrix, noise, cov, rest)
+    if some(ok):
+        to_chart(cpd, row, run, before, before, mean, rest)
+        _keep(cpd, row, run, before, mean, matrix, noise, rest)
+    return ok
 
 
 @compiled
-def _keep(cpd, row, run, x, value, matrix, noise, error, work):
+def _keep(cpd, row, run, x, value, matrix, noise, work):
     """Keep a linearisation, where that is asked for."""
     if cpd[KIND] == AFFINE or not cpd[MATRIX]:
         return
     size, height = cpd[SIZE], cpd[HEIGHT]
-    wide = padded(size)
+    wide = width(size, x)
     save(cpd, MATRIX, row, run, matrix, height, size)
     for i in range(height):
-        total = 0.0
+        work[i] = value[i]
         for k in range(size):
-            total += matrix[i * wide + k] * x[k]
-        work[i] = value[i] - total
+            work[i] -= matrix[i * wide + k] * x[k]
     save(cpd, OFFSET, row, run, work, 1, height)
-    if error:
+    if cpd[KIND] == REGRESSION:
         save(cpd, KEPT_NOISE, row, run, noise, height, height)
 
 
 @compiled
 def _joined(fields, row, run, known, spread, mean, cov, work):
     """The slice, a CPD after another, in the joint of the states before and itself."""
-    front, width, states = fields[FRONT], fields[WIDTH], places(fields[STATES])
-    size, own_wide = front + width, padded(width)
-    wide = padded(size)
+    front, own, states = fields[FRONT], fields[WIDTH], places(fields[STATES])
+    size, own_wide = front + own, width(own, work)
+    wide, ok = width(size, work), True
     square = size * wide
     pair, joint = work, past(work, wide)
     x, block = past(joint, square), past(joint, square + wide)
     matrix, noise = past(block, square), past(block, 2 * square)
-    own, value = past(noise, square), past(noise, 2 * square)
+    after, value = past(noise, square), past(noise, 2 * square)
     rest = past(value, wide)
     clear(joint, square)
     for i in range(front):
@@ -197,11 +205,12 @@ def _joined(fields, row, run, known, spread, mean, cov, work):
     for link in range(fields[LINK_COUNT]):
         cpd = past(places(fields[LINKS]), link * COLUMNS)
         count, height, child, parents = cpd[SIZE], cpd[HEIGHT], cpd[CHILD], places(cpd[PARENTS])
-        thick, tall = padded(count), padded(height)
+        thick, tall = width(count, work), width(height, work)
         gather(parents, count, pair, joint, wide, x, block)
-        error = linearise(cpd, row, run, x, block, matrix, value, noise, rest)
-        if error < 0 or not predict(cpd, block, matrix, noise, own, rest):
-            return False
+        ok = ok & linearise(cpd, row, run, x, block, matrix, value, noise, rest)
+        ok = ok & predict(cpd, block, matrix, noise, after, rest)
+        if not some(ok):
+            return ok
         clear(rest, height * wide)
         for k in range(count):
             moved = past(joint, parents[k] * wide)
@@ -212,59 +221,66 @@ def _joined(fields, row, run, known, spread, mean, cov, work):
                 joint[j * wide + child + i] = rest[i * wide + j]
         for i in range(height):
             for j in range(height):
-                joint[(child + i) * wide + child + j] = own[i * tall + j]
+                joint[(child + i) * wide + child + j] = after[i * tall + j]
         to_chart(cpd, row, run, pair, x, value, rest)
-        _keep(cpd, row, run, x, value, matrix, noise, error, rest)
+        _keep(cpd, row, run, x, value, matrix, noise, rest)
         copy(value, past(pair, child), height)
-    for i in range(width):
+    for i in range(own):
         mean[i] = pair[front + i]
-        for j in range(width):
+        for j in range(own):
             cov[i * own_wide + j] = joint[(front + i) * wide + front + j]
-        for j in range(width, own_wide):
+        for j in range(own, own_wide):
             cov[i * own_wide + j] = 0.0
-    return True
+    return ok
 
 
 @compiled
 def _taken(fields, step, run, mean, cov, known, spread, work):
     """The belief given the measurements of a step; whether all was regular, and their density."""
-    size, iterations = fields[WIDTH], fields[ITERATIONS]
-    wide = padded(size)
-    point, about, rest = mean, cov, work
-    if iterations > 1:
-        if _are_curved(fields, step):
-            point, about = work, past(work, wide)
-            rest = past(about, size * wide)
-            copy(mean, point, size)
-            copy(cov, about, size * wide)
-        else:
-            iterations = 1
-    settings = numbers(fields[SETTINGS])
-    record = past(numbers(fields[RESIDUALS]), run * (iterations + 1))
-    density, residual, made = 0.0, 0.0, 0
-    for iteration in range(max(iterations, 1)):
-        ok, density = _once(fields, step, run, mean, cov, point, about, known, spread, rest)
-        if not ok or iterations < 2:
-            return ok, density
-        if iteration:
-            residual, made = 0.0, iteration
-            for i in range(size):
-                unit = sqrt(max(spread[i * wide + i], 0.0))
-                unit = unit if unit > 0.0 else max(abs(known[i]), 1.0)
-                residual = max(residual, abs(known[i] - point[i]) / unit)
-            record[iteration - 1] = max(record[iteration - 1], residual)
-            if residual <= settings[0]:
-                break
+    size, iterations, apart = fields[WIDTH], fields[ITERATIONS], fields[ITERATIONS] + 1
+    wide = width(size, work)
+    if iterations < 2 or not _are_curved(fields, step):
+        return _once(fields, step, run, mean, cov, mean, cov, known, spread, work)
+    point, about = work, past(work, wide)
+    rest = past(about, size * wide)
+    copy(mean, point, size)
+    copy(cov, about, size * wide)
+    tolerance, damping = numbers(fields[SETTINGS])[0], numbers(fields[SETTINGS])[1]
+    record = past(numbers(fields[RESIDUALS]), run * apart)
+    residual, made, settled, last = 0.0, 0.0, False, 0
+    ok, density = _once(fields, step, run, mean, cov, point, about, known, spread, rest)
+    for iteration in range(1, iterations):
+        if every(settled) or not some(ok):
+            break
         for i in range(size):
-            point[i] = settings[1] * point[i] + (1.0 - settings[1]) * known[i]
+            mixed = damping * point[i] + (1.0 - damping) * known[i]
+            point[i] = where(settled, point[i], mixed)
         for i in range(size * wide):
-            about[i] = settings[1] * about[i] + (1.0 - settings[1]) * spread[i]
-    for later in range(made, iterations - 1):
-        record[later] = max(record[later], residual)
-    record[iterations - 1] = max(record[iterations - 1], 1.0 * made)
-    if not residual <= settings[0]:
-        record[iterations] = 1.0
-    return True, density
+            mixed = damping * about[i] + (1.0 - damping) * spread[i]
+            about[i] = where(settled, about[i], mixed)
+        ok, density = _once(fields, step, run, mean, cov, point, about, known, spread, rest)
+        residual, last = 0.0, iteration
+        made = where(settled, made, 1.0 * iteration)
+        for i in range(size):
+            variance, size_of = spread[i * wide + i], abs(known[i])
+            unit = where(size_of > 1.0, size_of, 1.0)
+            unit = where(variance > 0.0, sqrt(variance), unit)
+            moved = abs(known[i] - point[i]) / unit
+            residual = where(residual > moved, residual, moved)
+        settled = settled | (residual <= tolerance)
+        _at_most(record, iteration - 1, apart, residual, known)
+    for later in range(last, iterations - 1):
+        _at_most(record, later, apart, residual, known)
+    _at_most(record, iterations - 1, apart, made, known)
+    _at_most(record, iterations, apart, where(settled, 0.0, 1.0), known)
+    return ok, density
+
+
+@compiled
+def _at_most(record, place, apart, value, like):
+    """Let a float of a record be no less than a value."""
+    known = take(record, place, apart, like)
+    give(record, place, apart, where(known > value, known, value), like)
 
 
 @compiled
@@ -281,26 +297,27 @@ def _are_curved(fields, step):
 @compiled
 def _once(fields, step, run, mean, cov, point, about, known, spread, work):
     """Take the measurements of a step, linearised at a point, into N(mean, cov)."""
-    size, density = fields[WIDTH], 0.0
-    wide = padded(size)
+    size, ok, density = fields[WIDTH], True, 0.0
+    wide = width(size, work)
     copy(mean, known, wide)
     copy(cov, spread, size * wide)
     for k in range(fields[SENSOR_COUNT]):
         cpd = past(places(fields[SENSORS]), k * COLUMNS)
         bounds = places(cpd[STEPS])
         for row in range(bounds[step], bounds[step + 1]):
-            ok, more = _read(cpd, row, run, size, point, about, known, spread, work)
+            sure, more = _read(cpd, row, run, size, point, about, known, spread, work)
+            ok = ok & sure
             density += more
-            if not ok:
-                return False, density
-    return True, density
+            if not some(ok):
+                return ok, density
+    return ok, density
 
 
 @compiled
 def _read(cpd, row, run, size, point, about, known, spread, work):
     """Take in a measurement, linearised at a point; its missing components are NaN."""
-    count, height, wide = cpd[SIZE], cpd[HEIGHT], padded(size)
-    thick, tall = padded(count), padded(height)
+    count, height, wide = cpd[SIZE], cpd[HEIGHT], width(size, work)
+    thick, tall = width(count, work), width(height, work)
     matrix, noise = work, past(work, height * wide)
     value, reading = past(noise, height * tall), past(noise, (height + 1) * tall)
     rest = past(reading, tall)
@@ -309,10 +326,8 @@ def _read(cpd, row, run, size, point, about, known, spread, work):
         x, block = rest, past(rest, thick)
         rest = past(block, count * thick)
         gather(parents, count, point, about, wide, x, block)
-    error = linearise(cpd, row, run, x, block, matrix, value, noise, rest)
-    if error < 0:
-        return False, 0.0
-    _keep(cpd, row, run, x, value, matrix, noise, error, rest)
+    ok = linearise(cpd, row, run, x, block, matrix, value, noise, rest)
+    _keep(cpd, row, run, x, value, matrix, noise, rest)
     load(cpd, READINGS, row, run, reading, 1, height)
     nearest(cpd, value, reading)
     save(cpd, MOVED, row, run, reading, 1, height)
@@ -322,46 +337,46 @@ def _read(cpd, row, run, size, point, about, known, spread, work):
         for i in range(height):
             for j in range(count):
                 matrix[i * wide + parents[j]] = rest[i * thick + j]
-    seen = 0
+    sharp, density, unseen = numbers(cpd[SHARP])[0], 0.0, True
     for i in range(height):
-        if reading[i] != reading[i]:
-            continue
+        seen = reading[i] == reading[i]
         residual = reading[i] - value[i]
         for j in range(size):
             residual -= matrix[i * wide + j] * (known[j] - point[j])
-        value[seen] = residual
-        if seen < i:  # rows and columns before these have been moved already
-            for j in range(size):
-                matrix[seen * wide + j] = matrix[i * wide + j]
-            for j in range(height):
-                noise[seen * tall + j] = noise[i * tall + j]
-            for j in range(height):
-                noise[j * tall + seen] = noise[j * tall + i]
-        seen += 1
-    if not seen:
-        return True, 0.0
-    sharp = numbers(cpd[SHARP])[0]
-    if seen < height:
-        sharp, less = 0.0, padded(seen)
-        for i in range(seen):
-            for j in range(seen):
-                noise[i * less + j] = noise[i * tall + j]
-            for j in range(seen, less):
-                noise[i * less + j] = 0.0
-    return _update(known, spread, matrix, value, noise, size, seen, sharp, rest)
+        value[i] = residual
+        density = where(seen, density + LOG_2PI, density)
+        unseen = unseen & (reading[i] != reading[i])
+        if every(seen):
+            continue
+        # One that is missing is as a reading of noise alone.
+        value[i], sharp = where(seen, residual, 0.0), where(seen, sharp, 0.0)
+        for j in range(size):
+            matrix[i * wide + j] = where(seen, matrix[i * wide + j], 0.0)
+        for j in range(height):
+            noise[i * tall + j] = where(seen, noise[i * tall + j], 0.0)
+            noise[j * tall + i] = where(seen, noise[j * tall + i], 0.0)
+        noise[i * tall + i] = where(seen, noise[i * tall + i], 1.0)
+    if every(unseen) or not some(ok):
+        return ok, 0.0 * density
+    sure, density = _update(
+        known, spread, matrix, value, noise, size, height, sharp, density, rest
+    )
+    return ok & sure, density
 
 
 @compiled
-def _update(mean, cov, matrix, residual, noise, size, height, sharp, work):
+def _update(mean, cov, matrix, residual, noise, size, height, sharp, density, work):
     """Condition N(mean, cov) on z = H x + n, of residual z − H mean.
 
     Where |S| is below `sharp` no direction shrinks so much that P − W Wᵀ would lose digits, and
     elsewhere the covariance is a sum of squares.
     """
-    wide, tall = padded(size), padded(height)
+    wide, tall = width(size, work), width(height, work)
     predictive, upper = work, past(work, height * tall)
     inverse, white = past(upper, height * tall), past(upper, (height + 1) * tall)
     gain = past(white, tall)
+    turned = past(gain, height * wide)
+    spread = past(turned, height * wide)
     product(matrix, wide, 1, cov, gain, height, size, wide)
     for i in range(height):
         for j in range(i + 1):
@@ -370,9 +385,10 @@ def _update(mean, cov, matrix, residual, noise, size, height, sharp, work):
                 total += gain[i * wide + k] * matrix[j * wide + k]
             predictive[i * tall + j] = total
     det = root(predictive, upper, inverse, height, NEARLY_SINGULAR)
-    if det == 0.0:
-        return False, 0.0
-    density = height * LOG_2PI + log_det(det, inverse, height)
+    ok = det > 0.0
+    if not some(ok):
+        return ok, density
+    density += log_det(det, inverse, height)
     for i in range(height):
         total = residual[i]
         for k in range(i):
@@ -381,81 +397,86 @@ def _update(mean, cov, matrix, residual, noise, size, height, sharp, work):
         density += white[i] * white[i]
     whiten(upper, inverse, gain, height, wide)
     add(1.0, white, 1, 1, gain, mean, 1, height, wide)
-    if det < sharp:
+    mild = det < sharp
+    if not every(mild):
+        copy(gain, turned, height * wide)
+        unwhiten(upper, inverse, turned, height, wide)
+        squares(cov, turned, matrix, noise, size, height, spread, past(spread, size * wide))
+    if some(mild):
         add(-1.0, gain, 1, wide, gain, cov, size, height, wide)
-    else:
-        unwhiten(upper, inverse, gain, height, wide)
-        spread = past(gain, height * wide)
-        squares(cov, gain, matrix, noise, size, height, spread, past(spread, size * wide))
-        copy(spread, cov, size * wide)
-    return True, -0.5 * density
+    if not every(mild):
+        for i in range(size * wide):
+            cov[i] = where(mild, cov[i], spread[i])
+    return ok, -0.5 * density
 
 
 @compiled
 def _back(fields, step, run, later, work):
     """Reverse the transition from a step, and send the belief of the step after it through."""
-    width, front = fields[WIDTH], fields[FRONT]
-    wide, thin = padded(width), padded(front)
+    size, front = fields[WIDTH], fields[FRONT]
+    wide, thin, ok = width(size, work), width(front, work), True
     spread = past(later, wide)
     if step == fields[LAST]:
-        load(fields, MEAN, step, run, later, 1, width)
-        load(fields, COV, step, run, spread, width, width)
+        load(fields, MEAN, step, run, later, 1, size)
+        load(fields, COV, step, run, spread, size, size)
     else:
         # The gain, and then the transpose of that of controls.
-        gain, shift = work, past(work, max(width * thin, front * wide))
+        gain, shift = work, past(work, max(size * thin, front * wide))
         left = past(shift, wide)
-        rest = past(left, width * wide)
-        if not _reverse(fields, step, run, gain, shift, left, rest):
-            return False
-        transpose(gain, rest, width, front)
-        save(fields, GAIN, step, run, rest, front, width)
+        rest = past(left, size * wide)
+        ok = _reverse(fields, step, run, gain, shift, left, rest)
+        if not some(ok):
+            return ok
+        transpose(gain, rest, size, front)
+        save(fields, GAIN, step, run, rest, front, size)
         save(fields, SHIFT, step, run, shift, 1, front)
         save(fields, REST, step, run, left, front, front)
         if not fields[LATER_MEAN]:
-            return True
-        _push(gain, shift, left, later, spread, front, width, rest)
+            return ok
+        _push(gain, shift, left, later, spread, front, size, rest)
         if fields[CONTROL_GAIN]:
-            load(fields, CONTROL_GAIN, step, run, rest, width, front)
-            transpose(rest, gain, width, front)
-            load(fields, CONTROL_SHIFT, step, run, shift, 1, width)
-            load(fields, CONTROL_REST, step, run, left, width, width)
-            _push(gain, shift, left, later, spread, width, front, rest)
-    save(fields, LATER_MEAN, step, run, later, 1, width)
-    save(fields, LATER_COV, step, run, spread, width, width)
-    return True
+            load(fields, CONTROL_GAIN, step, run, rest, size, front)
+            transpose(rest, gain, size, front)
+            load(fields, CONTROL_SHIFT, step, run, shift, 1, size)
+            load(fields, CONTROL_REST, step, run, left, size, size)
+            _push(gain, shift, left, later, spread, size, front, rest)
+    save(fields, LATER_MEAN, step, run, later, 1, size)
+    save(fields, LATER_COV, step, run, spread, size, size)
+    return ok
 
 
 @compiled
 def _reverse(fields, step, run, gain, shift, left, work):
     """Bayes' rule for the transition from a step, as `moments.reverse`; the gain is Gᵀ."""
-    width, front, states = fields[WIDTH], fields[FRONT], places(fields[STATES])
-    wide, thin = padded(width), padded(front)
+    size, front, states = fields[WIDTH], fields[FRONT], places(fields[STATES])
+    wide, thin = width(size, work), width(front, work)
     mean, cov, matrix = work, past(work, thin), past(work, thin + front * thin)
-    noise, after = past(matrix, width * thin), past(matrix, width * (thin + wide))
-    later, upper = past(after, wide), past(after, wide + width * wide)
-    inverse, rest = past(upper, width * wide), past(upper, (width + 1) * wide)
-    load(fields, MEAN, step, run, after, 1, width)
-    load(fields, COV, step, run, later, width, width)
+    noise, after = past(matrix, size * thin), past(matrix, size * (thin + wide))
+    later, upper = past(after, wide), past(after, wide + size * wide)
+    inverse, rest = past(upper, size * wide), past(upper, (size + 1) * wide)
+    load(fields, MEAN, step, run, after, 1, size)
+    load(fields, COV, step, run, later, size, size)
     gather(states, front, after, later, wide, mean, cov)
-    load(fields, STEP_MATRIX, step, run, matrix, width, front)
-    load(fields, STEP_NOISE, step, run, noise, width, width)
-    load(fields, PREDICTED_MEAN, step + 1, run, after, 1, width)
-    load(fields, PREDICTED_COV, step + 1, run, later, width, width)
-    if root(later, upper, inverse, width, _NEGLIGIBLE) == 0.0:
-        return False
-    product(matrix, thin, 1, cov, gain, width, front, thin)
-    whiten(upper, inverse, gain, width, thin)
-    unwhiten(upper, inverse, gain, width, thin)
+    load(fields, STEP_MATRIX, step, run, matrix, size, front)
+    load(fields, STEP_NOISE, step, run, noise, size, size)
+    load(fields, PREDICTED_MEAN, step + 1, run, after, 1, size)
+    load(fields, PREDICTED_COV, step + 1, run, later, size, size)
+    ok = root(later, upper, inverse, size, _NEGLIGIBLE) > 0.0
+    if not some(ok):
+        return ok
+    product(matrix, thin, 1, cov, gain, size, front, thin)
+    whiten(upper, inverse, gain, size, thin)
+    unwhiten(upper, inverse, gain, size, thin)
     copy(mean, shift, thin)
-    add(-1.0, after, 1, 1, gain, shift, 1, width, thin)
-    squares(cov, gain, matrix, noise, front, width, left, rest)
-    return isfinite(shift[0])
+    add(-1.0, after, 1, 1, gain, shift, 1, size, thin)
+    squares(cov, gain, matrix, noise, front, size, left, rest)
+    return ok & (shift[0] - shift[0] == 0.0)
 
 
 @compiled
 def _push(gain, offset, noise, mean, cov, height, size, work):
     """Moments of F x + b + n in the place of those of x, given Fᵀ (size, height)."""
-    wide, tall = padded(size), padded(height)
+    wide, tall = width(size, work), width(height, work)
     add(1.0, mean, 1, 1, gain, offset, 1, size, tall)
     product(gain, 1, tall, cov, work, height, size, wide)
     add(1.0, work, wide, 1, gain, noise, height, size, tall)
@@ -464,43 +485,65 @@ def _push(gain, offset, noise, mean, cov, height, size, work):
     copy(noise, cov, height * tall)
 
 
+@compiled
+def _left(status, run, lanes):
+    """Whether all of some runs are left."""
+    for lane in range(lanes):
+        if status[run + lane] == DONE:
+            return False
+    return True
+
+
+@compiled
+def _leave(status, run, ok):
+    """Leave the runs of which something is not true."""
+    wrong = bits(ok) ^ full(ok)
+    while wrong:
+        if wrong & 1:
+            status[run] = LEFT
+        wrong >>= 1
+        run += 1
+
+
 _kept: Any = njit(error_model="numpy", nogil=True, cache=True)
 
 
-def _entries(stamp: int) -> tuple[Any, Any]:
-    """The sweeps that Python calls. Numba keeps them on disk by what they close over: the stamp."""
+def _entries(stamp: int, lanes: int) -> tuple[Any, Any]:
+    """The sweeps that Python calls. Numba keeps them on disk by what they close over."""
 
     @_kept
     def forward(chain, first, last, memory):
-        fields, beliefs = places(chain), numbers(memory)
-        status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * padded(fields[WIDTH])
-        work = past(beliefs, TOGETHER * apart)
+        fields, beliefs = places(chain), opened(memory, lanes)
+        status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * width(fields[WIDTH], beliefs)
+        work = past(beliefs, TOGETHER // lanes * apart)
         for begin in range(first, last, TOGETHER):
             end = min(begin + TOGETHER, last)
             for step in range(fields[LAST] + 1):
-                for run in range(begin, end):
-                    belief = past(beliefs, (run - begin) * apart)
-                    if status[run] == DONE and not _step(fields, step, run, belief, work):
-                        status[run] = LEFT
+                for k in range((end - begin + lanes - 1) // lanes):
+                    run, belief = min(begin + k * lanes, end - lanes), past(beliefs, k * apart)
+                    if not _left(status, run, lanes):
+                        _leave(status, run, _step(fields, step, run, belief, work))
         return stamp
 
     @_kept
     def backward(chain, first, last, memory):
-        fields, beliefs = places(chain), numbers(memory)
-        status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * padded(fields[WIDTH])
-        work = past(beliefs, TOGETHER * apart)
+        fields, beliefs = places(chain), opened(memory, lanes)
+        status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * width(fields[WIDTH], beliefs)
+        work = past(beliefs, TOGETHER // lanes * apart)
         for begin in range(first, last, TOGETHER):
             end = min(begin + TOGETHER, last)
             for step in range(fields[LAST], -1, -1):
-                for run in range(begin, end):
-                    belief = past(beliefs, (run - begin) * apart)
-                    if status[run] == DONE and not _back(fields, step, run, belief, work):
-                        status[run] = LEFT
+                for k in range((end - begin + lanes - 1) // lanes):
+                    run, belief = min(begin + k * lanes, end - lanes), past(beliefs, k * apart)
+                    if not _left(status, run, lanes):
+                        _leave(status, run, _back(fields, step, run, belief, work))
         return stamp
 
     return forward, backward
 
 
 # Sweep some runs of the chain at an address forward; reverse their transitions, and send the last
-# belief back, if it has a place. The last argument is the address of `room`.
-forward, backward = _entries(STAMP)
+# belief back, if it has a place. The last argument is the address of `room`. A run by itself,
+# and eight at once, of which there have to be as many: the last may share runs with others.
+forward, backward = _entries(STAMP, 1)
+forward_together, backward_together = _entries(STAMP, RUNS)

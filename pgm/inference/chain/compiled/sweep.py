@@ -106,7 +106,7 @@ def forward(
         chain.fields[s.ITERATIONS] = iterations
         chain.fields[s.SETTINGS] = chain.rows.at(settings)
         chain.fields[s.RESIDUALS] = address(record)
-    left = chain.run(s.forward)
+    left = chain.run((s.forward, s.forward_together))
     longest = int(record[:, -2].max(initial=0.0)) if iterations > 1 else 0
     converged = np.full(plan.runs, plan.linear)
     if iterations > 1 and not plan.linear:
@@ -150,7 +150,7 @@ def backward(
             parts |= dict(zip(places, slices, strict=True))
     for place, array in parts.items():
         chain.put(place, array)
-    return None if chain.run(s.backward) else (states, beliefs)
+    return None if chain.run((s.backward, s.backward_together)) else (states, beliefs)
 
 
 def _by_row(plan: ChainPlan, array: Array, own: int) -> Array:
@@ -208,13 +208,16 @@ class _Chain:
         """Run a kernel on all runs; those that it leaves."""
         from pgm.kernels.compiled import sweeps as s
         from pgm.kernels.compiled.memory import ready
-
-        ready(kernel, "int64(int64,int64,int64,int64)")
+        from pgm.kernels.compiled.packs import RUNS
 
         plan, rows = self.plan, self.rows
-        size = s.room(plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points)
         chain, choice = address(self.fields), plan.layout.compiled
-        threads = min(choice.threads, plan.runs) if isinstance(choice, Compiled) else 1
+        together = plan.runs >= RUNS
+        lanes, kernel = (RUNS, kernel[1]) if together else (1, kernel[0])
+        threads = choice.threads if isinstance(choice, Compiled) else 1
+        threads = max(min(threads, plan.runs // lanes), 1)
+        ready(kernel, "int64(int64,int64,int64,int64)")
+        size = s.room(plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points, lanes)
         edges = [k * plan.runs // threads for k in range(threads + 1)]
         rooms = [np.empty(size) for _ in range(threads)]
         jobs = [
