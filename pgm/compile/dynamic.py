@@ -55,7 +55,7 @@ class SliceLayout:
         return {name: value for name, value in self.__dict__.items() if name != "functions"}
 
     @cached_property
-    def functions(self) -> dict[FunctionTemplate, Any]:
+    def functions(self) -> dict[tuple[FunctionTemplate, bool], Any]:
         """The functions that have been compiled, or why not."""
         return {}
 

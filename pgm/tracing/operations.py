@@ -59,6 +59,18 @@ SCALAR = {
     **_CALLED,
     **{name: f"({text})" for name, text in (_INFIX | _COMPARISONS | _LOGICAL | _WRITTEN).items()},
 }
+# Of compiled code, for floats and for packs of them, of which there is no branch.
+MACHINE = SCALAR | {
+    "logical_and": "({0} & {1})",
+    "logical_or": "({0} | {1})",
+    "logical_not": "opposite({0})",
+    "sign": "where({0} > 0.0, 1.0, where({0} < 0.0, -1.0, {0} * 0.0))",
+    "minimum": "where(({0} < {1}) | ({0} != {0}), {0}, {1})",
+    "maximum": "where(({0} > {1}) | ({0} != {0}), {0}, {1})",
+    "where": "where({0}, {1}, {2})",
+}
+# The names in C of those called by name, and how many arguments they have.
+IN_C = {name: (own, 1 + (name in _TWO)) for name, own in _IN_MATH.items()}
 # Python's own functions raise where NumPy's return infinities and NaNs.
 PYTHON: dict[str, Callable[..., Any]] = {
     **{name: getattr(math, own) for name, own in _IN_MATH.items()},

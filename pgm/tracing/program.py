@@ -12,7 +12,7 @@ import numpy as np
 
 from pgm.kernels.arrays import Array
 from pgm.tracing.graph import Graph
-from pgm.tracing.operations import BATCH, PYTHON, SCALAR
+from pgm.tracing.operations import BATCH, MACHINE, PYTHON, SCALAR
 
 _PART = 4096
 # An argument, and a component of it.
@@ -83,17 +83,21 @@ class Program:
 
     @property
     def pointer_source(self) -> str:
-        """Code of a function of flat arrays, for Numba: hidden components x, observed ones u.
+        """Code of a function of pointers, for Numba: hidden components x, observed ones u.
 
-        It writes to a value (d,) and a derivative (d n,), row by row.
+        It writes to a value (d,) and a derivative (d n,), row by row, of a run, or of a pack of
+        runs, whose observed components lie `apart` from each other.
         """
         inputs = {column: f"x[{k}]" for k, column in enumerate(self.columns)}
-        inputs |= {component: f"u[{k}]" for k, component in enumerate(self.observed)}
+        inputs |= {
+            component: f"take(u, {k}, apart, x)" for k, component in enumerate(self.observed)
+        }
         cells = [
             *((k, f"value[{i}]") for i, k in enumerate(self.value)),
             *((k, f"slope[{s}]") for s, k in enumerate(self.slope)),
         ]
-        return self._printed("def pointer(x, u, value, slope):", inputs, cells)
+        head = "def pointer(x, u, apart, value, slope):"
+        return self._printed(head, inputs, cells, words=MACHINE)
 
     def _printed(
         self,
@@ -102,6 +106,7 @@ class Program:
         cells: Sequence[tuple[int | None, str | None]],
         *,
         batch: bool = False,
+        words: dict[str, str] = SCALAR,
     ) -> str:
         names: dict[int | None, str] = {None: "0.0"}
         lines, results = [head], []
@@ -121,7 +126,7 @@ class Program:
                     continue
             else:
                 known = [names[k] for k in operands]
-                text = SCALAR[name].format(*known)
+                text = words[name].format(*known)
                 if batch:
                     if number in first and name != "where":
                         known.append(f"out={first[number]}")

@@ -122,6 +122,10 @@ def test_an_idiom_is_traced(name):
     np.testing.assert_allclose(np.moveaxis(value, 0, -1), due, rtol=1e-14, atol=1e-15)
 
 
+def pointer(array):
+    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_each_printer_computes_what_the_function_does():
     """In every corner of float64: infinities, NaN, zeros of both signs."""
@@ -145,9 +149,7 @@ def test_each_printer_computes_what_the_function_does():
         np.testing.assert_allclose(by, slope[..., k], rtol=1e-12, atol=1e-14)
         assert finite == bool(np.isfinite(one).all() and np.isfinite(by).all())
         out = np.zeros(due.shape[-1]), np.zeros(slope.shape[0] * 2)
-        function.ctypes(
-            *(a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in (point, point, *out))
-        )
+        function.ctypes(*(pointer(a) for a in (point, point)), 0, *(pointer(a) for a in out))
         tame = np.isfinite(point).all()  # the power of infinity to .5 is C's own
         np.testing.assert_allclose(
             out[0][: None if tame else -2], due[k][: None if tame else -2], rtol=1e-13

@@ -14,7 +14,6 @@ from pgm.kernels.compiled.algebra import (
     clear,
     copy,
     mirror,
-    padded,
     product,
     root,
     transpose,
@@ -22,7 +21,7 @@ from pgm.kernels.compiled.algebra import (
     width,
 )
 from pgm.kernels.compiled.memory import call, compiled, give, numbers, past, places, take
-from pgm.kernels.compiled.packs import every, lanes, some, where, whole
+from pgm.kernels.compiled.packs import every, some, where, whole
 
 # The columns of the table.
 (KIND, SIZE, HEIGHT, PARENTS, WHOLE, CHILD, FUNCTION, VALUE, TURNING, TURNS) = range(10)
@@ -76,26 +75,11 @@ def gather(chosen, size, mean, cov, wide, x, spread):
 
 
 @compiled
-def evaluate(cpd, function, row, run, x, value, slope, work):
-    """Call a function of a CPD, `VALUE` or `FUNCTION`, for a run after another."""
-    size, height, count = cpd[SIZE], cpd[HEIGHT], lanes(x)
-    inputs = past(numbers(cpd[INPUTS]), row * cpd[INPUTS + 1] + run * cpd[INPUTS + 2])
-    points, values, slopes = numbers(x), numbers(value), numbers(slope)
-    if count == 1:
-        call(cpd[function], points, inputs, values, slopes)
-        return
-    wide, at = padded(size), numbers(work)
-    ends = past(at, size)
-    rows = past(ends, height)
-    for lane in range(count):
-        for j in range(size):
-            at[j] = points[j * count + lane]
-        call(cpd[function], at, past(inputs, lane * cpd[INPUTS + 2]), ends, rows)
-        for i in range(height):
-            values[i * count + lane] = ends[i]
-            if function == FUNCTION:
-                for j in range(size):
-                    slopes[(i * size + j) * count + lane] = rows[i * wide + j]
+def evaluate(cpd, function, row, run, x, value, slope):
+    """Call a function of a CPD, `VALUE` or `FUNCTION`."""
+    apart = cpd[INPUTS + 2]
+    inputs = past(numbers(cpd[INPUTS]), row * cpd[INPUTS + 1] + run * apart)
+    call(cpd[function], x, inputs, apart, value, slope)
 
 
 @compiled
@@ -106,7 +90,7 @@ def linearise(cpd, row, run, x, cov, matrix, value, noise, work):
     if kind == REGRESSION:
         return _regress(cpd, row, run, x, cov, matrix, value, noise, work)
     if kind == TAYLOR:
-        evaluate(cpd, FUNCTION, row, run, x, value, matrix, work)
+        evaluate(cpd, FUNCTION, row, run, x, value, matrix)
     else:
         load(cpd, MATRIX, row, run, matrix, height, size)
         load(cpd, OFFSET, row, run, value, 1, height)
@@ -134,9 +118,9 @@ def _regress(cpd, row, run, x, cov, matrix, value, noise, work):
     add(1.0, points, size, 1, upper, at, count, size, wide)
     clear(raw, count * tall)
     for p in range(count):
-        evaluate(cpd, VALUE, row, run, past(at, p * wide), past(raw, p * tall), matrix, found)
+        evaluate(cpd, VALUE, row, run, past(at, p * wide), past(raw, p * tall), matrix)
     if cpd[ANGLES] and not cpd[CENTRED]:
-        evaluate(cpd, VALUE, row, run, x, value, matrix, found)
+        evaluate(cpd, VALUE, row, run, x, value, matrix)
     else:
         copy(raw, value, tall)
     for p in range(count):
@@ -186,7 +170,7 @@ def _about(cpd, row, run, x, at, raw, work):
         if not some(far):
             continue
         if not steep:
-            evaluate(cpd, FUNCTION, row, run, x, work, slope, past(slope, height * wide))
+            evaluate(cpd, FUNCTION, row, run, x, work, slope)
             steep = True
         for p in range(count):
             line = 0.0
@@ -230,12 +214,11 @@ def to_chart(cpd, row, run, before, x, value, work):
     if every(near):
         return
     at, ends, slope = work, past(work, size), past(work, size + 2 * height)
-    rest = past(slope, height * width(size, x))
     copy(x, at, size)
-    evaluate(cpd, VALUE, row, run, at, ends, slope, rest)
+    evaluate(cpd, VALUE, row, run, at, ends, slope)
     for k in range(cpd[TURNS]):
         at[pairs[3 * k + 2]] += _TURN
-    evaluate(cpd, VALUE, row, run, at, past(ends, height), slope, rest)
+    evaluate(cpd, VALUE, row, run, at, past(ends, height), slope)
     for k in range(cpd[TURNS]):
         new = pairs[3 * k]
         turns = whole((value[new] - before[pairs[3 * k + 1]]) / _TURN)

@@ -9,9 +9,10 @@ from zlib import crc32
 
 from llvmlite import ir
 from numba import config, njit, types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
-from pgm.kernels.compiled.packs import NUMBERS, ROW_PACK, RUN_PACK, RUNS, Packs
+from pgm.kernels.compiled.packs import NUMBERS, ROW_PACK, RUN_PACK, RUNS, Packs, splat
 
 # Of the text of all kernels: code on disk is of this text, or is not loaded.
 STAMP = crc32(b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py"))))
@@ -82,17 +83,16 @@ def past(typing: Any, pointer: Any, count: Any) -> Any:
 
 
 @intrinsic
-def call(typing: Any, address: Any, x: Any, u: Any, value: Any, slope: Any) -> Any:
-    """Call the function at an address: ``f(x, u, value, slope)`` writes the last two."""
+def call(typing: Any, address: Any, x: Any, u: Any, apart: Any, value: Any, slope: Any) -> Any:
+    """Call the function at an address, which writes its value and its slope."""
 
     def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointers = [argument.type for argument in arguments[1:]]
-        kind = ir.FunctionType(ir.VoidType(), pointers)
+        kind = ir.FunctionType(ir.VoidType(), [argument.type for argument in arguments[1:]])
         function = builder.inttoptr(arguments[0], kind.as_pointer())
         builder.call(function, arguments[1:])
         return context.get_dummy_value()
 
-    return types.void(types.int64, *[NUMBERS] * 4), made
+    return types.void(types.int64, x, u, types.int64, value, slope), made
 
 
 @intrinsic
@@ -105,21 +105,22 @@ def take(typing: Any, source: Any, here: Any, apart: Any, like: Any) -> Any:
         if not isinstance(like, Packs):
             return builder.load(first)
         kind = context.get_value_type(RUN_PACK)
-        with builder.if_else(_is_one(builder, apart)) as (near, far):
+        found = cgutils.alloca_once(builder, kind)
+        with builder.if_else(_is(builder, apart, 1)) as (near, far):
             with near:
-                found = builder.load(builder.bitcast(first, kind.as_pointer()), align=8)
-                begin = builder.block
-            with far:
-                pack = ir.Constant(kind, ir.Undefined)
-                for k in range(RUNS):
-                    value = builder.load(builder.gep(source, [here]))
-                    pack = builder.insert_element(pack, value, ir.Constant(ir.IntType(32), k))
-                    here = builder.add(here, apart)
-                end = builder.block
-        either = builder.phi(kind)
-        either.add_incoming(found, begin)
-        either.add_incoming(pack, end)
-        return either
+                pack = builder.load(builder.bitcast(first, kind.as_pointer()), align=8)
+                builder.store(pack, found)
+            with far, builder.if_else(_is(builder, apart, 0)) as (same, other):
+                with same:
+                    builder.store(splat(builder, builder.load(first), RUNS), found)
+                with other:
+                    pack = ir.Constant(kind, ir.Undefined)
+                    for k in range(RUNS):
+                        value = builder.load(builder.gep(source, [here]))
+                        pack = builder.insert_element(pack, value, ir.Constant(ir.IntType(32), k))
+                        here = builder.add(here, apart)
+                    builder.store(pack, found)
+        return builder.load(found)
 
     return like.dtype(source, types.int64, types.int64, like), made
 
@@ -134,7 +135,7 @@ def give(typing: Any, target: Any, here: Any, apart: Any, value: Any, like: Any)
         if not isinstance(like, Packs):
             builder.store(value, first)
             return context.get_dummy_value()
-        with builder.if_else(_is_one(builder, apart)) as (near, far):
+        with builder.if_else(_is(builder, apart, 1)) as (near, far):
             with near:
                 builder.store(value, builder.bitcast(first, value.type.as_pointer()), align=8)
             with far:
@@ -147,5 +148,5 @@ def give(typing: Any, target: Any, here: Any, apart: Any, value: Any, like: Any)
     return types.void(target, types.int64, types.int64, like.dtype, like), made
 
 
-def _is_one(builder: Any, apart: Any) -> Any:
-    return builder.icmp_signed("==", apart, ir.Constant(apart.type, 1))
+def _is(builder: Any, apart: Any, number: int) -> Any:
+    return builder.icmp_signed("==", apart, ir.Constant(apart.type, number))

@@ -10,7 +10,7 @@ import math
 import operator
 from typing import Any
 
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typeconv import Conversion
@@ -55,7 +55,8 @@ _KINDS = [(pack, Pack(pack.lanes, types.boolean)) for pack in (RUN_PACK, ROW_PAC
 NUMBERS = types.CPointer(types.float64)
 
 
-def _splat(builder: Any, value: Any, count: int) -> Any:
+def splat(builder: Any, value: Any, count: int) -> Any:
+    """A pack of equals."""
     kind = ir.VectorType(value.type, count)
     one = builder.insert_element(ir.Constant(kind, ir.Undefined), value, ir.Constant(_INT, 0))
     return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(_INT, count), [0] * count))
@@ -68,7 +69,7 @@ def _spread(context: Any, builder: Any, source: Any, target: Any, value: Any) ->
         value = context.cast(builder, value, source, types.float64)
     else:
         value = context.cast(builder, value, source, types.boolean)
-    return _splat(builder, value, target.lanes)
+    return splat(builder, value, target.lanes)
 
 
 def _define(function: Any, result: int, arguments: int, kinds: int, make: Any) -> None:
@@ -89,12 +90,74 @@ def _intrinsic(name: str) -> Any:
     def make(builder: Any, *given: Any) -> Any:
         kind = given[0].type
         suffix = f"v{kind.count}f64" if isinstance(kind, ir.VectorType) else "f64"
-        function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(kind, [kind]), f"llvm.{name}.{suffix}"
-        )
-        return builder.call(function, given)
+        return _call(builder, kind, f"llvm.{name}.{suffix}", given)
 
     return make
+
+
+def _call(builder: Any, kind: Any, name: str, given: Any) -> Any:
+    signature = ir.FunctionType(kind, [kind] * len(given))
+    return builder.call(cgutils.get_or_insert_function(builder.module, signature, name), given)
+
+
+def _of_c(name: str) -> Any:
+    """A function of C's, of as many floats at once as the processor and its library can."""
+
+    def make(builder: Any, *given: Any) -> Any:
+        count = given[0].type.count
+        part, prefix = _VECTORS if _VECTORS[0] <= count else (1, "")
+        symbol = f"_ZGV{prefix}N{part}{'v' * len(given)}_{name}"
+        if part == 1 or binding.address_of_symbol(symbol) is None:
+            part, symbol = 1, name
+        kind = ir.VectorType(_DOUBLE, part)
+        found = ir.Constant(given[0].type, ir.Undefined)
+        for first in range(0, count, part):
+            places = [ir.Constant(_INT, first + k) for k in range(part)]
+            if part == 1:
+                one = [builder.extract_element(pack, places[0]) for pack in given]
+                value = _call(builder, _DOUBLE, symbol, one)
+                found = builder.insert_element(found, value, places[0])
+                continue
+            chosen = ir.Constant(ir.VectorType(_INT, part), [p.constant for p in places])
+            value = _call(
+                builder, kind, symbol, [builder.shuffle_vector(p, p, chosen) for p in given]
+            )
+            if part == count:
+                return value
+            for k, place in enumerate(places):
+                each = builder.extract_element(value, ir.Constant(_INT, k))
+                found = builder.insert_element(found, each, place)
+        return found
+
+    return make
+
+
+def _vectors() -> tuple[int, str]:
+    """How many floats the functions of glibc's vector library take at once, and their prefix."""
+    try:
+        binding.load_library_permanently("libmvec.so.1")
+    except RuntimeError:
+        return 1, ""
+    features = binding.get_host_cpu_features()
+    kinds = (("avx512f", (8, "e")), ("avx2", (4, "d")))
+    return next((kind for name, kind in kinds if features.get(name)), (1, ""))
+
+
+_VECTORS = _vectors()
+
+
+def _remainder(builder: Any, x: Any, y: Any) -> Any:
+    """As Python's `%`, of the sign of y."""
+    rest, zero = builder.frem(x, y), ir.Constant(x.type, [0.0] * x.type.count)
+    other = builder.xor(builder.fcmp_ordered("<", rest, zero), builder.fcmp_ordered("<", y, zero))
+    other = builder.and_(other, builder.fcmp_ordered("!=", rest, zero))
+    return builder.select(other, builder.fadd(rest, y), rest)
+
+
+def _quotient(builder: Any, x: Any, y: Any) -> Any:
+    """As Python's `//`."""
+    exact = builder.fdiv(builder.fsub(x, _remainder(builder, x, y)), y)
+    return _intrinsic("rint")(builder, exact)
 
 
 for _name, _sign in (("add", "+"), ("sub", "-"), ("mul", "*"), ("truediv", "/")):
@@ -105,10 +168,32 @@ for _name, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="), ("eq"
     _define(getattr(operator, _name), 1, 2, 0, lambda b, x, y, s=_sign: b.fcmp_ordered(s, x, y))
 _define(operator.ne, 1, 2, 0, lambda b, x, y: b.fcmp_unordered("!=", x, y))
 _define(operator.neg, 0, 1, 0, lambda b, x: b.fneg(x))
+_define(operator.mod, 0, 2, 0, _remainder)
+_define(operator.floordiv, 0, 2, 0, _quotient)
 for _function, _name in ((operator.and_, "and_"), (operator.or_, "or_")):
     _define(_function, 1, 2, 1, lambda b, x, y, n=_name: getattr(b, n)(x, y))
-for _function, _name in ((math.sqrt, "sqrt"), (abs, "fabs"), (math.log, "log")):
+for _function, _name in ((math.sqrt, "sqrt"), (abs, "fabs")):
     _define(_function, 0, 1, 0, _intrinsic(_name))
+_define(math.log, 0, 1, 0, _of_c("log"))
+
+
+def of_c(name: str, arguments: int) -> Any:
+    """A function of C's, by its name there, of one or two packs."""
+    make = _of_c(name)
+
+    def lower(context: Any, builder: Any, kind: Any, given: Any) -> Any:
+        return make(builder, *given)
+
+    @intrinsic
+    def one(typing: Any, x: Any) -> Any:
+        return x(x), lower
+
+    @intrinsic
+    def two(typing: Any, x: Any, y: Any) -> Any:
+        kind = x if isinstance(x, Pack) else y
+        return kind(kind, kind), lower
+
+    return one if arguments == 1 else two
 
 
 @lower_builtin(operator.getitem, Packs, types.Integer)
@@ -125,12 +210,20 @@ def _store(context: Any, builder: Any, kind: Any, given: Any) -> Any:
 @intrinsic
 def where(typing: Any, truth: Any, yes: Any, no: Any) -> Any:
     """One or the other number, by a truth."""
-    kind = Pack(truth.lanes) if isinstance(truth, Pack) else types.float64
+    packs = [kind.lanes for kind in (truth, yes, no) if isinstance(kind, Pack)]
+    kind = Pack(packs[0]) if packs else types.float64
+    truth = Pack(packs[0], types.boolean) if packs else types.boolean
 
     def made(context: Any, builder: Any, kind: Any, given: Any) -> Any:
         return builder.select(*given)
 
     return kind(truth, kind, kind), made
+
+
+@intrinsic
+def opposite(typing: Any, truth: Any) -> Any:
+    """Not."""
+    return truth(truth), lambda context, builder, kind, given: builder.not_(*given)
 
 
 @intrinsic
@@ -162,10 +255,16 @@ full = _constant(lambda kind: 2 ** getattr(kind, "lanes", 1) - 1)
 per_row = _constant(lambda kind: 1 if isinstance(kind, Packs) else ROW)
 
 
-@intrinsic
-def whole(typing: Any, value: Any) -> Any:
-    """The nearest whole numbers."""
-    return value(value), lambda context, builder, kind, given: _intrinsic("rint")(builder, *given)
+def _rounding(name: str) -> Any:
+    @intrinsic
+    def rounded(typing: Any, value: Any) -> Any:
+        return value(value), lambda context, builder, kind, given: _intrinsic(name)(builder, *given)
+
+    return rounded
+
+
+# The nearest whole number, and others.
+whole, floor, ceil, trunc = (_rounding(name) for name in ("rint", "floor", "ceil", "trunc"))
 
 
 @intrinsic

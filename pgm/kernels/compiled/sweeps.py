@@ -358,9 +358,7 @@ def _read(cpd, row, run, size, point, about, known, spread, work):
         noise[i * tall + i] = where(seen, noise[i * tall + i], 1.0)
     if every(unseen) or not some(ok):
         return ok, 0.0 * density
-    sure, density = _update(
-        known, spread, matrix, value, noise, size, height, sharp, density, rest
-    )
+    sure, density = _update(known, spread, matrix, value, noise, size, height, sharp, density, rest)
     return ok & sure, density
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from pgm.compile.machine import Compiled
 from pgm.inference.chain.compiled.table import (
+    TOGETHER,
     Integers64,
     Rows,
     Uncompiled,
@@ -208,16 +209,17 @@ class _Chain:
         """Run a kernel on all runs; those that it leaves."""
         from pgm.kernels.compiled import sweeps as s
         from pgm.kernels.compiled.memory import ready
-        from pgm.kernels.compiled.packs import RUNS
 
         plan, rows = self.plan, self.rows
         chain, choice = address(self.fields), plan.layout.compiled
-        together = plan.runs >= RUNS
-        lanes, kernel = (RUNS, kernel[1]) if together else (1, kernel[0])
+        together = plan.runs >= TOGETHER
+        lanes, kernel = (TOGETHER, kernel[1]) if together else (1, kernel[0])
         threads = choice.threads if isinstance(choice, Compiled) else 1
         threads = max(min(threads, plan.runs // lanes), 1)
         ready(kernel, "int64(int64,int64,int64,int64)")
-        size = s.room(plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points, lanes)
+        size = s.room(
+            plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points, lanes
+        )
         edges = [k * plan.runs // threads for k in range(threads + 1)]
         rooms = [np.empty(size) for _ in range(threads)]
         jobs = [

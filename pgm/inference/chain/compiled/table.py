@@ -22,6 +22,8 @@ from pgm.linearisers.regression import FEW, StatisticalRegression
 Integers64 = npt.NDArray[np.int64]
 # The rules whose points are the same at all steps.
 _RULES = Unscented, Cubature, GaussHermite
+# So many runs are swept together.
+TOGETHER = 8
 # Angles and components without noise are told by the bits of a number.
 _MOST = 60
 
@@ -160,9 +162,11 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
 
     template, rule = family.template, family.lineariser
     assert template is not None
-    known = plan.layout.functions
+    known, together = plan.layout.functions, plan.runs >= TOGETHER
     alone = bool(family.hidden) and type(rule) is not Taylor
-    functions = known[template] = compiled(template, known.get(template), alone=alone)
+    functions = known[template, together] = compiled(
+        template, known.get((template, together)), alone=alone, together=together
+    )
     if not isinstance(functions, Functions):
         raise Uncompiled(f"{family.cpd!r}: {functions}")
     rows.kept.append(functions)
