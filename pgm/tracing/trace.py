@@ -144,6 +144,9 @@ class Tracer:
         # Shapes of batches at which it has been compared since the last plan was made.
         self.compared: set[tuple[int, ...]] = set()
         self._surroundings: Surroundings | None = None
+        # Values, and points about them; a trace and what it gives there.
+        self._drawn: tuple[list[bytes], list[Array]] | None = None
+        self._known: tuple[Trace, Array] | None = None
 
     def confirm(self, centres: Sequence[Array]) -> bool:
         """Whether there is a trace that equals the function about some values (width,).
@@ -155,9 +158,12 @@ class Tracer:
         self.compared = set()
         if self._surroundings is None or (self._surroundings.known and not self.settled()):
             self._surroundings = Surroundings(self.function)
-        points = around(centres)
-        for point in points:
-            point[-1, -1] = np.nan  # by which a function shows what it does about such
+        places = [centre.tobytes() for centre in centres]
+        if self._drawn is None or self._drawn[0] != places:
+            self._drawn, self._known = (places, around(centres)), None
+            for point in self._drawn[1]:
+                point[-1, -1] = np.nan  # by which a function shows what it does about such
+        points = self._drawn[1]
         if self.trace is not None and self._equal(self.trace, points):
             return True
         found = trace(self.function, self.widths, (self.angles.size,))
@@ -173,15 +179,18 @@ class Tracer:
         return self._surroundings is not None and self._surroundings.same()
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_surroundings": None}
+        return self.__dict__ | {"_surroundings": None, "_drawn": None, "_known": None}
 
     def _equal(self, found: Trace, points: list[Array]) -> bool:
         with np.errstate(all="ignore"):
             try:
-                due = np.asarray(self.function(*points), dtype=float)
+                due = np.asarray(self.function(*[point.copy() for point in points]), dtype=float)
             except Exception:
                 return False
-            value = components_last(found.program(()).batch(points, _SPREAD.shape)[0], 1)
+            if self._known is None or self._known[0] is not found:
+                value = found.program(()).batch(points, _SPREAD.shape)[0]
+                self._known = found, components_last(value, 1)
+            value = self._known[1]
             if due.shape != value.shape or (np.isfinite(due) != np.isfinite(value)).any():
                 return False
             known = np.isfinite(due)
