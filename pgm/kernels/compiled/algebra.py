@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import log, sqrt
 
-from pgm.kernels.compiled.memory import by_row, compiled, past
+from pgm.kernels.compiled.memory import by_row, compiled, inlined, past
 from pgm.kernels.compiled.packs import every, per_row, some, where
 
 
@@ -41,6 +41,19 @@ def clear(target, count):
 @compiled
 def add(sign, a, down, across, b, out, rows, inner, wide):
     """Add ± A B to rows of so many; entries of A lie `down` and `across` from each other."""
+    # Loops of a known length are unrolled.
+    if sign < 0.0:
+        _add(-1.0, a, down, across, b, out, rows, inner, wide)
+    elif inner == 3:
+        _add(1.0, a, down, across, b, out, rows, 3, wide)
+    elif inner == 2:
+        _add(1.0, a, down, across, b, out, rows, 2, wide)
+    else:
+        _add(1.0, a, down, across, b, out, rows, inner, wide)
+
+
+@inlined
+def _add(sign, a, down, across, b, out, rows, inner, wide):
     blocks, right, sums = wide // per_row(out), by_row(b), by_row(out)
     for i in range(rows):
         for j in range(blocks):

@@ -18,9 +18,9 @@ from pgm.kernels.compiled.packs import NUMBERS, ROW_PACK, RUN_PACK, RUNS, Packs,
 STAMP = crc32(b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py"))))
 PLACES = types.CPointer(types.int64)
 # They are called by each other alone, and hold no object of Python's.
-compiled: Any = njit(
-    error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
-)
+_OPTIONS: Any = {"error_model": "numpy", "nogil": True, "_nrt": False}
+compiled: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)
+inlined: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)
 _LOCK = Lock()
 
 

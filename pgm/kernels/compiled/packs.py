@@ -163,7 +163,13 @@ def _quotient(builder: Any, x: Any, y: Any) -> Any:
 for _name, _sign in (("add", "+"), ("sub", "-"), ("mul", "*"), ("truediv", "/")):
     _instruction = "fdiv" if _sign == "/" else f"f{_name}"
     for _function in (getattr(operator, _name), getattr(operator, f"i{_name}")):
-        _define(_function, 0, 2, 0, lambda b, x, y, i=_instruction: getattr(b, i)(x, y))
+        _define(
+            _function,
+            0,
+            2,
+            0,
+            lambda b, x, y, i=_instruction: getattr(b, i)(x, y, flags=("contract",)),
+        )
 for _name, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="), ("eq", "==")):
     _define(getattr(operator, _name), 1, 2, 0, lambda b, x, y, s=_sign: b.fcmp_ordered(s, x, y))
 _define(operator.ne, 1, 2, 0, lambda b, x, y: b.fcmp_unordered("!=", x, y))

@@ -59,11 +59,11 @@ from pgm.kernels.compiled.packs import RUNS, bits, every, full, some, where
 # components of states and of a slice.
 (LAST, SINGLE, FRONT, WIDTH, LINKS, LINK_COUNT, SENSORS, SENSOR_COUNT, STATES) = range(9)
 # Linearisations of a step's measurements, where their settings are, (tolerance, damping), and their
-# record, (runs, iterations + 1): the residuals of each, how many, and whether some did not settle.
+# record, (iterations + 1, runs): the residuals of each, how many, and whether some did not settle.
 (ITERATIONS, SETTINGS, RESIDUALS) = range(9, 12)
 # The least share of a variance that is left open, and variances to grow from, by run; how runs
 # ended.
-(CLOSEST, STATUS) = range(12, 14)
+(CLOSEST, STATUS, RUN_COUNT) = range(12, 15)
 # The belief that a sweep starts with, and its record.
 (BEGIN_MEAN, BEGIN_COV, PREDICTED_MEAN, PREDICTED_COV, MEAN, COV, DENSITY) = range(16, 44, 4)
 # The reversed chain, its transition, and the smoothed beliefs.
@@ -120,19 +120,19 @@ def _step(fields, step, run, known, work):
     rest[0] = density
     save(fields, DENSITY, step, run, rest, 1, 1)
     if fields[CLOSEST]:
-        closest = past(numbers(fields[CLOSEST]), run * (size + 1))
-        _look(closest, cov, spread, size, step, fields[LAST], rest)
+        closest = past(numbers(fields[CLOSEST]), run)
+        _look(closest, fields[RUN_COUNT], cov, spread, size, step, fields[LAST], rest)
     return ok
 
 
 @compiled
-def _look(closest, before, after, size, step, last, work):
+def _look(closest, apart, before, after, size, step, last, work):
     """Look how much of variances is left open; see `Watch`."""
-    wide, apart, least, grown = width(size, before), size + 1, 1.0, False
+    wide, least, grown = width(size, before), 1.0, False
     often = step == last or step % _EVERY == 0
     for i in range(size):
         was, left = before[i * wide + i], after[i * wide + i]
-        grown = grown | (was > _GROWN * take(closest, i + 1, apart, before))
+        grown = grown | (was > _GROWN * take(closest, (i + 1) * apart, 1, before))
         small = (left < _MILD * was) & (left != 0.0) & (was > 0.0) & (left < least * was)
         least = where(small, left / was, least)
     doubtful = grown | (least < 1.0)
@@ -141,16 +141,16 @@ def _look(closest, before, after, size, step, last, work):
         least = where(doubtful & (share < least), share, least)
     for i in range(size):
         was, left = before[i * wide + i], after[i * wide + i]
-        level = where(doubtful, was, take(closest, i + 1, apart, before))
+        level = where(doubtful, was, take(closest, (i + 1) * apart, 1, before))
         if not step:
             level = left
         low = (doubtful | often) & (left < level)
-        give(closest, i + 1, apart, where(low, left, level), before)
+        give(closest, (i + 1) * apart, 1, where(low, left, level), before)
     if often or some(doubtful):
         share = least_open(after, work, size)
         least = where((doubtful | often) & (share < least), share, least)
-    known = take(closest, 0, apart, before)
-    give(closest, 0, apart, where(least < known, least, known), before)
+    known = take(closest, 0, 1, before)
+    give(closest, 0, 1, where(least < known, least, known), before)
 
 
 @compiled
@@ -237,7 +237,7 @@ def _joined(fields, row, run, known, spread, mean, cov, work):
 @compiled
 def _taken(fields, step, run, mean, cov, known, spread, work):
     """The belief given the measurements of a step; whether all was regular, and their density."""
-    size, iterations, apart = fields[WIDTH], fields[ITERATIONS], fields[ITERATIONS] + 1
+    size, iterations, apart = fields[WIDTH], fields[ITERATIONS], fields[RUN_COUNT]
     wide = width(size, work)
     if iterations < 2 or not _are_curved(fields, step):
         return _once(fields, step, run, mean, cov, mean, cov, known, spread, work)
@@ -246,7 +246,7 @@ def _taken(fields, step, run, mean, cov, known, spread, work):
     copy(mean, point, size)
     copy(cov, about, size * wide)
     tolerance, damping = numbers(fields[SETTINGS])[0], numbers(fields[SETTINGS])[1]
-    record = past(numbers(fields[RESIDUALS]), run * apart)
+    record = past(numbers(fields[RESIDUALS]), run)
     residual, made, settled, last = 0.0, 0.0, False, 0
     ok, density = _once(fields, step, run, mean, cov, point, about, known, spread, rest)
     for iteration in range(1, iterations):
@@ -268,19 +268,19 @@ def _taken(fields, step, run, mean, cov, known, spread, work):
             moved = abs(known[i] - point[i]) / unit
             residual = where(residual > moved, residual, moved)
         settled = settled | (residual <= tolerance)
-        _at_most(record, iteration - 1, apart, residual, known)
+        _at_most(record, (iteration - 1) * apart, residual, known)
     for later in range(last, iterations - 1):
-        _at_most(record, later, apart, residual, known)
-    _at_most(record, iterations - 1, apart, made, known)
-    _at_most(record, iterations, apart, where(settled, 0.0, 1.0), known)
+        _at_most(record, later * apart, residual, known)
+    _at_most(record, (iterations - 1) * apart, made, known)
+    _at_most(record, iterations * apart, where(settled, 0.0, 1.0), known)
     return ok, density
 
 
 @compiled
-def _at_most(record, place, apart, value, like):
+def _at_most(record, place, value, like):
     """Let a float of a record be no less than a value."""
-    known = take(record, place, apart, like)
-    give(record, place, apart, where(known > value, known, value), like)
+    known = take(record, place, 1, like)
+    give(record, place, 1, where(known > value, known, value), like)
 
 
 @compiled

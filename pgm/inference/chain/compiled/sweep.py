@@ -28,6 +28,7 @@ from pgm.kernels.moments import Conditional
 
 # From so many steps of fewer runs on, machine code repays its loading.
 LONG, FEW = 20_000, 8
+_LINE = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,27 +95,25 @@ def forward(
     chain.put(s.MEAN, known[0])
     chain.put(s.COV, known[1])
     chain.put(s.DENSITY, known[2])
-    closest = np.full((plan.runs, plan.layout.slice_size + 1), np.inf)
-    closest[:, 0] = 1.0
+    closest = np.full((plan.layout.slice_size + 1, plan.runs), np.inf)
+    closest[0] = 1.0
     if predicted:
         chain.put(s.PREDICTED_MEAN, predicted[0])
         chain.put(s.PREDICTED_COV, predicted[1])
     else:
         chain.fields[s.CLOSEST] = address(closest)
-    record = np.zeros((plan.runs, iterations + 1))
+    record = np.zeros((iterations + 1, plan.runs))
     if iterations > 1 and schedule is not None:
         settings = np.array([schedule.tolerance, damping])
         chain.fields[s.ITERATIONS] = iterations
         chain.fields[s.SETTINGS] = chain.rows.at(settings)
         chain.fields[s.RESIDUALS] = address(record)
     left = chain.run((s.forward, s.forward_together))
-    longest = int(record[:, -2].max(initial=0.0)) if iterations > 1 else 0
+    longest = int(record[-2].max(initial=0.0)) if iterations > 1 else 0
     converged = np.full(plan.runs, plan.linear)
     if iterations > 1 and not plan.linear:
-        converged = record[:, -1] == 0.0
-    return Swept(
-        left, list(record[:, :longest].T), converged, float(closest[:, 0].min(initial=1.0))
-    )
+        converged = record[-1] == 0.0
+    return Swept(left, list(record[:longest]), converged, float(closest[0].min(initial=1.0)))
 
 
 def backward(
@@ -175,7 +174,7 @@ class _Chain:
         fields[s.LAST], fields[s.SINGLE] = plan.steps, layout.single
         fields[s.FRONT], fields[s.WIDTH] = layout.state_size, layout.slice_size
         fields[s.STATES] = self.rows.places(layout.state_places, layout.slice_size)
-        fields[s.STATUS] = address(self.status)
+        fields[s.STATUS], fields[s.RUN_COUNT] = address(self.status), plan.runs
 
     def lay_out(self, stored: bool, keep: bool) -> None:
         """The tables of CPDs; what is linearised is kept in the plan."""
@@ -221,9 +220,9 @@ class _Chain:
             plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points, lanes
         )
         edges = [k * plan.runs // threads for k in range(threads + 1)]
-        rooms = [np.empty(size) for _ in range(threads)]
+        rooms = [np.empty(size + _LINE) for _ in range(threads)]
         jobs = [
-            (chain, first, last, address(room))
+            (chain, first, last, -(-address(room) // _LINE) * _LINE)  # a pack, a line of the cache
             for first, last, room in zip(edges, edges[1:], rooms, strict=False)
         ]
         if threads > 1:
