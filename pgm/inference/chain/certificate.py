@@ -66,12 +66,13 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
             swept, both=smoothed is not None
         ):
             return False
+        moderate = swept.closest * MODERATE > 1.0
         if isinstance(swept, Filtered):
-            return swept.closest * MODERATE > 1.0
+            return moderate
         predicted, known = swept.predicted_cov, swept.cov
         if smoothed is not None and not _hold(known, smoothed, MODERATE):
             return False
-        return (swept.gentle or composes(predicted, known, MODERATE)) and _told_apart(plan, swept)
+        return (moderate or composes(predicted, known, MODERATE)) and _told_apart(plan, swept)
 
 
 def composes(predicted: Array, known: Array, limit: float = _GENTLE) -> bool:

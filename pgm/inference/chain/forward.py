@@ -43,8 +43,7 @@ class Forward:
     """The beliefs of a forward sweep, before and after measurements, (T+1, runs, n).
 
     Controls at step 0 are zero. `log_density` is of each step's measurements given those before.
-    `gentle` says whether it was composed of segments, whose variances have been found to be
-    moderate.
+    `closest` is that of the `Watch`, or zero where nothing has watched.
     """
 
     predicted_mean: Array
@@ -52,7 +51,7 @@ class Forward:
     mean: Array
     cov: Array
     log_density: Array
-    gentle: bool = False
+    closest: float = 0.0
 
     @classmethod
     def empty(cls, plan: ChainPlan) -> Forward:
@@ -205,8 +204,8 @@ def stored(
     """The forward pass with every CPD as it was linearised before; gates may decide anew."""
     out = Forward.empty(plan)
     if anchor is None and gated is None:
-        _swept(plan, None, out.known, out.predicted, keep=False)
-        return out
+        went = _swept(plan, None, out.known, out.predicted, keep=False)
+        return replace(out, closest=went.closest)
     record = _Record(plan, out.known, out.predicted)
     with record.refusing(None):
         sweep.forward(MomentChain(plan, None, anchor=anchor, gated=gated), plan.steps, record)
@@ -220,7 +219,7 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     went = _swept(plan, schedule, out.known, out.predicted, keep=True)
     for family in plan.families:
         family.settle()
-    return out, Status.of(went.residuals, went.converged, plan.lead)
+    return replace(out, closest=went.closest), Status.of(went.residuals, went.converged, plan.lead)
 
 
 def filtered(
@@ -283,7 +282,7 @@ def _stepwise(
     keep: bool,
 ) -> Swept:
     """A sweep of all runs together, or, where little is kept, in parts that a cache holds."""
-    parts, closest, converged = 1, 1.0, np.ones(plan.runs, dtype=bool)
+    parts, closest, converged = 1, 0.0 if predicted else 1.0, np.ones(plan.runs, dtype=bool)
     if not predicted:
         parts = math.ceil(plan.runs / MOST)
     residuals: list[Array] = []

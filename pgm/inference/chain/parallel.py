@@ -69,7 +69,7 @@ def whole(ahead: Ahead) -> Forward:
     """All of a forward pass."""
     if isinstance(ahead, Scanned):
         predicted = ahead.predicted_mean, ahead.predicted_cov
-        return Forward(*predicted, ahead.mean, ahead.cov, ahead.log_density(), ahead.agrees)
+        return Forward(*predicted, ahead.mean, ahead.cov, ahead.log_density(), float(ahead.agrees))
     assert isinstance(ahead, Forward)
     return ahead
 

@@ -119,9 +119,8 @@ def _step(fields, step, run, known, work):
     save(fields, COV, step, run, spread, size, size)
     rest[0] = density
     save(fields, DENSITY, step, run, rest, 1, 1)
-    if fields[CLOSEST]:
-        closest = past(numbers(fields[CLOSEST]), run)
-        _look(closest, fields[RUN_COUNT], cov, spread, size, step, fields[LAST], rest)
+    closest = past(numbers(fields[CLOSEST]), run)
+    _look(closest, fields[RUN_COUNT], cov, spread, size, step, fields[LAST], rest)
     return ok
 
 

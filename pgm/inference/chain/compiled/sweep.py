@@ -70,7 +70,7 @@ def forward(
         None leaves all CPDs as they were linearised.
     known, predicted : tuple of ndarray
         Moments (T+1, runs, ...) and log-densities (T+1, runs) given measurements; moments before
-        them, if they are kept, without which the least shares of variance are looked at.
+        them, if they are kept.
     keep : bool
         Whether the plan keeps how it is linearised.
     """
@@ -100,9 +100,8 @@ def forward(
     if predicted:
         chain.put(s.PREDICTED_MEAN, predicted[0])
         chain.put(s.PREDICTED_COV, predicted[1])
-    else:
-        chain.fields[s.CLOSEST] = address(closest)
-    record = np.zeros((iterations + 1, plan.runs))
+    chain.fields[s.CLOSEST] = address(closest)
+    record = np.zeros((iterations + 1, plan.runs if iterations > 1 else 0))
     if iterations > 1 and schedule is not None:
         settings = np.array([schedule.tolerance, damping])
         chain.fields[s.ITERATIONS] = iterations
@@ -249,5 +248,7 @@ def _keep(family: Any, row: Integers64, rows: Rows) -> None:
 
 def stretches(mask: Mask) -> list[slice]:
     """The stretches of a mask that are true."""
+    if not mask.any():
+        return []
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
