@@ -231,8 +231,8 @@ def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
     """An array with the runs as second axis, or a value of such, from those of its parts."""
     if parts[0] is None:
         return None
-    if kind is bool:
-        return all(parts)
+    if kind in (bool, float):  # of all, or the least
+        return min(parts)
     if issubclass(kind, np.ndarray):
         return np.concatenate(parts, axis=1)
     found = {}

@@ -485,10 +485,10 @@ def _push(gain, offset, noise, mean, cov, height, size, work):
 @compiled
 def _left(status, run, lanes):
     """Whether all of some runs are left."""
+    left = 0
     for lane in range(lanes):
-        if status[run + lane] == DONE:
-            return False
-    return True
+        left += status[run + lane] == LEFT
+    return left == lanes
 
 
 @compiled

@@ -17,8 +17,8 @@ class Functions(NamedTuple):
     """A CPD's function, by itself and with its derivative: ``f(x, u, apart, value, slope)``.
 
     Both take the stacked hidden parents and the stacked others; rows of the derivative of one run
-    are padded with zeros to whole fours, as kernels have them. `kept` keeps both in memory; they may be one,
-    where the function by itself is hardly called.
+    are padded with zeros to whole fours, as kernels have them. `kept` keeps both in memory; they
+    may be one, where the function by itself is hardly called.
     `trace` is of the function together with the derivatives that were given.
     """
 
