@@ -1,5 +1,7 @@
 """Packs of floats against NumPy, in every corner of float64."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -20,6 +22,7 @@ LINES = {
     "multiply": "a * b",
     "divide": "a / b",
     "remainder": "a % b",
+    "floor_divide": "a // b",
     "negative": "-a",
     "absolute": "abs(a)",
     "sqrt": "sqrt(a)",
@@ -45,10 +48,7 @@ def packed(line):
     names = {name: packs.of_c(*own) for name, own in IN_C.items()}
     names |= {name: getattr(packs, name) for name in ("where", "opposite", "whole")}
     names |= {name: getattr(packs, name) for name in ("floor", "ceil", "trunc")}
-    names |= {"opened": opened, "sqrt": np.sqrt, "abs": abs}
-    import math
-
-    names["sqrt"] = math.sqrt
+    names |= {"opened": opened, "sqrt": math.sqrt}
     source = f"""
 def function(x, y, out, count):
     left, right, found = opened(x, 8), opened(y, 8), opened(out, 8)

@@ -52,8 +52,19 @@ from pgm.kernels.compiled.factors import (
     save,
     to_chart,
 )
-from pgm.kernels.compiled.memory import STAMP, compiled, give, numbers, opened, past, places, take
-from pgm.kernels.compiled.packs import RUNS, bits, every, full, some, where
+from pgm.kernels.compiled.memory import (
+    STAMP,
+    compiled,
+    every,
+    give,
+    numbers,
+    opened,
+    past,
+    places,
+    some,
+    take,
+)
+from pgm.kernels.compiled.packs import RUNS, bits, opposite, where
 
 # The shape of a chain: T, whether one CPD makes all of a slice of all of the one before, and the
 # components of states and of a slice.
@@ -494,7 +505,7 @@ def _left(status, run, lanes):
 @compiled
 def _leave(status, run, ok):
     """Leave the runs of which something is not true."""
-    wrong = bits(ok) ^ full(ok)
+    wrong = bits(opposite(ok))
     while wrong:
         if wrong & 1:
             status[run] = LEFT
