@@ -277,6 +277,11 @@ def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any, compiled: A
         error=GraphError,
     )
     choice = as_choice(compiled, "pgm.compile(...)")
+    if choice and model.discrete:
+        raise ModelError(
+            f"compiled= is for networks of Gaussian CPDs, and {titled(model)} is of tables: leave "
+            "it out"
+        )
     if method is None:
         return SliceGraph(model, int(steps), choice)
     if choice:

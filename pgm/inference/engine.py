@@ -111,7 +111,8 @@ def _run_points(
     keep: Keep | None,
     executor: Executor | None,
 ) -> PointPosterior:
-    require_no_others(belief, lineariser, start=start, keep=keep, executor=executor)
+    given = {"start": start, "keep": keep, "executor": executor}
+    require_no_others(belief, lineariser, **given, compiled=graph.layout.compiled or None)
     bound = by_density(bound)
     if isinstance(belief, Grid):
         return run_grid(graph, bound, schedule, belief)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from robots import SENSORS, network, sighted, u, x
-from test_compiled import CHECKED, TOLERANCE, assert_posterior, both
+from test_compiled import CHECKED, assert_posterior, both
 from zoo import RULES, model_of, of_run, recording
 
 import pgm
@@ -17,7 +17,7 @@ WHICH = np.arange(11) % 3
 def test_runs_of_all_kinds(name, rule):
     model, evidence = model_of(name, WHICH), of_run(recording(name), WHICH)
     found = both(pgm.smooth, model, evidence, lineariser=RULES[rule])
-    assert_posterior(*found, TOLERANCE.get(name, 1e-9))
+    assert_posterior(*found)
 
 
 @pytest.mark.parametrize("options", [{}, {"damping": 0.3}, {"lineariser": pgm.Unscented()}])

@@ -84,7 +84,12 @@ FIELDS = 84
 # Runs whose arrays lie next to each other are swept together, so that memory is read in rows.
 TOGETHER = 64
 # As of `gaussian`, `moments` and `forward`.
-NEARLY_SINGULAR, _NEGLIGIBLE, _EVERY, _MILD, _GROWN = 1e-6, 1e-15, 8, 1e-3, 1e2
+NEARLY_SINGULAR, _CORRELATED, _EVERY, _MILD, _GROWN = 1e-6, 3e-5, 8, 1e-3, 1e2
+# The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is
+# linearised again, or any, is not known to a billionth of a deviation: an order of sums shows.
+_CURVED, _STRAIGHT = 1e-6, 1e-8
+# Lengths rᵀ S⁻¹ r and numbers from which on little or nothing can be told.
+_FARTHEST, _LARGEST = 1e12, 1e150
 # How a run ended: done, or to be done by the general kernels.
 DONE, LEFT = 0, 1
 
@@ -122,8 +127,9 @@ def _step(fields, step, run, known, work):
     ok, density = _taken(fields, step, run, mean, cov, known, spread, rest)
     total = density
     for i in range(size):
-        total += known[i] + spread[i * wide + i]
-    ok = ok & sure & (total - total == 0.0)
+        at = i * wide + i
+        total += abs(mean[i]) + cov[at] + abs(known[i]) + spread[at]
+    ok = ok & sure & (abs(total) < _LARGEST)
     if not some(ok):
         return ok
     save(fields, MEAN, step, run, known, 1, size)
@@ -315,7 +321,7 @@ def _once(fields, step, run, mean, cov, point, about, known, spread, work):
         cpd = past(places(fields[SENSORS]), k * COLUMNS)
         bounds = places(cpd[STEPS])
         for row in range(bounds[step], bounds[step + 1]):
-            sure, more = _read(cpd, row, run, size, point, about, known, spread, work)
+            sure, more = _read(cpd, row, run, size, cov, point, about, known, spread, work)
             ok = ok & sure
             density += more
             if not some(ok):
@@ -324,8 +330,11 @@ def _once(fields, step, run, mean, cov, point, about, known, spread, work):
 
 
 @compiled
-def _read(cpd, row, run, size, point, about, known, spread, work):
-    """Take in a measurement, linearised at a point; its missing components are NaN."""
+def _read(cpd, row, run, size, before, point, about, known, spread, work):
+    """Take in a measurement, linearised at a point; its missing components are NaN.
+
+    `before` is the covariance before those of its step.
+    """
     count, height, wide = cpd[SIZE], cpd[HEIGHT], width(size, work)
     thick, tall = width(count, work), width(height, work)
     matrix, noise = work, past(work, height * wide)
@@ -368,16 +377,20 @@ def _read(cpd, row, run, size, point, about, known, spread, work):
         noise[i * tall + i] = where(seen, noise[i * tall + i], 1.0)
     if every(unseen) or not some(ok):
         return ok, 0.0 * density
-    sure, density = _update(known, spread, matrix, value, noise, size, height, sharp, density, rest)
+    limits = sharp, _STRAIGHT if cpd[KIND] == AFFINE else _CURVED
+    sure, density = _update(
+        known, spread, before, matrix, value, noise, size, height, limits, density, rest
+    )
     return ok & sure, density
 
 
 @compiled
-def _update(mean, cov, matrix, residual, noise, size, height, sharp, density, work):
-    """Condition N(mean, cov) on z = H x + n, of residual z − H mean.
+def _update(mean, cov, before, matrix, residual, noise, size, height, limits, density, work):
+    """Condition N(mean, cov) on z = H x + n, of residual z − H mean; whether digits are left.
 
-    Where |S| is below `sharp` no direction shrinks so much that P − W Wᵀ would lose digits, and
-    elsewhere the covariance is a sum of squares.
+    Where |S| is below the first limit no direction shrinks so much that P − W Wᵀ would lose digits,
+    and elsewhere the covariance is a sum of squares; the other says how sharp n may be beside the
+    covariance before its step.
     """
     wide, tall = width(size, work), width(height, work)
     predictive, upper = work, past(work, height * tall)
@@ -397,18 +410,30 @@ def _update(mean, cov, matrix, residual, noise, size, height, sharp, density, wo
     if not some(ok):
         return ok, density
     density += log_det(det, inverse, height)
+    length = 0.0
     for i in range(height):
         total = residual[i]
         for k in range(i):
             total -= upper[k * tall + i] * white[k]
         white[i] = total * inverse[i]
-        density += white[i] * white[i]
+        length += white[i] * white[i]
+    density += length
+    ok = ok & (length < _FARTHEST)
     whiten(upper, inverse, gain, height, wide)
     add(1.0, white, 1, 1, gain, mean, 1, height, wide)
-    mild = det < sharp
+    mild = det < limits[0]
     if not every(mild):
         copy(gain, turned, height * wide)
         unwhiten(upper, inverse, turned, height, wide)
+        part = limits[1] * (10.0 + length)
+        product(matrix, wide, 1, before, spread, height, size, wide)
+        for i in range(height):
+            for j in range(i + 1):
+                total = noise[i * tall + j]
+                for k in range(size):
+                    total += spread[i * wide + k] * matrix[j * wide + k]
+                predictive[i * tall + j] = noise[i * tall + j] - part * total
+        ok = ok & (mild | (root(predictive, upper, inverse, height, 0.0) > 0.0))
         squares(cov, turned, matrix, noise, size, height, spread, past(spread, size * wide))
     if some(mild):
         add(-1.0, gain, 1, wide, gain, cov, size, height, wide)
@@ -469,7 +494,7 @@ def _reverse(fields, step, run, gain, shift, left, work):
     load(fields, STEP_NOISE, step, run, noise, size, size)
     load(fields, PREDICTED_MEAN, step + 1, run, after, 1, size)
     load(fields, PREDICTED_COV, step + 1, run, later, size, size)
-    ok = root(later, upper, inverse, size, _NEGLIGIBLE) > 0.0
+    ok = root(later, upper, inverse, size, _CORRELATED) > 0.0
     if not some(ok):
         return ok
     product(matrix, thin, 1, cov, gain, size, front, thin)
