@@ -168,7 +168,8 @@ class DynamicGraph(ClusterGraph, ABC):
         scopes = [(model.prior, layout.states), (model.transition, layout.pair)]
         scopes.append((model.observation, layout.slice))
         places = {cpd: layout.place(cpd, scope) for cpds, scope in scopes for cpd in cpds}
-        return Compilation(self._title, {cpd: place.template for cpd, place in places.items()})
+        templates = {cpd: place.template for cpd, place in places.items()}
+        return Compilation(self._title, templates, model.observation)
 
     # A graph of slices is no graph of a network without time, whatever else it has in common.
     @property

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
+
+import numpy as np
 
 from pgm.boundary import is_whole
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.display import InCode, Listing, Shown, Summary
 from pgm.errors import ModelError
+from pgm.kernels import roots
 from pgm.linearisers import FunctionTemplate
 from pgm.resources import optional
 
@@ -62,8 +65,9 @@ def as_choice(compiled: Any, what: str) -> Choice:
 class Compilation(Shown, Mapping[CPD, str]):
     """Of each CPD of a dynamic network ``"compiled"``, or why sweeps do not compile it.
 
-    A chain is swept in machine code where all of its CPDs can be; with a gate, or with a lineariser
-    other than `Taylor`, `Unscented`, `Cubature` and `GaussHermite`, it is not.
+    A chain is swept in machine code where all of its CPDs can be. Only a call can tell of gates, of
+    its lineariser (`Taylor`, `Unscented`, `Cubature` and `GaussHermite` are compiled), of noise by
+    inputs that is singular, and of runs that are left, since their readings are too sharp.
 
     Examples
     --------
@@ -74,9 +78,11 @@ class Compilation(Shown, Mapping[CPD, str]):
 
     __slots__ = ("_found", "_of")
 
-    def __init__(self, of: str, templates: Mapping[CPD, FunctionTemplate | None]) -> None:
+    def __init__(
+        self, of: str, templates: Mapping[CPD, FunctionTemplate | None], sensors: Collection[CPD]
+    ) -> None:
         self._of = of
-        self._found = {cpd: _told(cpd, template) for cpd, template in templates.items()}
+        self._found = {cpd: _told(cpd, each, cpd in sensors) for cpd, each in templates.items()}
 
     def __getitem__(self, cpd: CPD) -> str:
         return self._found[cpd]
@@ -96,13 +102,15 @@ class Compilation(Shown, Mapping[CPD, str]):
         return Summary(self._title, [Listing(("", ""), rows, names=2)])
 
 
-def _told(cpd: CPD, template: FunctionTemplate | None) -> str:
+def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
     if find_spec("numba") is None:
         return "Numba is not installed: pip install sepset[fast]"
     if not isinstance(cpd, ConditionalGaussian):
         return "it is not Gaussian"
     if cpd.noise is not None:
         return "its noise is robust"
+    if sensor and isinstance(cpd.cov, np.ndarray) and roots.determined(roots.root(cpd.cov)).any():
+        return "its noise is singular"
     if isinstance(cpd, AffineCPD):
         return "compiled"
     if isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped:

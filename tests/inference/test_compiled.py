@@ -291,3 +291,10 @@ def test_machine_code_for_tables_is_refused():
     ):
         with pytest.raises(pgm.ModelError, match="compiled= is for"):
             call()
+
+
+def test_a_sensor_without_noise_is_told():
+    told = pgm.compile(MODELS["an exact range"], 3).compilation
+    sensor = MODELS["an exact range"].observation[0]
+    assert told[sensor] == "its noise is singular"
+    assert set(told.values()) == {"compiled", "its noise is singular"}
