@@ -12,11 +12,10 @@ import numpy as np
 
 from pgm.kernels.arrays import Array, Mask, components_last, difference
 from pgm.tracing.derivatives import derivatives
-from pgm.tracing.functions import traced
 from pgm.tracing.graph import Graph
 from pgm.tracing.program import Column, Program
 from pgm.tracing.surroundings import Surroundings
-from pgm.tracing.traced import STAND_INS, Node, Recorder, Untraceable, bare, traced_elements
+from pgm.tracing.traced import STAND_INS, Node, Recorder, Traced, Untraceable, bare, traced_elements
 
 LIMIT = 2000  # operations
 
@@ -77,10 +76,11 @@ def _recorded(
     function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...], kind: int
 ) -> tuple[Recorder, tuple[int, ...]]:
     graph = Recorder(LIMIT, kind)
-    arguments = [
-        traced(Node(graph, graph.input(k, i)) for i in range(width))
-        for k, width in enumerate(widths)
-    ]
+    arguments = []
+    for k, width in enumerate(widths):
+        inputs = np.array([Node(graph, graph.input(k, i)) for i in range(width)], dtype=object)
+        inputs.flags.writeable = False
+        arguments.append(inputs.view(Traced))
     try:
         value = function(*arguments)
     except Exception as error:
