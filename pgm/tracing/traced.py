@@ -229,6 +229,10 @@ class Traced(np.ndarray[Any, Any]):
 
 def bare(value: Any) -> Any:
     """A plain array, of objects where its elements are traced."""
+    if isinstance(value, Node):  # in which NumPy would look for an array
+        found = np.empty((), dtype=object)
+        found[()] = value
+        return found
     found = np.asarray(value)
     if found.dtype == object and any(isinstance(each, np.ndarray) for each in found.flat):
         # NumPy keeps arrays without axes as elements of a list's.
