@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from math import log, sqrt
 
-from pgm.kernels.compiled.memory import by_row, compiled, inlined, past
-from pgm.kernels.compiled.packs import every, per_row, some, where
+from pgm.kernels.compiled.memory import by_row, compiled, every, inlined, past, some
+from pgm.kernels.compiled.packs import per_row, where
 
 
 @compiled

@@ -20,8 +20,18 @@ from pgm.kernels.compiled.algebra import (
     unwhiten,
     width,
 )
-from pgm.kernels.compiled.memory import call, compiled, give, numbers, past, places, take
-from pgm.kernels.compiled.packs import every, some, where, whole
+from pgm.kernels.compiled.memory import (
+    call,
+    compiled,
+    every,
+    give,
+    numbers,
+    past,
+    places,
+    some,
+    take,
+)
+from pgm.kernels.compiled.packs import where, whole
 
 # The columns of the table.
 (KIND, SIZE, HEIGHT, PARENTS, WHOLE, CHILD, FUNCTION, VALUE, TURNING, TURNS) = range(10)

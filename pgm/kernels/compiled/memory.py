@@ -12,7 +12,16 @@ from numba import config, njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from pgm.kernels.compiled.packs import NUMBERS, ROW_PACK, RUN_PACK, RUNS, Packs, splat
+from pgm.kernels.compiled.packs import (
+    NUMBERS,
+    ROW_PACK,
+    RUN_PACK,
+    RUNS,
+    Packs,
+    bits,
+    opposite,
+    splat,
+)
 
 # Of the text of all kernels: code on disk is of this text, or is not loaded.
 STAMP = crc32(b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py"))))
@@ -22,6 +31,18 @@ _OPTIONS: Any = {"error_model": "numpy", "nogil": True, "_nrt": False}
 compiled: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)
 inlined: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)
 _LOCK = Lock()
+
+
+@compiled
+def some(truth):
+    """Whether one of a pack of truths is."""
+    return bits(truth) != 0
+
+
+@compiled
+def every(truth):
+    """Whether all of a pack of truths are."""
+    return bits(opposite(truth)) == 0
 
 
 def ready(kernel: Any, signature: str) -> Any:

@@ -50,8 +50,9 @@ class _PackModel(models.PrimitiveModel):
 
 
 register_model(Packs)(models.PointerModel)
-RUN_PACK, ROW_PACK = Pack(RUNS), Pack(ROW)
-_KINDS = [(pack, Pack(pack.lanes, types.boolean)) for pack in (RUN_PACK, ROW_PACK)]
+_FLOATS = {lanes: Pack(lanes) for lanes in (RUNS, ROW)}
+_TRUTHS = {lanes: Pack(lanes, types.boolean) for lanes in (RUNS, ROW)}
+RUN_PACK, ROW_PACK = _FLOATS.values()
 NUMBERS = types.CPointer(types.float64)
 
 
@@ -65,125 +66,75 @@ def splat(builder: Any, value: Any, count: int) -> Any:
 @lower_cast(types.Float, Pack)
 @lower_cast(types.Boolean, Pack)
 def _spread(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
-    if isinstance(source, types.Float):
-        value = context.cast(builder, value, source, types.float64)
-    else:
-        value = context.cast(builder, value, source, types.boolean)
-    return splat(builder, value, target.lanes)
+    return splat(builder, context.cast(builder, value, source, target.scalar), target.lanes)
 
 
-def _define(function: Any, result: int, arguments: int, kinds: int, make: Any) -> None:
-    """A function of packs of floats (kind 0) or truths (1)."""
+def _define(function: Any, make: Any, count: int = 2, kinds: str = "ff") -> None:
+    """A function of so many packs of floats (f) or truths (t), to one of such."""
     cases = []
-    for pair in _KINDS:
-        case = signature(pair[result], *[pair[kinds]] * arguments)
-        cases.append(case)
-
-        def lower(context: Any, builder: Any, sig: Any, given: Any) -> Any:
-            return make(builder, *given)
-
-        lower_builtin(function, *case.args)(lower)
+    for lanes in (RUNS, ROW):
+        argument, result = (_FLOATS[lanes] if kind == "f" else _TRUTHS[lanes] for kind in kinds)
+        cases.append(signature(result, *[argument] * count))
+        lower_builtin(function, *cases[-1].args)(
+            lambda _, builder, kind, given: make(builder, *given)
+        )
     infer_global(function)(type("_Typed", (ConcreteTemplate,), {"cases": cases}))
+
+
+def _call(builder: Any, name: str, given: Any) -> Any:
+    kind = given[0].type
+    function = ir.FunctionType(kind, [kind] * len(given))
+    return builder.call(cgutils.get_or_insert_function(builder.module, function, name), given)
 
 
 def _intrinsic(name: str) -> Any:
     def make(builder: Any, *given: Any) -> Any:
-        kind = given[0].type
-        suffix = f"v{kind.count}f64" if isinstance(kind, ir.VectorType) else "f64"
-        return _call(builder, kind, f"llvm.{name}.{suffix}", given)
+        count = getattr(given[0].type, "count", 0)
+        return _call(builder, f"llvm.{name}.{f'v{count}' if count else ''}f64", given)
 
     return make
 
 
-def _call(builder: Any, kind: Any, name: str, given: Any) -> Any:
-    signature = ir.FunctionType(kind, [kind] * len(given))
-    return builder.call(cgutils.get_or_insert_function(builder.module, signature, name), given)
+def _vectors() -> tuple[int, str]:
+    """How many floats functions of glibc's vector library take, and what their names begin with."""
+    try:
+        binding.load_library_permanently("libmvec.so.1")
+    except RuntimeError:
+        return 1, ""
+    features = binding.get_host_cpu_features()
+    return (
+        (8, "_ZGVeN8") if features["avx512f"] else (4, "_ZGVdN4") if features["avx2"] else (1, "")
+    )
+
+
+_TOGETHER, _PREFIX = _vectors()
 
 
 def _of_c(name: str) -> Any:
     """A function of C's, of as many floats at once as the processor and its library can."""
 
     def make(builder: Any, *given: Any) -> Any:
-        count = given[0].type.count
-        part, prefix = _VECTORS if _VECTORS[0] <= count else (1, "")
-        symbol = f"_ZGV{prefix}N{part}{'v' * len(given)}_{name}"
-        if part == 1 or binding.address_of_symbol(symbol) is None:
-            part, symbol = 1, name
-        kind = ir.VectorType(_DOUBLE, part)
-        found = ir.Constant(given[0].type, ir.Undefined)
-        for first in range(0, count, part):
-            places = [ir.Constant(_INT, first + k) for k in range(part)]
-            if part == 1:
-                one = [builder.extract_element(pack, places[0]) for pack in given]
-                value = _call(builder, _DOUBLE, symbol, one)
-                found = builder.insert_element(found, value, places[0])
-                continue
-            chosen = ir.Constant(ir.VectorType(_INT, part), [p.constant for p in places])
-            value = _call(
-                builder, kind, symbol, [builder.shuffle_vector(p, p, chosen) for p in given]
-            )
-            if part == count:
-                return value
-            for k, place in enumerate(places):
-                each = builder.extract_element(value, ir.Constant(_INT, k))
-                found = builder.insert_element(found, each, place)
-        return found
+        count, symbol = given[0].type.count, f"{_PREFIX}{'v' * len(given)}_{name}"
+        if count > 1 and (count != _TOGETHER or binding.address_of_symbol(symbol) is None):
+            halves = []
+            for first in (0, count // 2):
+                places = ir.Constant(
+                    ir.VectorType(_INT, count // 2), [*range(first, first + count // 2)]
+                )
+                halves.append(make(builder, *[builder.shuffle_vector(x, x, places) for x in given]))
+            whole = ir.Constant(ir.VectorType(_INT, count), [*range(count)])
+            return builder.shuffle_vector(*halves, whole)
+        if count > 1:
+            return _call(builder, symbol, given)
+        first = ir.Constant(_INT, 0)
+        return splat(
+            builder, _call(builder, name, [builder.extract_element(x, first) for x in given]), 1
+        )
 
     return make
 
 
-def _vectors() -> tuple[int, str]:
-    """How many floats the functions of glibc's vector library take at once, and their prefix."""
-    try:
-        binding.load_library_permanently("libmvec.so.1")
-    except RuntimeError:
-        return 1, ""
-    features = binding.get_host_cpu_features()
-    kinds = (("avx512f", (8, "e")), ("avx2", (4, "d")))
-    return next((kind for name, kind in kinds if features.get(name)), (1, ""))
-
-
-_VECTORS = _vectors()
-
-
-def _remainder(builder: Any, x: Any, y: Any) -> Any:
-    """As Python's `%`, of the sign of y."""
-    rest, zero = builder.frem(x, y), ir.Constant(x.type, [0.0] * x.type.count)
-    other = builder.xor(builder.fcmp_ordered("<", rest, zero), builder.fcmp_ordered("<", y, zero))
-    other = builder.and_(other, builder.fcmp_ordered("!=", rest, zero))
-    return builder.select(other, builder.fadd(rest, y), rest)
-
-
-def _quotient(builder: Any, x: Any, y: Any) -> Any:
-    """As Python's `//`."""
-    exact = builder.fdiv(builder.fsub(x, _remainder(builder, x, y)), y)
-    return _intrinsic("rint")(builder, exact)
-
-
-for _name, _sign in (("add", "+"), ("sub", "-"), ("mul", "*"), ("truediv", "/")):
-    _instruction = "fdiv" if _sign == "/" else f"f{_name}"
-    for _function in (getattr(operator, _name), getattr(operator, f"i{_name}")):
-        _define(
-            _function,
-            0,
-            2,
-            0,
-            lambda b, x, y, i=_instruction: getattr(b, i)(x, y, flags=("contract",)),
-        )
-for _name, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="), ("eq", "==")):
-    _define(getattr(operator, _name), 1, 2, 0, lambda b, x, y, s=_sign: b.fcmp_ordered(s, x, y))
-_define(operator.ne, 1, 2, 0, lambda b, x, y: b.fcmp_unordered("!=", x, y))
-_define(operator.neg, 0, 1, 0, lambda b, x: b.fneg(x))
-_define(operator.mod, 0, 2, 0, _remainder)
-_define(operator.floordiv, 0, 2, 0, _quotient)
-for _function, _name in ((operator.and_, "and_"), (operator.or_, "or_")):
-    _define(_function, 1, 2, 1, lambda b, x, y, n=_name: getattr(b, n)(x, y))
-for _function, _name in ((math.sqrt, "sqrt"), (abs, "fabs")):
-    _define(_function, 0, 1, 0, _intrinsic(_name))
-_define(math.log, 0, 1, 0, _of_c("log"))
-
-
-def of_c(name: str, arguments: int) -> Any:
+def of_c(name: str, count: int) -> Any:
     """A function of C's, by its name there, of one or two packs."""
     make = _of_c(name)
 
@@ -199,7 +150,53 @@ def of_c(name: str, arguments: int) -> Any:
         kind = x if isinstance(x, Pack) else y
         return kind(kind, kind), lower
 
-    return one if arguments == 1 else two
+    return one if count == 1 else two
+
+
+def _divided(builder: Any, x: Any, y: Any) -> tuple[Any, Any]:
+    """The remainder of C's, of the sign of x, and whether Python's, of that of y, is another."""
+    rest, zero = builder.frem(x, y), ir.Constant(x.type, [0.0] * x.type.count)
+    other = builder.xor(builder.fcmp_ordered("<", rest, zero), builder.fcmp_ordered("<", y, zero))
+    return rest, builder.and_(other, builder.fcmp_ordered("!=", rest, zero))
+
+
+def _remainder(builder: Any, x: Any, y: Any) -> Any:
+    rest, other = _divided(builder, x, y)
+    return builder.select(other, builder.fadd(rest, y), rest)
+
+
+def _quotient(builder: Any, x: Any, y: Any) -> Any:
+    rest, other = _divided(builder, x, y)
+    one, zero = (ir.Constant(x.type, [value] * x.type.count) for value in (1.0, 0.0))
+    found = builder.fdiv(builder.fsub(x, rest), y)
+    found = builder.select(other, builder.fsub(found, one), found)
+    none = builder.fcmp_ordered("==", y, zero)
+    return builder.select(none, builder.fdiv(x, y), _intrinsic("rint")(builder, found))
+
+
+def _fused(name: str) -> Any:
+    return lambda builder, x, y: getattr(builder, name)(x, y, flags=("contract",))
+
+
+def _compared(sign: str) -> Any:
+    if sign == "!=":
+        return lambda builder, x, y: builder.fcmp_unordered(sign, x, y)
+    return lambda builder, x, y: builder.fcmp_ordered(sign, x, y)
+
+
+for _name, _instruction in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
+    _define(getattr(operator, _name), _fused(_instruction))
+    _define(getattr(operator, f"i{_name}"), _fused(_instruction))
+for _name, _sign in {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}.items():
+    _define(getattr(operator, _name), _compared(_sign), kinds="ft")
+_define(operator.mod, _remainder)
+_define(operator.floordiv, _quotient)
+_define(operator.and_, lambda builder, x, y: builder.and_(x, y), kinds="tt")
+_define(operator.or_, lambda builder, x, y: builder.or_(x, y), kinds="tt")
+_define(operator.neg, lambda builder, x: builder.fneg(x), 1)
+_define(math.sqrt, _intrinsic("sqrt"), 1)
+_define(abs, _intrinsic("fabs"), 1)
+_define(math.log, _of_c("log"), 1)
 
 
 @lower_builtin(operator.getitem, Packs, types.Integer)
@@ -216,14 +213,10 @@ def _store(context: Any, builder: Any, kind: Any, given: Any) -> Any:
 @intrinsic
 def where(typing: Any, truth: Any, yes: Any, no: Any) -> Any:
     """One or the other number, by a truth."""
-    packs = [kind.lanes for kind in (truth, yes, no) if isinstance(kind, Pack)]
-    kind = Pack(packs[0]) if packs else types.float64
-    truth = Pack(packs[0], types.boolean) if packs else types.boolean
-
-    def made(context: Any, builder: Any, kind: Any, given: Any) -> Any:
-        return builder.select(*given)
-
-    return kind(truth, kind, kind), made
+    pack = next((kind for kind in (truth, yes, no) if isinstance(kind, Pack)), None)
+    kind = _FLOATS[pack.lanes] if pack else types.float64
+    truth = _TRUTHS[pack.lanes] if pack else types.boolean
+    return kind(truth, kind, kind), lambda context, builder, kind, given: builder.select(*given)
 
 
 @intrinsic
@@ -237,58 +230,28 @@ def bits(typing: Any, truth: Any) -> Any:
     """Truths as the bits of a number."""
 
     def made(context: Any, builder: Any, kind: Any, given: Any) -> Any:
-        lanes = getattr(truth, "lanes", 1)
-        return builder.zext(builder.bitcast(given[0], ir.IntType(lanes)), ir.IntType(64))
+        found = builder.bitcast(given[0], ir.IntType(getattr(truth, "lanes", 1)))
+        return builder.zext(found, ir.IntType(64))
 
     return types.int64(truth), made
 
 
-def _constant(count: Any) -> Any:
-    @intrinsic
-    def found(typing: Any, value: Any) -> Any:
-        def made(context: Any, builder: Any, kind: Any, given: Any) -> Any:
-            return ir.Constant(ir.IntType(64), count(value))
-
-        return types.int64(value), made
-
-    return found
-
-
-# Of a pointer: how many runs it holds at once; to how many components a row is filled up. Of a
-# truth, its bits if it is true of all.
-lanes = _constant(lambda kind: RUNS if isinstance(kind, Packs) else 1)
-full = _constant(lambda kind: 2 ** getattr(kind, "lanes", 1) - 1)
-per_row = _constant(lambda kind: 1 if isinstance(kind, Packs) else ROW)
+@intrinsic
+def per_row(typing: Any, pointer: Any) -> Any:
+    """To how many floats, or packs of runs, a row of a matrix is filled up."""
+    count = 1 if isinstance(pointer, Packs) else ROW
+    return types.int64(pointer), lambda *_: ir.Constant(ir.IntType(64), count)
 
 
 def _rounding(name: str) -> Any:
+    make = _intrinsic(name)
+
     @intrinsic
     def rounded(typing: Any, value: Any) -> Any:
-        return value(value), lambda context, builder, kind, given: _intrinsic(name)(builder, *given)
+        return value(value), lambda context, builder, kind, given: make(builder, *given)
 
     return rounded
 
 
 # The nearest whole number, and others.
 whole, floor, ceil, trunc = (_rounding(name) for name in ("rint", "floor", "ceil", "trunc"))
-
-
-@intrinsic
-def every(typing: Any, truth: Any) -> Any:
-    """Whether all truths of a pack are."""
-    return _counted(truth, "==", -1)
-
-
-@intrinsic
-def some(typing: Any, truth: Any) -> Any:
-    """Whether one of the truths of a pack is."""
-    return _counted(truth, "!=", 0)
-
-
-def _counted(truth: Any, sign: str, number: int) -> Any:
-    def made(context: Any, builder: Any, kind: Any, given: Any) -> Any:
-        whole = ir.IntType(getattr(truth, "lanes", 1))
-        found = builder.bitcast(given[0], whole)
-        return builder.icmp_unsigned(sign, found, ir.Constant(whole, number))
-
-    return types.boolean(truth), made
