@@ -82,7 +82,7 @@ from pgm.kernels.compiled.packs import RUNS, bits, opposite, where
 (CONTROL_GAIN, CONTROL_SHIFT, CONTROL_REST) = range(72, 84, 4)
 FIELDS = 84
 # Runs whose arrays lie next to each other are swept together, so that memory is read in rows.
-TOGETHER = 64
+TOGETHER = 256
 # As of `gaussian`, `moments` and `forward`.
 NEARLY_SINGULAR, _CORRELATED, _EVERY, _MILD, _GROWN = 1e-6, 3e-5, 8, 1e-3, 1e2
 # The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is
