@@ -28,8 +28,10 @@ from pgm.kernels.compiled.algebra import clear, copy, padded, product
 from pgm.kernels.compiled.memory import STAMP, by_row, compiled, numbers, opened, past, places
 from pgm.kernels.compiled.packs import RUNS, where
 
-# The trajectory of the linearisation, the one that is found, its variances, and the equations.
-REFERENCE, FOUND, VARIANCE, EQUATIONS = s.MEAN, s.LATER_MEAN, s.LATER_COV, s.GAIN
+# The trajectory of the linearisation, the one that is found, its variances, and the equations:
+# those of the prior, and room for those of each step.
+REFERENCE, FOUND, VARIANCE = s.MEAN, s.LATER_MEAN, s.LATER_COV
+BEGIN, EQUATIONS = s.BEGIN_MEAN, s.GAIN
 # Of a CPD: its rows, the step of each, and the places of its squares.
 ROWS, STEP, TARGETS = f.COUNT, f.LEAST, f.POINTS
 # How a run ends, but for these: it is not worked on.
@@ -48,17 +50,6 @@ def _of(fields, array, run):
 def _size(width):
     """The floats of a step's equations: rows of its slice, with the right side, and across."""
     return 2 * width * padded(width + 1)
-
-
-@compiled
-def _begin(weight, mean, reference, width, equations):
-    """Add the squares of the prior."""
-    wide = padded(width + 1)
-    for i in range(width):
-        for j in range(width):
-            part = weight[i * width + j]
-            equations[i * wide + j] = part
-            equations[i * wide + width] += part * (mean[j] - reference[j])
 
 
 @compiled
@@ -193,9 +184,8 @@ def _substitute(block, width, known, work):
 def _forward(fields, run, reference, equations, work):
     """Linearise a run, and eliminate slice after slice; whether that goes."""
     width, last = fields[s.WIDTH], fields[s.LAST]
-    size, weight, mean = _size(width), _of(fields, s.BEGIN_COV, run), _of(fields, s.BEGIN_MEAN, run)
-    clear(equations, size)
-    _begin(weight, mean, reference, width, equations)
+    size = _size(width)
+    copy(_of(fields, BEGIN, run), equations, size)
     for begin in range(0, last + 1, _AT_ONCE):
         end = min(begin + _AT_ONCE, last + 1)
         clear(past(equations, (begin + 1) * size), (end - begin) * size)

@@ -11,7 +11,7 @@ from pgm.inference.chain.newton import Means, precision
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.family import Family
 from pgm.inference.iteration import Anchor, Point
-from pgm.kernels.arrays import Array, Integers, Mask, block, independent, room
+from pgm.kernels.arrays import Array, Integers, Mask, apply, block, independent, room
 
 
 class Newton:
@@ -31,12 +31,14 @@ class Newton:
         self.pair = layout.state_size + width
         self.chain = chain = Chain(plan, rows=Rows(together=True, least=TOGETHER))
         chain.lay_out(False, False)
-        mean, cov = MomentChain(plan, None).start().by_run
-        weight = np.zeros((plan.runs, width, width))
-        weight[:] = np.eye(width)  # of controls at step 0, which are zero
-        weight[:, states[:, None], states] = _weight(block(cov, states, states))
-        self._put(s.BEGIN_MEAN, np.ascontiguousarray(mean))
-        self._put(s.BEGIN_COV, weight)
+        self.mean, cov = MomentChain(plan, None).start().by_run
+        begin = np.zeros((plan.runs, 2 * width, _padded(width + 1)))
+        self.first, self.right = begin[:, :width, :width], begin[:, :width, width]
+        self.first[:] = np.eye(width)  # of controls at step 0, which are zero
+        self.first[:, states[:, None], states] = _weight(block(cov, states, states))
+        self._put(n.BEGIN, begin)
+        # Each thread works in the part of its first run; no others are touched.
+        self._put(n.EQUATIONS, np.empty((plan.runs, steps + 2, begin[0].size)))
         here, later = np.arange(width), np.arange(width, 2 * width)
         pair, table = np.concatenate([states, later]), np.concatenate([chain.sensors, chain.links])
         for sensor, row in zip(plan.read, table, strict=False):
@@ -51,8 +53,6 @@ class Newton:
             places = np.concatenate([pair[link.parents], pair[link.child]])
             self._tell(row, link.family, plan.first + 1, places, _weight(link.family.own_noise))
         chain.fields[s.SENSORS], chain.fields[s.SENSOR_COUNT] = chain.rows.at(table), len(table)
-        # Each thread works in the part of its first run; no others are touched.
-        self._put(n.EQUATIONS, np.empty((plan.runs, steps + 2, 2 * width * _padded(width + 1))))
         self.room, self.turn = np.empty((2, 2, plan.runs, steps + 1, width)), 0
 
     def _put(self, place: int, array: Array) -> None:
@@ -97,6 +97,7 @@ class Newton:
         chain = self.chain
         self.turn = 1 - self.turn
         found, rest = self.room[self.turn], ~self.active
+        self.right[:] = apply(self.first, self.mean - self.at[0])
         self._put(n.REFERENCE, np.ascontiguousarray(self.at.swapaxes(0, 1)))
         self._put(n.FOUND, found[0])
         self._put(n.VARIANCE, found[1])
