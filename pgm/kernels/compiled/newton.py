@@ -13,7 +13,7 @@ of all CPDs, in which
 - a row of a transition is as of a sensor that reads its own child;
 - `PARENTS` are places in a slice and the one after it, those of that child at the end;
 - `NOISE` is the inverse of a covariance, zero where nothing is measured;
-- `TARGETS` are the places of its squares in the equations of its step.
+- `TARGETS` are places in the equations of its step, each with that of a square or right side.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numba import njit
 
 from pgm.kernels.compiled import factors as f
 from pgm.kernels.compiled import sweeps as s
-from pgm.kernels.compiled.algebra import clear, copy, padded, product
+from pgm.kernels.compiled.algebra import add, clear, copy, padded, product
 from pgm.kernels.compiled.memory import STAMP, by_row, compiled, numbers, opened, past, places
 from pgm.kernels.compiled.packs import RUNS, where
 
@@ -32,7 +32,7 @@ from pgm.kernels.compiled.packs import RUNS, where
 # those of the prior, and room for those of each step.
 REFERENCE, FOUND, VARIANCE = s.MEAN, s.LATER_MEAN, s.LATER_COV
 BEGIN, EQUATIONS = s.BEGIN_MEAN, s.GAIN
-# Of a CPD: its rows, the step of each, and the places of its squares.
+# Of a CPD: its rows, the step of each, and where its squares go.
 ROWS, STEP, TARGETS = f.COUNT, f.LEAST, f.POINTS
 # How a run ends, but for these: it is not worked on.
 IDLE = 2
@@ -62,8 +62,9 @@ def _absorb(cpd, run, first, last, reference, width, equations, work):
     x, value = work, past(work, every)
     left, weight = past(value, height), past(value, 2 * height)
     matrix, slope = past(weight, height * height), past(weight, height * (height + size))
-    squares = past(slope, height * every)
-    at, rest = numbers(x), numbers(squares)
+    part = past(slope, height * every)
+    squares = past(part, height * every)
+    at, found, count = numbers(x), numbers(squares), every * (every + 3) // 2
     for begin in range(first, last, RUNS):
         row = min(begin, cpd[ROWS] - RUNS)
         for lane in range(RUNS):
@@ -75,9 +76,7 @@ def _absorb(cpd, run, first, last, reference, width, equations, work):
         else:
             f.load(cpd, f.MATRIX, run, row, matrix, height, size)
             f.load(cpd, f.OFFSET, run, row, value, 1, height)
-            for i in range(height):
-                for k in range(size):
-                    value[i] += matrix[i * size + k] * x[k]
+            add(1.0, matrix, size, 1, x, value, height, size, 1)
         if linked:
             copy(past(x, size), left, height)
         else:
@@ -87,39 +86,24 @@ def _absorb(cpd, run, first, last, reference, width, equations, work):
         f.save(cpd, f.MOVED, run, row, left, 1, height)
         clear(slope, height * every)
         for i in range(height):
-            offset, residual = value[i], left[i] - value[i]
+            copy(past(matrix, i * size), past(slope, i * every), size)
+            residual = left[i] - value[i]
             if linked:  # the value moves, not the slice
-                offset += x[size + i] - left[i]
                 slope[i * every + size + i] = -1.0
-            for k in range(size):
-                offset -= matrix[i * size + k] * x[k]
-                slope[i * every + k] = matrix[i * size + k]
-            value[i], left[i] = offset, where(residual == residual, residual, 0.0)
+                value[i] += x[size + i] - left[i]
+            left[i] = where(residual == residual, residual, 0.0)
         if curved:
+            add(-1.0, matrix, size, 1, x, value, height, size, 1)
             f.save(cpd, f.MATRIX, run, row, matrix, height, size)
             f.save(cpd, f.OFFSET, run, row, value, 1, height)
         f.load(cpd, f.NOISE, run, row, weight, height, height)
-        count = _square(slope, weight, left, every, height, squares)
+        product(weight, height, 1, slope, part, height, height, every)
+        product(part, 1, every, slope, squares, every, height, every)
+        product(part, 1, every, left, past(squares, every * every), every, height, 1)
         for lane in range(begin - row, min(last - row, RUNS)):
             block = past(equations, steps[row + lane] * _size(width))
-            for k in range(count):
-                block[targets[k]] += rest[k * RUNS + lane]
-
-
-@compiled
-def _square(matrix, weight, left, size, height, out):
-    """The upper part of Fᵀ W F by rows, each with its entry of Fᵀ W r; how many numbers."""
-    part, count = past(out, size * (size + 3) // 2), 0
-    product(weight, height, 1, matrix, part, height, height, size)
-    for i in range(size):
-        for j in range(i, size + 1):
-            total = 0.0
-            for k in range(height):
-                other = left[k] if j == size else matrix[k * size + j]
-                total += part[k * size + i] * other
-            out[count] = total
-            count += 1
-    return count
+            for k in range(0, 2 * count, 2):
+                block[targets[k]] += found[targets[k + 1] * RUNS + lane]
 
 
 @compiled

@@ -124,10 +124,12 @@ def _weight(noise: Array, taken: Mask | None = None) -> Array:
 
 
 def _targets(places: Integers, width: int) -> Integers:
-    """Where squares of some components of a slice and the next stand among the equations."""
-    wide = _padded(width + 1)
+    """Where squares of components of a slice and the next, (n, n), and right sides behind go."""
+    wide, count = _padded(width + 1), len(places)
     first, last = np.minimum.outer(places, places), np.maximum.outer(places, places)
     part = first // width + last // width
     square = (part * width + first % width) * wide + last % width
     right = (2 * (places // width) * width + places % width) * wide + width
-    return np.concatenate([[*square[k, k:], right[k]] for k in range(len(places))])
+    upper = np.flatnonzero(np.triu(np.ones((count, count))))
+    found = np.concatenate([square.ravel()[upper], right])
+    return np.stack([found, [*upper, *range(count**2, count * (count + 1))]], axis=-1)
