@@ -21,7 +21,7 @@ from benchmarks.rows import ROWS
 from benchmarks.verdicts import Verdict
 from experiments.record import note, table
 
-NAMES = ("rts_taylor", "rts_unscented")
+NAMES = ("rts_taylor", "rts_unscented", "ekf_robots")
 WAYS = {"cold": "pgm_compiled", "warm": "pgm_compiled", "dynamax": "dynamax"}
 COLD, WARM = 15.0, 1.5  # seconds; times dynamax's compiling
 STEPS = 1_000

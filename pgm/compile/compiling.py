@@ -213,9 +213,9 @@ def compile(
     compiled : bool or Compiled, optional
         Whether sweeps along the chain of a dynamic network run in machine code, by Numba, with
         equal results to rounding. ``graph.compilation`` tells which CPDs can be; with one that
-        cannot, all of it runs without. If not given, that is from 20,000 steps on, of fewer than 8
-        runs, where Numba is installed: for fewer steps loading takes longer than it saves, and many
-        runs go as fast through NumPy.
+        cannot, all of it runs without. If not given, that is where Numba is installed and NumPy
+        would need about a second, which is 20,000 steps of one run, or 3,000 of a thousand: for
+        less, loading takes longer than it saves.
 
     Examples
     --------

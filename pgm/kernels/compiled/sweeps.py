@@ -516,42 +516,32 @@ def _leave(status, run, ok):
 _kept: Any = njit(error_model="numpy", nogil=True, cache=True)
 
 
-def _entries(stamp: int, lanes: int) -> tuple[Any, Any]:
-    """The sweeps that Python calls. Numba keeps them on disk by what they close over."""
+def _entry(stamp: int, lanes: int, back: bool) -> Any:
+    """A sweep that Python calls. Numba keeps it on disk by what it closes over."""
 
     @_kept
-    def forward(chain, first, last, memory):
+    def sweep(chain, first, last, memory):
         fields, beliefs = places(chain), opened(memory, lanes)
         status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * width(fields[WIDTH], beliefs)
-        work = past(beliefs, TOGETHER // lanes * apart)
+        work, final = past(beliefs, TOGETHER // lanes * apart), fields[LAST]
         for begin in range(first, last, TOGETHER):
             end = min(begin + TOGETHER, last)
-            for step in range(fields[LAST] + 1):
+            for count in range(final + 1):
                 for k in range((end - begin + lanes - 1) // lanes):
                     run, belief = min(begin + k * lanes, end - lanes), past(beliefs, k * apart)
-                    if not _left(status, run, lanes):
-                        _leave(status, run, _step(fields, step, run, belief, work))
+                    if _left(status, run, lanes):
+                        continue
+                    if back:
+                        _leave(status, run, _back(fields, final - count, run, belief, work))
+                    else:
+                        _leave(status, run, _step(fields, count, run, belief, work))
         return stamp
 
-    @_kept
-    def backward(chain, first, last, memory):
-        fields, beliefs = places(chain), opened(memory, lanes)
-        status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * width(fields[WIDTH], beliefs)
-        work = past(beliefs, TOGETHER // lanes * apart)
-        for begin in range(first, last, TOGETHER):
-            end = min(begin + TOGETHER, last)
-            for step in range(fields[LAST], -1, -1):
-                for k in range((end - begin + lanes - 1) // lanes):
-                    run, belief = min(begin + k * lanes, end - lanes), past(beliefs, k * apart)
-                    if not _left(status, run, lanes):
-                        _leave(status, run, _back(fields, step, run, belief, work))
-        return stamp
-
-    return forward, backward
+    return sweep
 
 
 # Sweep some runs of the chain at an address forward; reverse their transitions, and send the last
-# belief back, if it has a place. The last argument is the address of `room`. A run by itself,
-# and eight at once, of which there have to be as many: the last may share runs with others.
-forward, backward = _entries(STAMP, 1)
-forward_together, backward_together = _entries(STAMP, RUNS)
+# belief back, if it has a place. The last argument is the address of `room`. A run by itself, and
+# eight at once, of which there have to be as many: the last may share runs with others.
+forward, forward_together = _entry(STAMP, 1, False), _entry(STAMP, RUNS, False)
+backward, backward_together = _entry(STAMP, 1, True), _entry(STAMP, RUNS, True)

@@ -26,8 +26,9 @@ from pgm.inference.schedule import Filtering
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.moments import Conditional
 
-# From so many steps of fewer runs on, machine code repays its loading.
-LONG, FEW = 20_000, 8
+# Machine code repays its loading from a second of the general kernels on: a step of theirs takes as
+# long as the arithmetic of so many runs, and four million of such a quarter of a microsecond each.
+_STEP, _LONG = 200, 4_000_000
 _LINE = 64
 
 
@@ -48,7 +49,7 @@ def is_used(plan: ChainPlan) -> bool:
     """Whether a plan is to be swept in machine code."""
     choice = plan.layout.compiled
     if choice is None:
-        repays = plan.steps >= LONG and plan.runs < FEW
+        repays = plan.steps * (_STEP + plan.runs) >= _LONG
         return repays and find_spec("numba") is not None
     return choice is not False
 
