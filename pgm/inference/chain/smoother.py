@@ -84,8 +84,9 @@ Either = TypeVar("Either", Smoothed, CarefulSmoothed)
 # Steps from which on, and components of all runs together up to which, rounds beat a sweep.
 _MANY_STEPS = 64
 _FEW_NUMBERS = 200
-# The part of a deviation to which moments of normal equations are those of the passes.
-_CLOSE = 1e-7
+# The parts of a deviation to which means and deviations of normal equations are those of passes,
+# where the equations have digits enough.
+_CLOSE, _ALIKE = 1e-7, 3e-9
 
 
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
@@ -214,9 +215,9 @@ def _compiled(
     std = deviation(found.beliefs.cov)
     off = moments.marginal_error(last.mean, found.means, std)
     spread = moments.marginal_error(last.std, std, std)
-    if not max(off.max(), spread.max()) <= _CLOSE:
-        return None
-    return found, Status.of(result.residuals, result.converged, plan.lead)
+    if off.max() <= _CLOSE and spread.max() <= _ALIKE:
+        return found, Status.of(result.residuals, result.converged, plan.lead)
+    return None
 
 
 def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:

@@ -25,7 +25,16 @@ from numba import njit
 from pgm.kernels.compiled import factors as f
 from pgm.kernels.compiled import sweeps as s
 from pgm.kernels.compiled.algebra import add, clear, copy, padded, product
-from pgm.kernels.compiled.memory import STAMP, by_row, compiled, numbers, opened, past, places
+from pgm.kernels.compiled.memory import (
+    STAMP,
+    by_row,
+    compiled,
+    numbers,
+    opened,
+    past,
+    places,
+    ready,
+)
 from pgm.kernels.compiled.packs import RUNS, where
 
 # The trajectory of the linearisation, the one that is found, its variances, and the equations:
@@ -213,3 +222,4 @@ def _entry(stamp: int) -> Any:
 
 # A step of some runs of the chain at an address; the last argument is that of `room`.
 newton = _entry(STAMP)
+ready(newton, "int64(int64,int64,int64,int64)")
