@@ -50,15 +50,6 @@ class SliceLayout:
     model: DynamicBayesianNetwork
     compiled: Choice = None
 
-    def __getstate__(self) -> dict[str, Any]:
-        # Machine code stays where it is.
-        return {name: value for name, value in self.__dict__.items() if name != "functions"}
-
-    @cached_property
-    def functions(self) -> dict[tuple[FunctionTemplate, bool], Any]:
-        """The functions that have been compiled, or why not."""
-        return {}
-
     @cached_property
     def slice(self) -> Scope:
         """The hidden variables of a step, in the order of the slice vector."""

@@ -145,7 +145,8 @@ class ConditionalGaussian(CPD):
 
     def _with_cov(self, cov: npt.ArrayLike | Noise) -> Self:
         found = copy.copy(self)
-        found.__dict__.pop("_variances", None)  # of a nonlinear CPD, computed from the noise
+        for name in ("_variances", "_templates"):  # of a nonlinear CPD, computed from the noise
+            found.__dict__.pop(name, None)
         found._set_family(self.child, self.given, cov)
         return found
 

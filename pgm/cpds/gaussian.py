@@ -351,9 +351,19 @@ class NonlinearGaussianCPD(ConditionalGaussian):
 
     def _placed(self, step: int) -> dict[str, Any]:
         jacobian = {parent.at(step): derivative for parent, derivative in self.jacobian.items()}
-        return super()._placed(step) | {"jacobian": MappingProxyType(jacobian)}
+        own = {"jacobian": MappingProxyType(jacobian), "_templates": {}}
+        return super()._placed(step) | own
 
     def _template(self, hidden: Scope) -> FunctionTemplate:
+        known = self._templates.get(hidden)
+        return known or self._templates.setdefault(hidden, self._new_template(hidden))
+
+    @cached_property
+    def _templates(self) -> dict[Scope, FunctionTemplate]:
+        # What is traced and compiled for one graph serves the next.
+        return {}
+
+    def _new_template(self, hidden: Scope) -> FunctionTemplate:
         return FunctionTemplate(
             child=self.child,
             given=self.given,

@@ -151,8 +151,14 @@ class FunctionTemplate:
         return tracer.trace.program(self._missing_columns)
 
     def __getstate__(self) -> dict[str, Any]:
-        # The function that is traced with its derivatives is of this process.
-        return {name: value for name, value in self.__dict__.items() if name != "whole"}
+        # The function that is traced with its derivatives, and machine code, are of this process.
+        keep = self.__dict__.items()
+        return {name: value for name, value in keep if name not in ("whole", "compiled")}
+
+    @cached_property
+    def compiled(self) -> dict[bool, Any]:
+        """The functions in machine code, or why not: of packs of runs, and of one."""
+        return {}
 
     @cached_property
     def whole(self) -> Tracer:

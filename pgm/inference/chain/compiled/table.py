@@ -174,11 +174,10 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
 
     template, rule = family.template, family.lineariser
     assert template is not None
-    known, together = plan.layout.functions, rows.together
+    known, together = template.compiled, rows.together
     alone = bool(family.hidden) and type(rule) is not Taylor
-    functions = known[template, together] = compiled(
-        template, known.get((template, together)), alone=alone, together=together
-    )
+    functions = compiled(template, known.get(together), alone=alone, together=together)
+    known[together] = functions
     if not isinstance(functions, Functions):
         raise Uncompiled(f"{family.cpd!r}: {functions}")
     rows.kept.append(functions)
