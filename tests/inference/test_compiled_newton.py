@@ -105,16 +105,17 @@ def test_others_are_left_to_the_general_kernels(name):
     assert_posterior(*found, 1e-7)
 
 
-def test_what_is_refused_is_refused_alike():
-    """Far off the square root has no value, and the general kernels say so."""
-    square = pgm.NonlinearGaussianCPD(
-        SENSORS["range_only"].z, (x,), lambda s: np.sqrt(s[..., :1] + 5.0), cov=0.1
+@pytest.mark.parametrize("function", [np.sqrt, np.log])
+def test_what_is_refused_is_refused_alike(function):
+    """Far off the function has no value, though that of the logarithm has a slope."""
+    bent = pgm.NonlinearGaussianCPD(
+        SENSORS["range_only"].z, (x,), lambda s: function(s[..., :1] + 5.0), cov=0.1
     )
     values = np.full((12, 1), 2.0)
-    evidence, told = {u: np.ones((12, 2)), square.child: values}, []
+    evidence, told = {u: np.ones((12, 2)), bent.child: values}, []
     start = np.full((13, 3), -9.0)
     for choice in (True, False):
-        graph = pgm.compile(network(square), 12, compiled=choice)
+        graph = pgm.compile(network(bent), 12, compiled=choice)
         with pytest.raises(pgm.PgmError) as refusal:
             pgm.infer(graph, evidence, schedule=pgm.Smoothing(iterations=3), start={x: start})
         told.append((type(refusal.value), str(refusal.value)))

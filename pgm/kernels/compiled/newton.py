@@ -96,11 +96,11 @@ def _absorb(cpd, run, first, last, reference, width, equations, work):
         clear(slope, height * every)
         for i in range(height):
             copy(past(matrix, i * size), past(slope, i * every), size)
-            residual = left[i] - value[i]
+            residual = where(left[i] == left[i], left[i] - value[i], 0.0)
             if linked:  # the value moves, not the slice
                 slope[i * every + size + i] = -1.0
                 value[i] += x[size + i] - left[i]
-            left[i] = where(residual == residual, residual, 0.0)
+            left[i] = residual
         if curved:
             add(-1.0, matrix, size, 1, x, value, height, size, 1)
             f.save(cpd, f.MATRIX, run, row, matrix, height, size)
