@@ -82,6 +82,11 @@ def test_hidden_controls_and_few_readings(alone, steps):
     assert_same(*both(pgm.smooth, model, evidence, steps=steps, iterations=3))
 
 
+def test_linear_models_are_not_linearised_again():
+    model, evidence, steps, _ = drawn(5)
+    assert_same(*both(pgm.smooth, model, evidence, steps=steps, iterations=3))
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_runs_that_converge_one_after_another(alone, threads):
     evidence = recording("plain")

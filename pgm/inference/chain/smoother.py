@@ -108,7 +108,8 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         first = Smoothed.of(plan, forward.run(plan, schedule.first)[0])
     else:
         first = _start(plan, start)
-    if _is_newton(plan, schedule) and schedule.gate is None and compiled.is_used(plan):
+    steps = _is_newton(plan, schedule) and schedule.gate is None and not plan.exact
+    if steps and compiled.is_used(plan):
         found = _compiled(plan, schedule, first)
         if found is not None:
             return found

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.inference.chain.compiled.sweep import Chain
-from pgm.inference.chain.compiled.table import TOGETHER, Integers64, Rows, Uncompiled, at_least
+from pgm.inference.chain.compiled.table import (
+    TOGETHER,
+    Integers64,
+    Rows,
+    Uncompiled,
+    address,
+    at_least,
+)
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.newton import Means, precision
 from pgm.inference.chain.plan import ChainPlan
@@ -38,7 +45,8 @@ class Newton:
         self.first[:, states[:, None], states] = _weight(block(cov, states, states))
         self._put(n.BEGIN, begin)
         # Each thread works in the part of its first run; no others are touched.
-        self._put(n.EQUATIONS, np.empty((plan.runs, steps + 2, begin[0].size)))
+        self.equations = np.empty((plan.runs, steps + 2, begin[0].size))
+        self._put(n.EQUATIONS, self.equations)
         here, later = np.arange(width), np.arange(width, 2 * width)
         pair, table = np.concatenate([states, later]), np.concatenate([chain.sensors, chain.links])
         for sensor, row in zip(plan.read, table, strict=False):
@@ -56,9 +64,8 @@ class Newton:
         self.room, self.turn = np.empty((2, 2, plan.runs, steps + 1, width)), 0
 
     def _put(self, place: int, array: Array) -> None:
-        """Tell an array (runs, ...)."""
-        fields = self.chain.fields
-        fields[place], fields[place + 2] = self.chain.rows.at(array), array[0].size
+        """Tell an array (runs, ...), which is not kept."""
+        self.chain.fields[[place, place + 2]] = address(array), array[0].size
 
     def _tell(
         self, row: Integers64, family: Family, first: int, places: Integers, weight: Array
@@ -98,7 +105,8 @@ class Newton:
         self.turn = 1 - self.turn
         found, rest = self.room[self.turn], ~self.active
         self.right[:] = apply(self.first, self.mean - self.at[0])
-        self._put(n.REFERENCE, np.ascontiguousarray(self.at.swapaxes(0, 1)))
+        reference = np.ascontiguousarray(self.at.swapaxes(0, 1))
+        self._put(n.REFERENCE, reference)
         self._put(n.FOUND, found[0])
         self._put(n.VARIANCE, found[1])
         chain.status[:] = np.where(rest, n.IDLE, s.DONE)
