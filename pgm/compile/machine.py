@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
 from pgm.boundary import is_whole
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
-from pgm.display import InCode, Listing, Shown, Summary
+from pgm.display import InCode, Told
 from pgm.errors import ModelError
 from pgm.linearisers import FunctionTemplate
 from pgm.resources import optional
@@ -59,7 +59,7 @@ def as_choice(compiled: Any, what: str) -> Choice:
     return compiled
 
 
-class Compilation(Shown, Mapping[CPD, str]):
+class Compilation(Told[CPD]):
     """Of each CPD of a dynamic network ``"compiled"``, or why sweeps do not compile it.
 
     A chain is swept in machine code where all of its CPDs can be; with a gate, or with a lineariser
@@ -72,28 +72,11 @@ class Compilation(Shown, Mapping[CPD, str]):
     ['compiled', 'compiled', 'compiled']
     """
 
-    __slots__ = ("_found", "_of")
+    __slots__ = ()
 
     def __init__(self, of: str, templates: Mapping[CPD, FunctionTemplate | None]) -> None:
-        self._of = of
-        self._found = {cpd: _told(cpd, template) for cpd, template in templates.items()}
-
-    def __getitem__(self, cpd: CPD) -> str:
-        return self._found[cpd]
-
-    def __iter__(self) -> Iterator[CPD]:
-        return iter(self._found)
-
-    def __len__(self) -> int:
-        return len(self._found)
-
-    @property
-    def _title(self) -> str:
-        return f"Compilation of {self._of}"
-
-    def _summary(self) -> Summary:
-        rows = [(cpd._title, told) for cpd, told in self._found.items()]
-        return Summary(self._title, [Listing(("", ""), rows, names=2)])
+        found = {cpd: _told(cpd, template) for cpd, template in templates.items()}
+        super().__init__(f"Compilation of {of}", found)
 
 
 def _told(cpd: CPD, template: FunctionTemplate | None) -> str:

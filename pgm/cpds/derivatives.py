@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgm.display import Listing, Shown
-from pgm.display.summary import Summary
+from pgm.display import Told
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
     from pgm.cpds.gaussian import NonlinearGaussianCPD
 
 
-class Derivatives(Shown, Mapping[Variable, str]):
+class Derivatives(Told[Variable]):
     """How the derivative of a CPD's mean by each parent is found.
 
     Of each parent ``"given"``, by ``jacobian=``; ``"traced"``, exact derivatives of the function's
@@ -34,30 +32,13 @@ class Derivatives(Shown, Mapping[Variable, str]):
       x  traced
     """
 
-    __slots__ = ("_found", "_of", "reason")
+    __slots__ = ("reason",)
 
     def __init__(self, cpd: NonlinearGaussianCPD) -> None:
-        self._of, self.reason = cpd._title, None
-        kind = "given"
+        kind, self.reason = "given", None
         if any(parent not in cpd.jacobian for parent in cpd.given):
             traced = cpd._tracer.confirm([np.zeros(parent.dimension) for parent in cpd.given])
             kind, self.reason = "traced" if traced else "numerical", cpd._tracer.reason
-        self._found = {v: "given" if v in cpd.jacobian else kind for v in cpd.given}
-
-    def __getitem__(self, parent: Variable) -> str:
-        return self._found[parent]
-
-    def __iter__(self) -> Iterator[Variable]:
-        return iter(self._found)
-
-    def __len__(self) -> int:
-        return len(self._found)
-
-    @property
-    def _title(self) -> str:
-        return f"Derivatives of {self._of}"
-
-    def _summary(self) -> Summary:
-        rows = [(repr(parent), kind) for parent, kind in self._found.items()]
+        found = {v: "given" if v in cpd.jacobian else kind for v in cpd.given}
         why = [] if self.reason is None else [f"no trace: {self.reason}"]
-        return Summary(self._title, [Listing(("", ""), rows, names=2), *why])
+        super().__init__(f"Derivatives of {cpd._title}", found, *why)

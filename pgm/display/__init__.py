@@ -22,6 +22,7 @@ from pgm.display.shown import (
     whereabouts,
 )
 from pgm.display.summary import ENDS, LEFT_OUT, TITLE, Listing, Summary, few, places
+from pgm.display.told import Told
 
 __all__ = [
     "ENDS",
@@ -33,6 +34,7 @@ __all__ = [
     "NoArray",
     "Shown",
     "Summary",
+    "Told",
     "as_numbers",
     "axes",
     "beside",

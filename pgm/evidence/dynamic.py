@@ -74,9 +74,17 @@ class BoundEvidence:
         return math.prod(self.lead)
 
 
+# So many runs are turned round at a time: their rows stay in the cache.
+_PART = 256
+
+
 def by_row(array: npt.NDArray[Kind], lead: tuple[int, ...]) -> npt.NDArray[Kind]:
     """A read-only copy of an array (..., rows, d) as (rows, runs or 1, d), runs fastest."""
-    memory = np.array(flat(array, lead, 2).transpose(1, 2, 0), order="C")
+    source = flat(array, lead, 2)
+    memory = np.empty((*source.shape[1:], len(source)), source.dtype)
+    for first in range(0, len(source), _PART):
+        part = slice(first, first + _PART)
+        memory[..., part] = source[part].transpose(1, 2, 0)
     rows = memory.transpose(0, 2, 1)
     rows.flags.writeable = False
     return rows

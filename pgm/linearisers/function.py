@@ -90,7 +90,7 @@ class BoundFunction(NamedTuple):
     @property
     def angles(self) -> Mask:
         """The mask of components of the value that are angles, (d,)."""
-        angles = self.template.angles
+        angles = self.template.child.angle_mask
         return angles if self.group is None else np.tile(angles, self.group)
 
     @property
@@ -161,7 +161,7 @@ class BoundFunction(NamedTuple):
     def tangent(self, x: Array, std: Array | None = None) -> tuple[Array, Array]:
         """The value, (..., d), and the derivative, (..., d, n); arguments as of `jacobian`."""
         template, inputs, lead, _, group, _, _ = self
-        derivative = template.derivative
+        derivative = template.derivatives[0][3] if template.undivided else None
         if derivative is None or group is not None:
             arguments, shape = self._arguments(x)
             traced = self._traced(x, std, arguments, shape)
@@ -183,9 +183,7 @@ class BoundFunction(NamedTuple):
             slope = function(*arguments)
         except Exception as error:
             raise self._told(role, x).failure(function, arguments, error) from error
-        due, steep = template.shapes
-        if shape:
-            due, steep = (*shape, *due), (*shape, *steep)
+        due, steep = (*shape, template.height), (*shape, template.height, template.size)
         if not (type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due):
             value = self._told("function", x).array(template.function, arguments, value, due)
         if not (type(slope) is _ARRAY and slope.dtype is _FLOAT and slope.shape == steep):
@@ -281,9 +279,9 @@ class BoundFunction(NamedTuple):
         if self.group is not None:
             x, shape = x[..., None, :], (*shape, self.group)
         arguments = []
-        for place, value in zip(self.template.cuts, self.inputs, strict=True):
+        for place, value in zip(self.template.places, self.inputs, strict=True):
             if value is None:
-                argument = x if place is None else x[..., place]
+                argument = x if self.template.undivided else x[..., place]
             else:
                 argument = value if not extra else _expanded(value, lead, extra)
             if argument.shape[:-1] != shape:

@@ -56,11 +56,6 @@ class FunctionTemplate:
     tracer: Tracer | None = None
 
     @cached_property
-    def angles(self) -> Mask:
-        """The mask of components of the value that are angles."""
-        return self.child.angle_mask
-
-    @cached_property
     def input_angles(self) -> Mask:
         """The mask of components of the hidden parents that are angles."""
         return angle_mask(self.hidden)
@@ -79,12 +74,6 @@ class FunctionTemplate:
         )
 
     @cached_property
-    def cuts(self) -> tuple[Index | None, ...]:
-        """The places, None too for the only hidden parent, which need not be cut out."""
-        everything = slice(0, self.size)
-        return tuple(None if place == everything else place for place in self.places)
-
-    @cached_property
     def undivided(self) -> bool:
         """Whether there is a single hidden parent, so that none has to be cut out."""
         return len(self.hidden) == 1
@@ -100,43 +89,25 @@ class FunctionTemplate:
         )
 
     @cached_property
-    def derivative(self) -> Function | None:
-        """The derivative, where there is a single hidden parent."""
-        return self.derivatives[0][3] if len(self.derivatives) == 1 else None
-
-    @cached_property
     def height(self) -> int:
         """Number of components of the child."""
         return self.child.dimension
 
     @cached_property
-    def shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """The shapes of a value and of its derivative, of one run."""
-        return (self.height,), (self.height, self.size)
-
-    @cached_property
     def turning(self) -> list[int]:
         """The places of the value's components that are angles."""
-        return [int(k) for k in np.flatnonzero(self.angles)]
-
-    @cached_property
-    def missing(self) -> tuple[int, ...]:
-        """The stacked components by which no derivative was given."""
-        return tuple(
-            int(k)
-            for _, _, place, jacobian in self.derivatives
-            if jacobian is None
-            for k in np.arange(self.size)[place]
-        )
+        return [int(k) for k in np.flatnonzero(self.child.angle_mask)]
 
     @cached_property
     def columns(self) -> tuple[tuple[int, int], ...]:
         """Of each stacked component: its argument, and its place there."""
-        places = [(a, place) for a, place in enumerate(self.places) if place is not None]
-        each = {
-            int(k): (a, i) for a, place in places for i, k in enumerate(np.arange(self.size)[place])
-        }
-        return tuple(each[k] for k in range(self.size))
+        every = [(self.given.index(parent), parent.dimension) for parent in self.hidden]
+        return tuple((argument, i) for argument, width in every for i in range(width))
+
+    @cached_property
+    def missing(self) -> tuple[int, ...]:
+        """The stacked components by which no derivative was given."""
+        return tuple(k for k, (a, _) in enumerate(self.columns) if self.jacobians[a] is None)
 
     @cached_property
     def _missing_columns(self) -> tuple[tuple[int, int], ...]:
@@ -171,7 +142,7 @@ class FunctionTemplate:
             return np.concatenate([self.function(*arguments), *flat], axis=-1)
 
         more = self.height * (self.size - len(self.missing))
-        angles = np.concatenate([self.angles, np.zeros(more, dtype=bool)])
+        angles = np.concatenate([self.child.angle_mask, np.zeros(more, dtype=bool)])
         return Tracer(joined, [parent.dimension for parent in self.given], angles)
 
     @property

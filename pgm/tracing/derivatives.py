@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from pgm.tracing.graph import Graph
 from pgm.tracing.traced import Node, Recorder, scalar
 
 
 def derivatives(
-    graph: Graph, outputs: Sequence[int], inputs: Sequence[int]
+    graph: Recorder, outputs: Sequence[int], inputs: Sequence[int]
 ) -> list[dict[int, int]]:
     """The derivatives of outputs by inputs, recorded in their graph.
 
@@ -25,22 +24,20 @@ def derivatives(
     list of dict
         Of each output: by the places of inputs, numbers of operations; zeros are left out.
     """
-    g = Recorder()
-    g.take(graph)
     rows: dict[int, dict[int, Any]] = {}
     for column, number in enumerate(inputs):
-        rows.setdefault(number, {})[column] = Node(g, g.constant(1.0))
+        rows.setdefault(number, {})[column] = Node(graph, graph.constant(1.0))
     for number in graph.reachable(outputs):
         name, *operands = graph.operations[number]
         parts = [rows.get(k, {}) for k in operands]
         if name in _CHOICES and (parts[-2] or parts[-1]):
-            nodes = [Node(g, k) for k in operands]
+            nodes = [Node(graph, k) for k in operands]
             found = {
                 j: _CHOICES[name](*nodes, parts[-2].get(j, 0.0), parts[-1].get(j, 0.0))
                 for j in {**parts[-2], **parts[-1]}
             }
         elif name in _PARTIALS and any(parts):
-            partials = _PARTIALS[name](*(Node(g, k) for k in (*operands, number)))
+            partials = _PARTIALS[name](*(Node(graph, k) for k in (*operands, number)))
             found = {}
             for partial, part in zip(partials, parts, strict=True):
                 for j, slope in part.items() if not _zero(partial) else ():
@@ -49,7 +46,6 @@ def derivatives(
         else:
             continue
         rows[number] = {j: slope for j, slope in found.items() if not _zero(slope)}
-    graph.take(g)
     return [{j: d.number for j, d in rows.get(k, {}).items()} for k in outputs]
 
 

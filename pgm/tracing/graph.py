@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -24,15 +24,11 @@ class Graph:
         self.operations: list[Operation] = []
         self._places: dict[Any, int] = {}
 
-    def copy(self) -> Graph:
+    def copy(self) -> Self:
         """A graph to which more can be added."""
-        found = Graph()
-        found.take(self)
+        found = type(self)()
+        found.operations, found._places = self.operations.copy(), self._places.copy()
         return found
-
-    def take(self, other: Graph) -> None:
-        """Begin with the operations of another graph."""
-        self.operations, self._places = other.operations.copy(), other._places.copy()
 
     def constant(self, value: float | bool | np.bool_) -> int:
         """The number of a constant."""

@@ -4,40 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from operator import not_
 from typing import Any
 
 import numpy as np
 
-_INFIX = {
-    "add": "{0} + {1}",
-    "subtract": "{0} - {1}",
-    "multiply": "{0} * {1}",
-    "divide": "{0} / {1}",
-    "remainder": "{0} % {1}",
-    "floor_divide": "{0} // {1}",
-    "negative": "-{0}",
-}
-_COMPARISONS = {
-    "less": "{0} < {1}",
-    "less_equal": "{0} <= {1}",
-    "greater": "{0} > {1}",
-    "greater_equal": "{0} >= {1}",
-    "equal": "{0} == {1}",
-    "not_equal": "{0} != {1}",
-}
-_LOGICAL = {
-    "logical_and": "{0} and {1}",
-    "logical_or": "{0} or {1}",
-    "logical_not": "not {0}",
-}
-# What has no name in Python's `math` is written out; a NaN goes through as it does in NumPy.
-_WRITTEN = {
-    "absolute": "abs({0})",
-    "sign": "1.0 if {0} > 0.0 else -1.0 if {0} < 0.0 else {0} * 0.0",
-    "minimum": "{0} if {0} < {1} or {0} != {0} else {1}",
-    "maximum": "{0} if {0} > {1} or {0} != {0} else {1}",
-    "where": "{1} if {0} else {2}",
-}
+
+def _infix(names: str, signs: str) -> dict[str, str]:
+    pairs = zip(names.split(), signs.split(), strict=True)
+    return {name: f"({{0}} {sign} {{1}})" for name, sign in pairs}
+
+
+_ARITHMETIC = _infix("add subtract multiply divide remainder floor_divide", "+ - * / % //")
+_COMPARISONS = _infix("less less_equal greater greater_equal equal not_equal", "< <= > >= == !=")
+_LOGICAL = _infix("logical_and logical_or", "& |") | {"logical_not": "opposite({0})"}
 _WAVES = ("sin", "cos", "tan", "sinh", "cosh", "tanh")
 _LOGS = ("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "sqrt", "cbrt")
 _IN_MATH = {name: name for name in (*_WAVES, *_LOGS, "hypot", "fmod", "copysign")}
@@ -49,32 +29,37 @@ _ROUNDING = {
     "rint": lambda a: float(round(a)),
 }
 _TWO = {"arctan2", "hypot", "power", "fmod", "copysign"}
-_CALLED = {
-    name: name + ("({0}, {1})" if name in _TWO else "({0})") for name in (*_IN_MATH, *_ROUNDING)
-}
 
+
+def _written(where: str) -> dict[str, str]:
+    """All operations, in a language that chooses so; a NaN goes through as it does in NumPy."""
+    if_else = where.format
+    return {
+        **{name: f"{name}({{0}}, {{1}})" if name in _TWO else f"{name}({{0}})" for name in _NAMED},
+        **_ARITHMETIC,
+        **_COMPARISONS,
+        **_LOGICAL,
+        "negative": "(-{0})",
+        "absolute": "abs({0})",
+        "sign": if_else("{0} > 0.0", "1.0", if_else("{0} < 0.0", "-1.0", "{0} * 0.0")),
+        "minimum": if_else("({0} < {1}) | ({0} != {0})", "{0}", "{1}"),
+        "maximum": if_else("({0} > {1}) | ({0} != {0})", "{0}", "{1}"),
+        "where": where,
+    }
+
+
+_NAMED = (*_IN_MATH, *_ROUNDING)
 BOOLEAN = {*_COMPARISONS, *_LOGICAL}
-# Of Python and Numba alike; those with a name are called by it.
-SCALAR = {
-    **_CALLED,
-    **{name: f"({text})" for name, text in (_INFIX | _COMPARISONS | _LOGICAL | _WRITTEN).items()},
-}
-# Of compiled code, for floats and for packs of them, of which there is no branch.
-MACHINE = SCALAR | {
-    "logical_and": "({0} & {1})",
-    "logical_or": "({0} | {1})",
-    "logical_not": "opposite({0})",
-    "sign": "where({0} > 0.0, 1.0, where({0} < 0.0, -1.0, {0} * 0.0))",
-    "minimum": "where(({0} < {1}) | ({0} != {0}), {0}, {1})",
-    "maximum": "where(({0} > {1}) | ({0} != {0}), {0}, {1})",
-    "where": "where({0}, {1}, {2})",
-}
+COMMUTATIVE = {"add", "multiply", "equal", "not_equal", "logical_and", "logical_or", "hypot"}
+# Of Python; and of compiled code, for floats and for packs of them, of which there is no branch.
+SCALAR = _written("({1} if {0} else {2})")
+MACHINE = _written("where({0}, {1}, {2})")
 # The names in C of those called by name, and how many arguments they have.
 IN_C = {name: (own, 1 + (name in _TWO)) for name, own in _IN_MATH.items()}
 # Python's own functions raise where NumPy's return infinities and NaNs.
 PYTHON: dict[str, Callable[..., Any]] = {
     **{name: getattr(math, own) for name, own in _IN_MATH.items()},
     **_ROUNDING,
+    "opposite": not_,
 }
 BATCH: dict[str, Callable[..., Any]] = {name: getattr(np, name) for name in SCALAR}
-COMMUTATIVE = {"add", "multiply", "equal", "not_equal", "logical_and", "logical_or", "hypot"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -43,19 +43,16 @@ class Program:
     slope: tuple[int | None, ...]
 
     def __getstate__(self) -> dict[str, Any]:
-        keep = ("graph", "widths", "columns", "value", "slope")
-        return {name: self.__dict__[name] for name in keep}
+        return {field.name: self.__dict__[field.name] for field in fields(self)}
+
+    @property
+    def _components(self) -> list[Column]:
+        return [(a, i) for a, width in enumerate(self.widths) for i in range(width)]
 
     @property
     def observed(self) -> list[Column]:
         """The components of observed arguments, in the order in which they are stacked."""
-        taken = set(self.columns)
-        every = [(a, i) for a, width in enumerate(self.widths) for i in range(width)]
-        return [component for component in every if component not in taken]
-
-    @property
-    def _outputs(self) -> list[int]:
-        return [*self.value, *(k for k in self.slope if k is not None)]
+        return [component for component in self._components if component not in self.columns]
 
     @property
     def batch_source(self) -> str:
@@ -63,23 +60,19 @@ class Program:
 
         It writes to a value (d, *batch) and a derivative (d, n, *batch), components first.
         """
-        inputs = {
-            (a, i): f"a{a}[..., {i}]" for a, width in enumerate(self.widths) for i in range(width)
-        }
         arguments = ", ".join([*(f"a{a}" for a in range(len(self.widths))), "value", "slope"])
-        n = len(self.columns)
-        cells = [
-            *((k, f"value[{i}, ...]") for i, k in enumerate(self.value)),
-            *((k, f"slope[{s // n}, {s % n}, ...]") for s, k in enumerate(self.slope)),
+        inputs = {(a, i): f"a{a}[..., {i}]" for a, i in self._components}
+        value = [f"value[{i}, ...]" for i in range(len(self.value))]
+        slope = [
+            f"slope[{i}, {j}, ...]" for i in range(len(value)) for j in range(len(self.columns))
         ]
-        return self._printed(f"def batch({arguments}):", inputs, cells, batch=True)
+        return self._printed(f"def batch({arguments}):", inputs, [*value, *slope], None)
 
     @property
     def scalar_source(self) -> str:
         """Code of a function of all components, in the order of the arguments, to a flat tuple."""
-        inputs = {(a, i): f"a{a}_{i}" for a, width in enumerate(self.widths) for i in range(width)}
-        cells = [(k, None) for k in (*self.value, *self.slope)]
-        return self._printed(f"def scalar({', '.join(inputs.values())}):", inputs, cells)
+        inputs = {(a, i): f"a{a}_{i}" for a, i in self._components}
+        return self._printed(f"def scalar({', '.join(inputs.values())}):", inputs, [], SCALAR)
 
     @property
     def pointer_source(self) -> str:
@@ -89,57 +82,45 @@ class Program:
         runs, whose observed components lie `apart` from each other.
         """
         inputs = {column: f"x[{k}]" for k, column in enumerate(self.columns)}
-        inputs |= {
-            component: f"take(u, {k}, apart, x)" for k, component in enumerate(self.observed)
-        }
-        cells = [
-            *((k, f"value[{i}]") for i, k in enumerate(self.value)),
-            *((k, f"slope[{s}]") for s, k in enumerate(self.slope)),
-        ]
-        head = "def pointer(x, u, apart, value, slope):"
-        return self._printed(head, inputs, cells, words=MACHINE)
+        inputs |= {each: f"take(u, {k}, apart, x)" for k, each in enumerate(self.observed)}
+        cells = [f"value[{i}]" for i in range(len(self.value))]
+        cells += [f"slope[{s}]" for s in range(len(self.slope))]
+        return self._printed("def pointer(x, u, apart, value, slope):", inputs, cells, MACHINE)
 
     def _printed(
-        self,
-        head: str,
-        inputs: dict[Column, str],
-        cells: Sequence[tuple[int | None, str | None]],
-        *,
-        batch: bool = False,
-        words: dict[str, str] = SCALAR,
+        self, head: str, inputs: dict[Column, str], cells: list[str], words: dict[str, str] | None
     ) -> str:
+        """Code that writes to cells, or returns a tuple; without words, of NumPy's functions."""
+        outputs = (*self.value, *self.slope)
         names: dict[int | None, str] = {None: "0.0"}
-        lines, results = [head], []
+        lines, written = [head], set()
         # The first cell of each operation, which a ufunc writes to by itself.
-        first = dict(reversed(cells)) if batch else {}
-        taken = set()
-        for number in self.graph.reachable(self._outputs):
+        first = {} if words else dict(zip(reversed(outputs), reversed(cells), strict=True))
+        for number in self.graph.reachable(k for k in outputs if k is not None):
             name, *operands = self.graph.operations[number]
-            if name == "constant":
-                names[number] = _literal(operands[0])
-                continue
             names[number] = f"t{number}"
+            if name == "constant":
+                names[number] = repr(operands[0])  # "nan" and "inf" are named in `made`
+                continue
             if name == "input":
                 text = inputs[operands[0], operands[1]]
                 if text.isidentifier():
                     names[number] = text
                     continue
+            elif words:
+                text = words[name].format(*(names[k] for k in operands))
             else:
                 known = [names[k] for k in operands]
-                text = words[name].format(*known)
-                if batch:
-                    if number in first and name != "where":
-                        known.append(f"out={first[number]}")
-                        taken.add(first[number])
-                    text = f"{name}({', '.join(known)})"
+                if number in first and name != "where":
+                    known.append(f"out={first[number]}")
+                    written.add(first[number])
+                text = f"{name}({', '.join(known)})"
             lines.append(f"t{number} = {text}")
-        for k, cell in cells:
-            if cell is None:
-                results.append(names[k])
-            elif not batch or cell not in taken:
-                lines.append(f"{cell} = {names[k]}")
-        if results:
+        results = [names[k] for k in outputs]
+        if not cells:
             lines.append(f"return ({', '.join(results)},)")
+        pairs = zip(cells, results, strict=False)
+        lines += [f"{cell} = {found}" for cell, found in pairs if cell not in written]
         return "\n    ".join(lines)
 
     @cached_property
@@ -183,12 +164,6 @@ def _cuts(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
     axis, step = shape.index(longest), max(_PART * longest // count, 1)
     for first in range(0, longest, step):
         yield (*(slice(None),) * axis, slice(first, first + step))
-
-
-def _literal(value: float | bool) -> str:
-    if value != value:
-        return "nan"
-    return repr(value) if value not in (np.inf, -np.inf) else ("inf" if value > 0 else "-inf")
 
 
 def made(source: str, name: str, names: dict[str, Any]) -> Callable[..., Any]:

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import functools
 import sys
+import types
 from collections.abc import Callable, Iterator
 from dataclasses import fields
-from types import (
-    BuiltinFunctionType,
-    CodeType,
-    EllipsisType,
-    FunctionType,
-    MethodType,
-    ModuleType,
-    NoneType,
-)
 from typing import Any
 
 import numpy as np
 
-_CONSTANT: tuple[type, ...] = (bool, int, float, complex, str, bytes, NoneType, EllipsisType)
-_CONSTANT += (slice, np.generic, np.dtype, np.ufunc)
+_CONSTANT: tuple[type, ...] = (bool, int, float, complex, str, bytes, types.NoneType, slice)
+_CONSTANT += (types.EllipsisType, np.generic, np.dtype, np.ufunc)
+_OWN = (types.ModuleType, type, types.BuiltinFunctionType, types.FunctionType, type(np.stack))
 # By these a function finds what its code does not name.
 _HIDDEN = {"eval", "exec", "globals", "locals", "vars", "getattr", "open", "__import__"}
 _SMALL = 1024  # bytes of an array
@@ -51,34 +44,24 @@ class Surroundings:
     def _visit(self, value: Any, names: frozenset[str]) -> None:
         if isinstance(value, _CONSTANT) or _trusted(value):
             return
-        if isinstance(value, ModuleType):
+        if isinstance(value, types.ModuleType):
             for name in names & value.__dict__.keys():
                 self._watch(functools.partial(value.__dict__.get, name), names)
             return
         if id(value) in self._seen:
             return
         self._seen.add(id(value))
-        if isinstance(value, FunctionType):
+        if isinstance(value, types.FunctionType):
             self._function(value)
-        elif isinstance(value, MethodType):
-            self._visit(value.__func__, names)
-            self._visit(value.__self__, names)
-        elif isinstance(value, functools.partial):
-            for part in (value.func, *value.args, *value.keywords.values()):
-                self._visit(part, names)
-        elif isinstance(value, tuple | frozenset):
-            for part in value:
-                self._visit(part, names)
         elif isinstance(value, np.ndarray) and value.dtype != object and value.nbytes <= _SMALL:
             self._arrays.append((value, value.tobytes()))
-        elif _frozen(value):
-            calls = [vars(each).get("__call__") for each in type(value).__mro__]
-            for part in (*calls, *(getattr(value, field.name) for field in fields(value))):
-                self._visit(part, names)
         else:
-            self.known = False
+            parts = _parts(value)
+            self.known &= parts is not None
+            for part in parts or ():
+                self._visit(part, names)
 
-    def _function(self, function: FunctionType) -> None:
+    def _function(self, function: types.FunctionType) -> None:
         names = frozenset(_named(function.__code__))
         self.known &= not names & _HIDDEN
         for attribute in ("__code__", "__defaults__", "__kwdefaults__"):
@@ -100,27 +83,33 @@ class Surroundings:
         self._visit(value, names)
 
 
-def _frozen(value: Any) -> bool:
-    """Whether a value is one of a frozen dataclass."""
-    parameters = getattr(type(value), "__dataclass_params__", None)
-    return parameters is not None and bool(parameters.frozen)
+def _parts(value: Any) -> tuple[Any, ...] | None:
+    """The parts of a value, which are always the same; None of one that may change."""
+    if isinstance(value, types.MethodType):
+        return value.__func__, value.__self__
+    if isinstance(value, functools.partial):
+        return value.func, *value.args, *value.keywords.values()
+    if isinstance(value, tuple | frozenset):
+        return tuple(value)
+    if not getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False):
+        return None
+    calls = [vars(each).get("__call__") for each in type(value).__mro__]
+    return *calls, *(getattr(value, field.name) for field in fields(value))
 
 
 def _trusted(value: Any) -> bool:
     """Whether a module, a class or a function is NumPy's or Python's own."""
-    if isinstance(value, BuiltinFunctionType) and not isinstance(value.__self__, ModuleType):
+    if isinstance(value, types.BuiltinFunctionType) and not isinstance(
+        value.__self__, types.ModuleType
+    ):
         return False  # a method, of an object that may change
-    name = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
-    own = (ModuleType, type, BuiltinFunctionType, FunctionType, type(np.stack))
-    return isinstance(value, own) and (name or "").partition(".")[0] in (
-        "numpy",
-        "math",
-        "builtins",
-    )
+    name = getattr(value, "__name__" if isinstance(value, types.ModuleType) else "__module__", None)
+    package = (name or "").partition(".")[0]
+    return isinstance(value, _OWN) and package in ("numpy", "math", "builtins")
 
 
-def _named(code: CodeType) -> Iterator[str]:
+def _named(code: types.CodeType) -> Iterator[str]:
     yield from code.co_names
     for part in code.co_consts:
-        if isinstance(part, CodeType):
+        if isinstance(part, types.CodeType):
             yield from _named(part)

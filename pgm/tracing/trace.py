@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import linecache
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from pgm.kernels.arrays import Array, Mask, components_last, difference
 from pgm.tracing.derivatives import derivatives
-from pgm.tracing.functions import traced
-from pgm.tracing.graph import Graph
 from pgm.tracing.program import Column, Program
 from pgm.tracing.surroundings import Surroundings
-from pgm.tracing.traced import STAND_INS, Node, Recorder, Untraceable, bare, traced_elements
+from pgm.tracing.traced import STAND_INS, Node, Recorder, Traced, Untraceable, bare, traced_elements
 
 LIMIT = 2000  # operations
 
@@ -27,16 +24,17 @@ class Trace:
 
     Attributes
     ----------
-    graph : Graph
+    graph : Recorder
     outputs : tuple of int
         The operations that are its value, row by row.
     widths : tuple of int
         Components of each argument.
     """
 
-    graph: Graph
+    graph: Recorder
     outputs: tuple[int, ...]
     widths: tuple[int, ...]
+    _programs: dict[tuple[Column, ...], Program] = field(default_factory=dict, repr=False)
 
     def program(self, columns: tuple[Column, ...]) -> Program:
         """The value, and its derivative by some components of the arguments."""
@@ -48,10 +46,6 @@ class Trace:
             found = Program(graph, self.widths, columns, self.outputs, slope)
             self._programs[columns] = found
         return found
-
-    @cached_property
-    def _programs(self) -> dict[tuple[Column, ...], Program]:
-        return {}
 
 
 def trace(function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...]) -> Trace | str:
@@ -77,14 +71,16 @@ def _recorded(
     function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...], kind: int
 ) -> tuple[Recorder, tuple[int, ...]]:
     graph = Recorder(LIMIT, kind)
-    arguments = [
-        traced(Node(graph, graph.input(k, i)) for i in range(width))
-        for k, width in enumerate(widths)
-    ]
+    arguments = []
+    for k, width in enumerate(widths):
+        inputs = np.array([Node(graph, graph.input(k, i)) for i in range(width)], dtype=object)
+        inputs.flags.writeable = False
+        arguments.append(inputs.view(Traced))
     try:
         value = function(*arguments)
     except Exception as error:
-        found = error if isinstance(error, Untraceable) else _failed(error)
+        fails = f"it fails on traced numbers: {type(error).__name__}: {error}"
+        found = error if isinstance(error, Untraceable) else fails
         raise Untraceable(f"{graph.refusal or found}{_line(error)}") from None
     if graph.refusal is not None:
         raise Untraceable(graph.refusal)
@@ -96,10 +92,6 @@ def _recorded(
     except (TypeError, ValueError) as error:
         raise Untraceable(f"it returns {type(value).__name__}: {error}") from None
     return graph, outputs
-
-
-def _failed(error: Exception) -> str:
-    return f"it fails on traced numbers: {type(error).__name__}: {error}"
 
 
 def _line(error: BaseException) -> str:

@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from pgm.tracing.graph import Graph
 from pgm.tracing.operations import SCALAR
 
-# NumPy's functions that are done here in another way than NumPy's (`functions.py`).
-OWN: dict[Any, Callable[..., Any]] = {}
 # Stand-ins that differ in size, sign and order, so that a comparison turns out in two ways.
 STAND_INS = (1e-3, -1e100, 1e100, math.nan)
 
@@ -81,18 +80,21 @@ class Recorder(Graph):
         return bool(self._numbers)
 
 
-class Node:
+class Node(NDArrayOperatorsMixin):
     """A traced number."""
 
     __slots__ = ("graph", "number")
-    __array_priority__ = 1.0
+    __hash__ = object.__hash__
 
     def __init__(self, graph: Recorder, number: int) -> None:
         self.graph, self.number = graph, number
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        """Apply one of NumPy's functions."""
-        return _applied(ufunc, method, inputs, options)
+        """Apply one of NumPy's functions, which operators are made of."""
+        arrays = any(isinstance(each, (np.ndarray, list, tuple)) for each in inputs)
+        if arrays or options or method != "__call__":
+            return _applied(ufunc, method, inputs, options)
+        return scalar(ufunc.__name__, *inputs)
 
     def __float__(self) -> float:
         return self.graph.stand_in(self.number)
@@ -106,13 +108,6 @@ class Node:
     def __int__(self) -> int:
         raise self.graph.refuse("it makes an integer of a value")
 
-    def __complex__(self) -> complex:
-        raise self.graph.refuse("it makes a complex number of a value")
-
-    def conjugate(self) -> Node:
-        """The number itself, which is real."""
-        return self
-
     def __getattr__(self, name: str) -> Any:
         # NumPy calls a method of each element of a plain array of objects, such as `sin`.
         if not name.startswith("_") and isinstance(getattr(np, name, None), np.ufunc):
@@ -120,29 +115,8 @@ class Node:
         raise AttributeError(f"a traced number has no {name!r}")
 
 
-def _operator(name: str, *, swapped: bool = False) -> Callable[..., Any]:
-    def apply(self: Node, *others: Any) -> Any:
-        operands = (*others, self) if swapped else (self, *others)
-        arrays = any(isinstance(other, np.ndarray) for other in others)
-        return getattr(np, name)(*operands) if arrays else scalar(name, *operands)
-
-    return apply
-
-
-def _pairs(text: str) -> Iterator[list[str]]:
-    return (pair.split("=") for pair in text.split())
-
-
-_BINARY = "add=add sub=subtract mul=multiply truediv=divide pow=power mod=remainder "
-_BINARY += "floordiv=floor_divide and=logical_and or=logical_or xor=logical_xor"
-_OTHERS = "lt=less le=less_equal gt=greater ge=greater_equal eq=equal ne=not_equal "
-_OTHERS += "neg=negative pos=positive abs=absolute invert=invert floor=floor ceil=ceil trunc=trunc"
-for _name, _own in _pairs(_BINARY):
-    setattr(Node, f"__{_name}__", _operator(_own))
-    setattr(Node, f"__r{_name}__", _operator(_own, swapped=True))
-for _name, _own in _pairs(_OTHERS):
-    setattr(Node, f"__{_name}__", _operator(_own))
-Node.__hash__ = object.__hash__  # type: ignore[method-assign]
+for _name in ("floor", "ceil", "trunc"):  # which NumPy calls in Python's way
+    setattr(Node, f"__{_name}__", lambda self, name=_name: scalar(name, self))
 
 
 def scalar(name: str, *operands: Any) -> Any:
@@ -163,25 +137,30 @@ def scalar(name: str, *operands: Any) -> Any:
         pairs = zip(numbers, truths, strict=True)
         numbers = [k if t else g.add("not_equal", k, g.constant(0.0)) for k, t in pairs]
         name = _TRUTHS[name]
-    elif all(truths) and name in ("add", "multiply"):
-        name = {"add": "logical_or", "multiply": "logical_and"}[name]
     elif all(truths) and name in ("subtract", "negative"):
         raise g.refuse(f"it takes np.{name} of truth values")
-    elif any(truths) and not (name == "where" and all(truths)):
-        for i in range(1 if name == "where" else 0, len(numbers)):
-            if truths[i]:
+    elif all(truths):
+        name = {"add": "logical_or", "multiply": "logical_and"}.get(name, name)
+    else:
+        for i, truth in enumerate(truths):
+            if truth and (name, i) != ("where", 0):
                 numbers[i] = g.add("where", numbers[i], g.constant(1.0), g.constant(0.0))
     if name not in SCALAR:
         raise g.refuse(f"np.{name} is not traced")
     return Node(g, g.add(name, *numbers))
 
 
-_ALIASES = dict(
-    _pairs(
-        "radians=deg2rad degrees=rad2deg float_power=power bitwise_and=logical_and fabs=absolute "
-        "bitwise_or=logical_or bitwise_xor=logical_xor invert=logical_not conjugate=positive"
-    )
-)
+_ALIASES = {
+    "bitwise_and": "logical_and",
+    "bitwise_or": "logical_or",
+    "bitwise_xor": "logical_xor",
+    "invert": "logical_not",
+    "conjugate": "positive",
+    "fabs": "absolute",
+    "float_power": "power",
+    "deg2rad": "radians",
+    "rad2deg": "degrees",
+}
 _TRUTHS = {name: name for name in ("logical_and", "logical_or", "logical_not")}
 _TRUTHS["logical_xor"] = "not_equal"
 _POWERS: dict[Any, Callable[[Any], Any]] = {
@@ -196,14 +175,12 @@ _COMPOSED: dict[str, Callable[..., Any]] = {
     "square": lambda a: a * a,
     "reciprocal": lambda a: 1.0 / a,
     "clip": lambda a, low, high: scalar("minimum", scalar("maximum", a, low), high),
-    "deg2rad": lambda a: a * (np.pi / 180.0),
-    "rad2deg": lambda a: a * (180.0 / np.pi),
+    "radians": lambda a: a * (np.pi / 180.0),
+    "degrees": lambda a: a * (180.0 / np.pi),
     "isnan": lambda a: a != a,
     "isfinite": lambda a: a - a == 0.0,
     "isinf": lambda a: abs(a) == np.inf,
-    "heaviside": lambda a, b: scalar(
-        "where", scalar("equal", a, 0.0), b, 0.5 * (scalar("sign", a) + 1.0)
-    ),
+    "heaviside": lambda a, b: scalar("where", a == 0.0, b, 0.5 * (scalar("sign", a) + 1.0)),
     "fmax": lambda a, b: _numeric(a, b, "maximum"),
     "fmin": lambda a, b: _numeric(a, b, "minimum"),
 }
@@ -226,9 +203,9 @@ class Traced(np.ndarray[Any, Any]):
         self, func: Callable[..., Any], types: Any, args: Any, kwargs: Any
     ) -> Any:
         """Apply a function that NumPy makes of others, or one of our own in its place."""
-        own = OWN.get(func)
-        if own is not None:
-            return own(*args, **kwargs)
+        kwargs.pop("dtype", None)  # traced numbers are floats
+        if func in _OWN:
+            return _OWN[func](*args, **kwargs)
         return wrapped(super().__array_function__(func, types, args, kwargs))
 
     def __getitem__(self, key: Any) -> Any:
@@ -243,30 +220,16 @@ class Traced(np.ndarray[Any, Any]):
     def __iter__(self) -> Iterator[Any]:
         return (self[k] for k in range(len(self)))
 
-    def __bool__(self) -> bool:
-        return bool(self.item())
-
     def astype(self, dtype: Any, *_: Any, **__: Any) -> Any:
         """A copy; traced numbers are floats."""
         if np.dtype(dtype) not in (np.dtype(float), np.dtype(object)):
-            raise self._refuse(f"it makes {np.dtype(dtype).name} of values")
+            raise _refused(self, f"it makes {np.dtype(dtype).name} of values")
         return self.copy("K")
-
-    def clip(self, min: Any = None, max: Any = None, out: Any = None, **_: Any) -> Any:
-        """Values moved to within bounds."""
-        found = self if min is None else np.maximum(self, min)
-        return found if max is None else np.minimum(found, max)
-
-    def _refuse(self, reason: str) -> Untraceable:
-        for element in self.flat:
-            if isinstance(element, Node):
-                return element.graph.refuse(reason)
-        return Untraceable(reason)
 
 
 def bare(value: Any) -> Any:
     """A plain array, of objects where its elements are traced."""
-    if isinstance(value, Node):
+    if isinstance(value, Node):  # in which NumPy would look for an array
         found = np.empty((), dtype=object)
         found[()] = value
         return found
@@ -281,12 +244,12 @@ def bare(value: Any) -> Any:
 
 def wrapped(value: Any) -> Any:
     """An array of objects, or a traced number, as a traced array; anything else as it is."""
+    if isinstance(value, Node):
+        value = bare(value)
     if type(value) is np.ndarray and value.dtype == object:
         return value.view(Traced)
-    if isinstance(value, Node):
-        return bare(value).view(Traced)
-    if isinstance(value, list | tuple) and any(type(v) is np.ndarray for v in value):
-        return type(value)(map(wrapped, value)) if type(value) in (list, tuple) else value
+    if type(value) in (list, tuple):
+        return type(value)(map(wrapped, value))
     return value
 
 
@@ -296,14 +259,28 @@ def elementwise(name: str, *operands: Any) -> Any:
     return wrapped(handler(*map(bare, operands)))
 
 
+def traced_elements(g: Recorder, array: Any) -> Any:
+    """An array of objects: each element a traced number, stand-ins as well."""
+    numbered = np.frompyfunc(lambda value: Node(g, g.number(value)), 1, 1)
+    return bare(numbered(bare(array).astype(object)))
+
+
+def _recorder(*arrays: Any) -> Recorder | None:
+    objects = (array for array in arrays if array.dtype == object)
+    return next((e.graph for a in objects for e in a.flat if isinstance(e, Node)), None)
+
+
+def _refused(array: Any, reason: str) -> Untraceable:
+    return (_recorder(array) or Recorder()).refuse(reason)
+
+
 def _applied(ufunc: np.ufunc, method: str, inputs: Any, options: dict[str, Any]) -> Any:
     arrays = [bare(value) for value in inputs]
-    g = next(
-        (e.graph for a in arrays if a.dtype == object for e in a.flat if isinstance(e, Node)), None
-    )
+    g = _recorder(*arrays)
     if g is not None and np.geterr() != g.errors and {"raise", "call"} & {*np.geterr().values()}:
         raise g.refuse("it makes NumPy raise errors")
-    arrays = [_known(g, a) for a in arrays]
+    if g is not None and g.cast:
+        arrays = [traced_elements(g, a) if a.dtype.kind == "f" else a for a in arrays]
     out, where = options.pop("out", None), options.pop("where", True)
     for ignored in ("dtype", "casting", "order", "subok"):
         options.pop(ignored, None)
@@ -319,7 +296,7 @@ def _applied(ufunc: np.ufunc, method: str, inputs: Any, options: dict[str, Any])
         result = bare(getattr(handler, method)(*arrays, **options))
     if out is None:
         if where is not True:
-            raise (g or Recorder()).refuse("it takes where= without out=")
+            raise _refused(result, "it takes where= without out=")
         return wrapped(result)
     if where is not True:
         result = bare(elementwise("where", where, result, out[0]))
@@ -327,14 +304,30 @@ def _applied(ufunc: np.ufunc, method: str, inputs: Any, options: dict[str, Any])
     return out[0]
 
 
-def _known(g: Recorder | None, array: Any) -> Any:
-    """An array of floats with its stand-ins as traced numbers again."""
-    if g is None or not g.cast or array.dtype.kind != "f":
-        return array
-    return traced_elements(g, array)
+def _where(condition: Any, *values: Any) -> Any:
+    if not values:
+        raise _refused(bare(condition), "it looks for places of values")
+    return elementwise("where", condition, *values)
 
 
-def traced_elements(g: Recorder, array: Any) -> Any:
-    """An array of objects: each element a traced number."""
-    numbered = np.frompyfunc(lambda value: Node(g, g.number(value)), 1, 1)
-    return bare(numbered(bare(array).astype(object)))
+def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.0) -> Any:
+    for condition, choice in zip(reversed(conditions), reversed(choices), strict=True):
+        default = elementwise("where", condition, choice, default)
+    return default
+
+
+def _nan_to_num(
+    x: Any, copy: bool = True, nan: float = 0.0, posinf: Any = None, neginf: Any = None
+) -> Any:
+    big = np.finfo(float).max
+    found = elementwise("where", np.isnan(x), nan, x)
+    found = elementwise("where", np.equal(x, np.inf), big if posinf is None else posinf, found)
+    return elementwise("where", np.equal(x, -np.inf), -big if neginf is None else neginf, found)
+
+
+# NumPy's own of these know floats alone.
+_OWN: dict[Any, Callable[..., Any]] = {
+    np.where: _where,
+    np.select: _select,
+    np.nan_to_num: _nan_to_num,
+}

@@ -22,6 +22,12 @@ def writes(x):
     return out
 
 
+def floats(x):
+    out = np.zeros_like(x, dtype=float)
+    out[..., 1] = x[..., 0]
+    return (out + np.full_like(x, 3.0, dtype=float))[..., :2] * x[..., 1:]
+
+
 def masks(x):
     y = x[..., :2].copy()
     y[y < 0.0] = 0.0
@@ -52,7 +58,7 @@ IDIOMS = {
     "axes": lambda x: (F @ x[..., None])[..., 0] + np.squeeze(x[..., None, :2], -2),
     "einsum": lambda x: np.einsum("ij,...j->...i", F, x) + np.expand_dims(x[..., 0], -1),
     "matmul": lambda x: x @ F.T + np.dot(x, F.T) + np.matmul(F, x[..., None])[..., 0],
-    "norms": lambda x: pairs(np.linalg.norm(x, axis=-1), np.linalg.norm(x[..., :2], axis=-1)),
+    "norms": lambda x: pairs(np.linalg.norm(x, axis=-1), np.linalg.norm(x[..., :2], 1, axis=-1)),
     "reductions": lambda x: pairs(
         x.sum(axis=-1) + np.prod(x, axis=-1),
         np.mean(x, -1) + x.max(axis=-1) - np.min(x, axis=-1) + np.amax(x, -1),
@@ -77,6 +83,8 @@ IDIOMS = {
     "asarray": lambda x: np.sin(np.asarray(x))[..., :2] * np.asarray(x)[..., 1:],
     "constant": lambda x: np.broadcast_to(np.array([1.0, np.inf]), (*x.shape[:-1], 2)),
     "like": lambda x: np.zeros_like(x)[..., :2] + np.ones_like(x[..., :2]) * x[..., 1:],
+    "rounded": lambda x: np.floor(np.asarray(x))[..., :2] + np.rint(np.asarray(x))[..., 1:],
+    "floats": floats,
     "turned": lambda x: np.flip(x, -1)[..., :2] + np.roll(x, 1, axis=-1)[..., 1:] + x.T.T[..., :2],
     "interior": lambda x: pairs(np.inner(x, F[0]), np.tensordot(x, F[1], axes=([-1], [0]))),
     "parts": lambda x: np.array_split(x, [2], axis=-1)[0] + np.atleast_1d(x)[..., :2].real,
@@ -238,7 +246,6 @@ REASONS = {
     "more than 2000 operations": grows,
     "looks for places": lambda x: x[..., :2] * len(np.where(x > 0)),
     "complex": lambda x: np.abs(x[..., :2] * 1j),
-    "of that kind is not traced": lambda x: np.linalg.norm(x, 1, axis=-1)[..., None] * F[:, 0],
     "never written": lambda x: np.empty_like(x[..., :2]),
     "it fails on traced numbers: ValueError: assignment destination is read-only": lambda x: x.fill(
         0

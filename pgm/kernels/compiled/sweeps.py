@@ -82,7 +82,7 @@ from pgm.kernels.compiled.packs import RUNS, bits, opposite, where
 (CONTROL_GAIN, CONTROL_SHIFT, CONTROL_REST) = range(72, 84, 4)
 FIELDS = 84
 # Runs whose arrays lie next to each other are swept together, so that memory is read in rows.
-TOGETHER = 64
+TOGETHER = 256
 # As of `gaussian`, `moments` and `forward`.
 NEARLY_SINGULAR, _NEGLIGIBLE, _EVERY, _MILD, _GROWN = 1e-6, 1e-15, 8, 1e-3, 1e2
 # How a run ended: done, or to be done by the general kernels.
