@@ -38,9 +38,9 @@ from pgm.kernels.compiled.memory import (
 from pgm.kernels.compiled.packs import RUNS, where
 
 # The trajectory of the linearisation, the one that is found, its variances, and the equations:
-# those of the prior, and room for those of each step.
+# those of the prior, and room for those of each step, of so many threads.
 REFERENCE, FOUND, VARIANCE = s.MEAN, s.LATER_MEAN, s.LATER_COV
-BEGIN, EQUATIONS = s.BEGIN_MEAN, s.GAIN
+BEGIN, EQUATIONS, THREADS = s.BEGIN_MEAN, s.GAIN, s.SHIFT
 # Of a CPD: its rows, the step of each, and where its squares go.
 ROWS, STEP, TARGETS = f.COUNT, f.LEAST, f.POINTS
 # How a run ends, but for these: it is not worked on.
@@ -199,7 +199,8 @@ def _entry(stamp: int) -> Any:
     def newton(chain, first, last, memory):
         fields, known = places(chain), numbers(memory)
         status, width = places(fields[s.STATUS]), fields[s.WIDTH]
-        equations, work = _of(fields, EQUATIONS, first), past(known, _size(width))
+        part = (first * fields[THREADS] + fields[s.RUN_COUNT] - 1) // fields[s.RUN_COUNT]
+        equations, work = _of(fields, EQUATIONS, part), past(known, _size(width))
         for run in range(first, last):
             if status[run] != s.DONE:
                 continue

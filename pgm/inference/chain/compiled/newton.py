@@ -44,9 +44,11 @@ class Newton:
         self.first[:] = np.eye(width)  # of controls at step 0, which are zero
         self.first[:, states[:, None], states] = _weight(block(cov, states, states))
         self._put(n.BEGIN, begin)
-        # Each thread works in the part of its first run; no others are touched.
-        self.equations = np.empty((plan.runs, steps + 2, begin[0].size))
+        # Room for each thread, by the share of runs that lie before its first.
+        threads = getattr(layout.compiled, "threads", 1)
+        self.equations = np.empty((threads + 1, steps + 2, begin[0].size))
         self._put(n.EQUATIONS, self.equations)
+        chain.fields[n.THREADS] = threads
         here, later = np.arange(width), np.arange(width, 2 * width)
         pair, table = np.concatenate([states, later]), np.concatenate([chain.sensors, chain.links])
         for sensor, row in zip(plan.read, table, strict=False):
