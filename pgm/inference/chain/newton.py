@@ -16,7 +16,7 @@ from pgm.inference.chain.likelihoods import Readings, shortened
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.iteration import Point
-from pgm.kernels import canonical, roots
+from pgm.kernels import roots
 from pgm.kernels.arrays import Array, apply, block, multiply, transpose
 from pgm.kernels.elements import in_chunks
 from pgm.kernels.roots import Tridiagonal
@@ -26,21 +26,22 @@ from pgm.kernels.roots import Tridiagonal
 class Means:
     """Means (T+1, runs, n), and the variance of each component given all others.
 
-    This is no larger than its marginal variance. There are no covariances of pairs, of `pair`
-    components.
+    This is no larger than its marginal variance, which machine code finds, without `readings`.
+    There are no covariances of pairs, of `pair` components.
     """
 
     means: Array
     variance: Array
-    readings: Readings
+    readings: Readings | None
     pair: int
 
     @property
     def point(self) -> Point:
-        """Moments of the slices, without correlations."""
+        """Moments of the slices; of covariances only the diagonals count."""
         steps, runs, size = self.means.shape
         joint = np.broadcast_to(0.0, (steps - 1, runs, self.pair, self.pair))
-        return Point(self.means, self.variance[..., None] * np.eye(size), joint)
+        cov = np.broadcast_to(self.variance[..., None], (steps, runs, size, size))
+        return Point(self.means, cov, joint)
 
 
 def step(plan: ChainPlan, reference: Array) -> Means | None:
@@ -68,27 +69,24 @@ def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
     states = layout.state_places
     mean, cov = MomentChain(plan, None).start().by_run
     mean, cov = mean[:, states], block(cov, states, states)
-    lower = canonical.strict_root(cov)
     matrix, offset, noise = about(between_slices(plan), readings.reference)
-    noise_lower = canonical.strict_root(shortened(noise))
-    if not (roots.is_proper(lower) and roots.is_proper(noise_lower)):
+    first, weight = precision(cov), precision(shortened(noise))
+    if first is None or weight is None:
         return None
     diagonal, right = readings.likelihood.K.copy("K"), readings.likelihood.h.copy("K")
     # There are no controls at step 0: they are held where they are.
     diagonal[0, :, layout.control_places, layout.control_places] += 1.0
-    precision = _inverse(lower)
     rows = states if isinstance(states, slice) else states[:, None]
-    diagonal[0][:, rows, states] += precision
-    right[0][:, states] += apply(precision, mean - readings.reference[0][:, states])
+    diagonal[0][:, rows, states] += first
+    right[0][:, states] += apply(first, mean - readings.reference[0][:, states])
     if not plan.steps:
         return Tridiagonal(diagonal, diagonal[:0], right)
-    precision = _inverse(noise_lower)
     move = _Move(matrix, offset)
-    if len(precision) > 1:
-        terms = in_chunks(_terms, move, _Precision(np.broadcast_to(precision, noise.shape)))
+    if len(weight) > 1:
+        terms = in_chunks(_terms, move, _Precision(np.broadcast_to(weight, noise.shape)))
     else:
-        terms = in_chunks(lambda move: _terms(move, _Precision(precision)), move)
-    diagonal[1:] += precision
+        terms = in_chunks(lambda move: _terms(move, _Precision(weight)), move)
+    diagonal[1:] += weight
     right[1:] += terms.right_after
     diagonal[:-1] += terms.before
     right[:-1] -= terms.right_before
@@ -120,6 +118,8 @@ def _terms(move: _Move, precision: _Precision) -> _Terms:
     return _Terms(multiply(back, across), across, apply(back, after), after)
 
 
-def _inverse(lower: Array) -> Array:
-    white = roots.solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape))
-    return multiply(transpose(white), white)
+def precision(cov: Array) -> Array | None:
+    """The inverses of covariances, (..., n, n); None where one is singular."""
+    lower = roots.root(cov)
+    white = roots.whitener(lower) if roots.is_proper(lower) else None
+    return None if white is None else multiply(transpose(white), white)

@@ -14,6 +14,8 @@ from pgm.factors.scope import angle_mask
 from pgm.inference.chain import backward, careful, cost, forward, newton, parallel
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
+from pgm.inference.chain.compiled import sweep as compiled
+from pgm.inference.chain.compiled.table import Uncompiled
 from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.moments import on_chart, turns_far
 from pgm.inference.chain.newton import Means
@@ -24,7 +26,17 @@ from pgm.inference.iteration import Anchor, Point, iterate
 from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Smoothing
 from pgm.inference.status import Status
-from pgm.kernels.arrays import Array, Mask, block, components_first, components_last, nearest_branch
+from pgm.kernels import moments
+from pgm.kernels.arrays import (
+    Array,
+    Mask,
+    block,
+    components_first,
+    components_last,
+    deviation,
+    nearest_branch,
+    variances,
+)
 from pgm.kernels.elements import gather
 from pgm.progress import counted
 
@@ -72,6 +84,9 @@ Either = TypeVar("Either", Smoothed, CarefulSmoothed)
 # Steps from which on, and components of all runs together up to which, rounds beat a sweep.
 _MANY_STEPS = 64
 _FEW_NUMBERS = 200
+# The parts of a deviation to which means and deviations of normal equations are those of passes,
+# where the equations have digits enough.
+_CLOSE, _ALIKE = 1e-7, 3e-9
 
 
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
@@ -88,15 +103,23 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         filter.
     """
     cost.require_cost(schedule, plan.families, first=start is None)
-    chain = Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else swept)
+    first: Smoothed | Point
     if start is None:
-        ahead, _ = forward.run(plan, schedule.first)
-        return _iterated(chain, schedule, Smoothed.of(plan, ahead), None)
-    at = _start(plan, start)
-    chain.begin(at, reckoned=False)
+        first = Smoothed.of(plan, forward.run(plan, schedule.first)[0])
+    else:
+        first = _start(plan, start)
+    steps = _is_newton(plan, schedule) and schedule.gate is None and not plan.exact
+    if steps and compiled.is_used(plan):
+        found = _compiled(plan, schedule, first)
+        if found is not None:
+            return found
+    chain = Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else swept)
+    if isinstance(first, Smoothed):
+        return _iterated(chain, schedule, first, None)
+    chain.begin(first, reckoned=False)
     if schedule.gate is not None:
         forward.stored(plan, gated=schedule.gate)
-    return _iterated(chain, schedule, chain.solve(), at)
+    return _iterated(chain, schedule, chain.solve(), first)
 
 
 def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
@@ -164,9 +187,38 @@ def _newton(
     unsettled = np.zeros(chain.plan.runs, dtype=bool)
     result = iterate(_Means(chain), means, schedule, unsettled, at)
     readings = result.solution.readings
+    assert readings is not None
     ahead = parallel.filtered(chain.plan, readings.reference, readings=readings)
     status = Status.of(result.residuals, result.converged, chain.plan.lead)
     return Smoothed.of(chain.plan, ahead), status
+
+
+def _compiled(
+    plan: ChainPlan, schedule: Smoothing, first: Smoothed | Point
+) -> tuple[Smoothed, Status] | None:
+    """Gauss–Newton steps in machine code; None where that cannot be, or has too few digits."""
+    from pgm.inference.chain.compiled.newton import Newton
+
+    active, at = np.ones(plan.runs, dtype=bool), None
+    try:
+        newton = Newton(plan)
+        if isinstance(first, Smoothed):
+            solution = Means(first.means, variances(first.beliefs.cov), None, newton.pair)
+        else:
+            at = first
+            newton.linearise(at, active)
+            solution = newton.solve()
+        result = iterate(newton, solution, schedule, ~active, at)
+    except Uncompiled:
+        return None
+    last = result.solution.point
+    found = swept(plan, last.mean, None)
+    std = deviation(found.beliefs.cov)
+    off = moments.marginal_error(last.mean, found.means, std)
+    spread = moments.marginal_error(last.std, std, std)
+    if off.max() <= _CLOSE and spread.max() <= _ALIKE:
+        return found, Status.of(result.residuals, result.converged, plan.lead)
+    return None
 
 
 def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:

@@ -86,7 +86,7 @@ def forward(
             return None
         iterations, damping = schedule.iterations, asked
     try:
-        chain = _Chain(plan)
+        chain = Chain(plan)
         chain.lay_out(schedule is None, keep)
     except Uncompiled:
         return None
@@ -133,7 +133,7 @@ def backward(
         return None
     from pgm.kernels.compiled import sweeps as s
 
-    chain, layout = _Chain(plan), plan.layout
+    chain, layout = Chain(plan), plan.layout
     lead, front, width = (plan.steps, plan.runs), layout.state_size, layout.slice_size
     states = Conditional(*(vacant(lead, own) for own in ((front, width), (front,), (front, front))))
     parts = {s.STEP_MATRIX: transition.matrix, s.STEP_NOISE: transition.cov}
@@ -160,14 +160,14 @@ def _by_row(plan: ChainPlan, array: Array, own: int) -> Array:
     return array.transpose(own, *range(own))[None]
 
 
-class _Chain:
+class Chain:
     """A plan as a row of integers, the tables it tells of, and room to work in."""
 
-    def __init__(self, plan: ChainPlan) -> None:
+    def __init__(self, plan: ChainPlan, *, rows: Rows | None = None) -> None:
         from pgm.kernels.compiled import sweeps as s
 
         layout = plan.layout
-        self.plan, self.rows = plan, Rows()
+        self.plan, self.rows = plan, rows or Rows(plan.runs >= TOGETHER)
         self.fields = np.zeros(s.FIELDS, dtype=np.int64)
         self.status = np.zeros(plan.runs, dtype=np.int64)
         fields = self.fields
@@ -197,6 +197,7 @@ class _Chain:
                 _keep(sensor.family, row, rows)
                 if sensor.variable.angles:
                     row[f.MOVED : f.MOVED + 4] = rows.told(sensor.moved, 1)
+        self.links, self.sensors = links, sensors
         self.fields[s.LINKS], self.fields[s.LINK_COUNT] = rows.at(links), len(links)
         self.fields[s.SENSORS], self.fields[s.SENSOR_COUNT] = rows.at(sensors), len(sensors)
 

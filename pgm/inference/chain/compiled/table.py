@@ -38,12 +38,22 @@ def address(array: npt.NDArray[Any]) -> int:
     return found
 
 
-class Rows:
-    """The arrays of a table, which have to stay in memory as long as it does."""
+def at_least(array: npt.NDArray[Any], rows: int) -> npt.NDArray[Any]:
+    """An array with its last row repeated, if there are some, but fewer."""
+    if not 0 < len(array) < rows:
+        return array
+    return array[np.minimum(np.arange(rows), len(array) - 1)]
 
-    def __init__(self) -> None:
+
+class Rows:
+    """The arrays of a table, which have to stay in memory as long as it does.
+
+    `together` says whether functions are of packs, and `least` how many rows there have to be.
+    """
+
+    def __init__(self, together: bool = False, least: int = 0) -> None:
         self.kept: list[object] = []
-        self.points, self.height = 0, 1
+        self.points, self.height, self.together, self.least = 0, 1, together, least
 
     def at(self, array: npt.NDArray[Any]) -> int:
         """The address of an array, which is kept."""
@@ -52,6 +62,8 @@ class Rows:
 
     def told(self, array: Array, own: int) -> tuple[int, int, int, int]:
         """The address of an array (rows or 1, runs or 1, own axes), and its strides, in floats."""
+        if len(array) > 1:  # one row stands for all
+            array = at_least(array, self.least)
         inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
         for (outer, _), (stride, size) in pairwise(inner):
             if outer != stride * size:
@@ -162,7 +174,7 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
 
     template, rule = family.template, family.lineariser
     assert template is not None
-    known, together = template.compiled, plan.runs >= TOGETHER
+    known, together = template.compiled, rows.together
     alone = bool(family.hidden) and type(rule) is not Taylor
     functions = compiled(template, known.get(together), alone=alone, together=together)
     known[together] = functions

@@ -1,0 +1,145 @@
+"""Gauss–Newton steps of a plan in machine code."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.inference.chain.compiled.sweep import Chain
+from pgm.inference.chain.compiled.table import (
+    TOGETHER,
+    Integers64,
+    Rows,
+    Uncompiled,
+    address,
+    at_least,
+)
+from pgm.inference.chain.moments import MomentChain
+from pgm.inference.chain.newton import Means, precision
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.family import Family
+from pgm.inference.iteration import Anchor, Point
+from pgm.kernels.arrays import Array, Integers, Mask, apply, block, independent, room
+
+
+class Newton:
+    """A plan as a problem of Gauss–Newton steps, which keeps how it is linearised.
+
+    It is `Uncompiled` where a noise is singular or only general kernels know a part of it; and so
+    is a step that has no solution.
+    """
+
+    def __init__(self, plan: ChainPlan) -> None:
+        from pgm.kernels.compiled import factors as f
+        from pgm.kernels.compiled import newton as n
+        from pgm.kernels.compiled import sweeps as s
+
+        layout, steps = plan.layout, plan.steps
+        width, states = layout.slice_size, np.arange(layout.slice_size)[layout.state_places]
+        self.pair = layout.state_size + width
+        self.chain = chain = Chain(plan, rows=Rows(together=True, least=TOGETHER))
+        chain.lay_out(False, False)
+        self.mean, cov = MomentChain(plan, None).start().by_run
+        begin = np.zeros((plan.runs, 2 * width, _padded(width + 1)))
+        self.first, self.right = begin[:, :width, :width], begin[:, :width, width]
+        self.first[:] = np.eye(width)  # of controls at step 0, which are zero
+        self.first[:, states[:, None], states] = _weight(block(cov, states, states))
+        self._put(n.BEGIN, begin)
+        # Room for each thread, by the share of runs that lie before its first.
+        threads = getattr(layout.compiled, "threads", 1)
+        self.equations = np.empty((threads + 1, steps + 2, begin[0].size))
+        self._put(n.EQUATIONS, self.equations)
+        chain.fields[n.THREADS] = threads
+        here, later = np.arange(width), np.arange(width, 2 * width)
+        pair, table = np.concatenate([states, later]), np.concatenate([chain.sensors, chain.links])
+        for sensor, row in zip(plan.read, table, strict=False):
+            if sensor.variable.angles:
+                moved = at_least(sensor.moved, TOGETHER)
+                sensor.moved = moved[: len(sensor.moved)]
+                row[f.MOVED : f.MOVED + 4] = chain.rows.told(moved, 1)
+            weight = _weight(sensor.family.own_noise, sensor.taken)
+            self._tell(row, sensor.family, plan.first, here[sensor.parents], weight)
+        for link, row in zip(plan.transition, table[len(plan.read) :], strict=True):
+            row[f.STEPS] = chain.rows.at(np.minimum(np.arange(steps + 2), steps))
+            places = np.concatenate([pair[link.parents], pair[link.child]])
+            self._tell(row, link.family, plan.first + 1, places, _weight(link.family.own_noise))
+        chain.fields[s.SENSORS], chain.fields[s.SENSOR_COUNT] = chain.rows.at(table), len(table)
+        self.room, self.turn = np.empty((2, 2, plan.runs, steps + 1, width)), 0
+
+    def _put(self, place: int, array: Array) -> None:
+        """Tell an array (runs, ...), which is not kept."""
+        self.chain.fields[[place, place + 2]] = address(array), array[0].size
+
+    def _tell(
+        self, row: Integers64, family: Family, first: int, places: Integers, weight: Array
+    ) -> None:
+        """Tell of a CPD what sweeps do not know, or know otherwise."""
+        from pgm.kernels.compiled import factors as f
+        from pgm.kernels.compiled import newton as n
+
+        rows, width, count = self.chain.rows, self.chain.plan.layout.slice_size, family.step.size
+        row[f.PARENTS], row[n.ROWS] = rows.at(places), max(count, TOGETHER)
+        row[n.STEP] = rows.at(at_least(family.step - first, TOGETHER))
+        row[n.TARGETS] = rows.at(_targets(places, width))
+        row[f.NOISE : f.NOISE + 4] = rows.told(weight, 2)
+        if family.template is not None:
+            lead, own = (max(count, TOGETHER), family.shape[1]), family.shape[2:]
+            matrix, offset = room(lead, own), room(lead, own[:1])
+            family.matrix, family.offset = matrix[:count], offset[:count]
+            row[f.MATRIX : f.MATRIX + 4] = rows.told(matrix, 2)
+            row[f.OFFSET : f.OFFSET + 4] = rows.told(offset, 1)
+        for place in (f.INPUTS, f.MATRIX, f.OFFSET, f.NOISE, f.READINGS, f.MOVED):
+            row[place + 1], row[place + 2] = row[place + 2], row[place + 1]
+
+    def linearise(self, at: Point, active: Mask) -> None:
+        """Linearise at the next solution, for the runs that are active."""
+        self.at, self.active = at.mean, active
+
+    def settled(self) -> bool:
+        """There are no losses that change."""
+        return True
+
+    def solve(self, anchor: Anchor | None = None) -> Means:
+        """Linearise, and solve; of runs that are not active there is the solution before."""
+        from pgm.kernels.compiled import newton as n
+        from pgm.kernels.compiled import sweeps as s
+
+        chain = self.chain
+        self.turn = 1 - self.turn
+        found, rest = self.room[self.turn], ~self.active
+        self.right[:] = apply(self.first, self.mean - self.at[0])
+        reference = np.ascontiguousarray(self.at.swapaxes(0, 1))
+        self._put(n.REFERENCE, reference)
+        self._put(n.FOUND, found[0])
+        self._put(n.VARIANCE, found[1])
+        chain.status[:] = np.where(rest, n.IDLE, s.DONE)
+        chain.run((n.newton, n.newton))
+        found[:, rest] = self.room[1 - self.turn][:, rest]
+        found[1, :, 0, chain.plan.layout.control_places] = 0.0
+        if (chain.status == s.LEFT).any() or not np.isfinite(found.sum()):
+            raise Uncompiled("its equations have no solution")
+        means, variance = found.swapaxes(1, 2)
+        return Means(means, variance, None, self.pair)
+
+
+def _padded(columns: int) -> int:
+    return -(-columns // 4) * 4
+
+
+def _weight(noise: Array, taken: Mask | None = None) -> Array:
+    """The inverse of a noise, zero where components are missing."""
+    found = precision(noise if taken is None else independent(noise, taken))
+    if found is None:
+        raise Uncompiled("a noise is singular")
+    return found if taken is None else found * (taken[..., None] & taken[..., None, :])
+
+
+def _targets(places: Integers, width: int) -> Integers:
+    """Where squares of components of a slice and the next, (n, n), and right sides behind go."""
+    wide, count = _padded(width + 1), len(places)
+    first, last = np.minimum.outer(places, places), np.maximum.outer(places, places)
+    part = first // width + last // width
+    square = (part * width + first % width) * wide + last % width
+    right = (2 * (places // width) * width + places % width) * wide + width
+    upper = np.flatnonzero(np.triu(np.ones((count, count))))
+    found = np.concatenate([square.ravel()[upper], right])
+    return np.stack([found, [*upper, *range(count**2, count * (count + 1))]], axis=-1)
