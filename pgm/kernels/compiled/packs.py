@@ -11,7 +11,7 @@ import operator
 from typing import Any
 
 from llvmlite import binding, ir
-from numba import types
+from numba import config, types
 from numba.core import cgutils
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
@@ -99,12 +99,12 @@ def _vectors() -> tuple[int, str]:
     """How many floats functions of glibc's vector library take, and what their names begin with."""
     try:
         binding.load_library_permanently("libmvec.so.1")
+        has = binding.get_host_cpu_features().get
     except RuntimeError:
         return 1, ""
-    features = binding.get_host_cpu_features()
-    return (
-        (8, "_ZGVeN8") if features["avx512f"] else (4, "_ZGVdN4") if features["avx2"] else (1, "")
-    )
+    if config.CPU_NAME or config.CPU_FEATURES is not None:  # code may be for another processor
+        return 1, ""
+    return (8, "_ZGVeN8") if has("avx512f") else (4, "_ZGVdN4") if has("avx2") else (1, "")
 
 
 _TOGETHER, _PREFIX = _vectors()
