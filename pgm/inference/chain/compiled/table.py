@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.compile.machine import RULES
 from pgm.inference.chain.compiled.functions import Functions, compiled
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.sensor import Sensor
@@ -16,13 +17,11 @@ from pgm.inference.family import Family
 from pgm.kernels import along_runs
 from pgm.kernels.arrays import Array, Index
 from pgm.kernels.compiled import tables as t
-from pgm.linearisers import Cubature, GaussHermite, Taylor, Unscented
+from pgm.linearisers import Taylor
 from pgm.linearisers.points import Points
 from pgm.linearisers.regression import FEW, StatisticalRegression
 
 Integers64 = npt.NDArray[np.int64]
-# The rules whose points are the same at all steps.
-_RULES = Unscented, Cubature, GaussHermite
 # Angles and components without noise are told by the bits of a number.
 _MOST = 60
 
@@ -186,7 +185,7 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
     table[t.KIND] = t.TAYLOR
     if not family.hidden or type(rule) is Taylor:
         return
-    if type(rule) not in _RULES or not isinstance(rule, StatisticalRegression):
+    if type(rule) not in RULES or not isinstance(rule, StatisticalRegression):
         raise Uncompiled(f"{family.cpd!r} is linearised by {rule!r}")
     points = rule.points(template.size, template.child.name, 0)
     if len(points.points) > FEW:
