@@ -8,6 +8,7 @@ from importlib.util import find_spec
 import pytest
 from hypothesis import settings
 
+gc.disable()  # until all tests are collected
 settings.register_profile("everywhere", deadline=None, derandomize=True, max_examples=50)
 # pytest --hypothesis-profile=thorough draws many, and others each time.
 settings.register_profile("thorough", deadline=None, max_examples=1000)
@@ -54,5 +55,6 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """Have the collector of garbage pass by what stays to the end: modules and tests."""
+    """Let the collector of garbage pass by what stays to the end: modules and tests."""
     gc.freeze()
+    gc.enable()
