@@ -6,6 +6,8 @@ PIP := $(PY) -m pip install --quiet --disable-pip-version-check
 export MPLBACKEND := Agg
 # Workers share the cores; BLAS threads of small matrices only wait for each other.
 export OPENBLAS_NUM_THREADS := 1
+# What one process has compiled serves the next.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo report test test-slow lint docs notebooks bench bench-quick clean
 

@@ -13,6 +13,7 @@ from tempfile import TemporaryFile
 from typing import Annotated, Any, TypeVar
 
 import typer
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.markup import escape
@@ -76,10 +77,13 @@ class Record:
         A caption says what is drawn, in which units, of which confidence ellipses and bands are,
         and what there is to see.
         """
+        # One layout is enough for both, and is slow to find.
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+        drawn = figure.get_tightbbox().padded(rcParams["savefig.pad_inches"])
         for ending in ("png", "pdf"):
             with self.file(f"{name}.{ending}") as path:
-                figure.savefig(path, dpi=DPI, bbox_inches="tight")
-            figure.set_layout_engine("none")  # one layout is enough for both, and is slow to find
+                figure.savefig(path, dpi=DPI, bbox_inches=drawn)
         self.picture(f"{name}.png", caption)
 
     @contextmanager

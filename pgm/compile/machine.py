@@ -104,4 +104,5 @@ def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
     if rule is not None and type(rule) not in (Taylor, *RULES):
         return f"it is linearised by {rule!r}"
     assert template is not None
-    return template.whole_reason or "compiled"
+    whole = template.whole.traced()
+    return whole if isinstance(whole, str) else "compiled"

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pgm.display import Told
 from pgm.variables import Variable
 
@@ -37,8 +35,9 @@ class Derivatives(Told[Variable]):
     def __init__(self, cpd: NonlinearGaussianCPD) -> None:
         kind, self.reason = "given", None
         if any(parent not in cpd.jacobian for parent in cpd.given):
-            traced = cpd._tracer.confirm([np.zeros(parent.dimension) for parent in cpd.given])
-            kind, self.reason = "traced" if traced else "numerical", cpd._tracer.reason
+            cpd._tracer.traced()
+            self.reason = cpd._tracer.reason
+            kind = "traced" if self.reason is None else "numerical"
         found = {v: "given" if v in cpd.jacobian else kind for v in cpd.given}
         why = [] if self.reason is None else [f"no trace: {self.reason}"]
         super().__init__(f"Derivatives of {cpd._title}", found, *why)

@@ -328,12 +328,10 @@ class NonlinearGaussianCPD(ConditionalGaussian):
             t2 = multiply(t0, t0, out=value[0, ...])
             t4 = add(t0, t0, out=slope[0, 0, ...])
         """
-        if not self._tracer.confirm([np.zeros(parent.dimension) for parent in self.given]):
-            raise ModelError(
-                f"{self!r}: its function has no trace: {self._tracer.reason}", cpd=self
-            )
-        assert self._tracer.trace is not None
-        return self._tracer.trace.program(self._template(self.given).columns).batch_source
+        found = self._tracer.traced()
+        if isinstance(found, str):
+            raise ModelError(f"{self!r}: its function has no trace: {found}", cpd=self)
+        return found.by(self._template(self.given).columns).batch_source
 
     def _parts(self) -> list[str | Listing]:
         by = f", Jacobians by ({listed(self.jacobian)})" if self.jacobian else ""

@@ -101,8 +101,7 @@ class FunctionTemplate:
     @cached_property
     def columns(self) -> tuple[tuple[int, int], ...]:
         """Of each stacked component: its argument, and its place there."""
-        every = [(self.given.index(parent), parent.dimension) for parent in self.hidden]
-        return tuple((argument, i) for argument, width in every for i in range(width))
+        return tuple((self.given.index(v), i) for v in self.hidden for i in range(v.dimension))
 
     @cached_property
     def missing(self) -> tuple[int, ...]:
@@ -110,7 +109,8 @@ class FunctionTemplate:
         return tuple(k for k, (a, _) in enumerate(self.columns) if self.jacobians[a] is None)
 
     @cached_property
-    def _missing_columns(self) -> tuple[tuple[int, int], ...]:
+    def missing_columns(self) -> tuple[tuple[int, int], ...]:
+        """Of each of these: its argument, and its place there."""
         return tuple(self.columns[k] for k in self.missing)
 
     @property
@@ -119,7 +119,7 @@ class FunctionTemplate:
         tracer = self.tracer
         if tracer is None or tracer.trace is None or not self.missing:
             return None
-        return tracer.trace.program(self._missing_columns)
+        return tracer.trace.by(self.missing_columns)
 
     def __getstate__(self) -> dict[str, Any]:
         # The function that is traced with its derivatives, and machine code, are of this process.
@@ -142,15 +142,8 @@ class FunctionTemplate:
             return np.concatenate([self.function(*arguments), *flat], axis=-1)
 
         more = self.height * (self.size - len(self.missing))
-        angles = np.concatenate([self.child.angle_mask, np.zeros(more, dtype=bool)])
-        return Tracer(joined, [parent.dimension for parent in self.given], angles)
-
-    @property
-    def whole_reason(self) -> str | None:
-        """The reason why the function, or a derivative that was given, has no trace; or None."""
-        if self.whole.confirm([np.zeros(parent.dimension) for parent in self.given]):
-            return None
-        return self.whole.reason or "not traced"
+        widths = [parent.dimension for parent in self.given]
+        return Tracer(joined, widths, np.pad(self.child.angle_mask, (0, more)))
 
     @property
     def numerical(self) -> tuple[int, ...]:

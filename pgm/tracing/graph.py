@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable
 from typing import Any, Self
 
@@ -22,7 +21,7 @@ class Graph:
 
     def __init__(self) -> None:
         self.operations: list[Operation] = []
-        self._places: dict[Any, int] = {}
+        self._places: dict[Operation | str, int] = {}
 
     def copy(self) -> Self:
         """A graph to which more can be added."""
@@ -32,10 +31,8 @@ class Graph:
 
     def constant(self, value: float | bool | np.bool_) -> int:
         """The number of a constant."""
-        if isinstance(value, bool | np.bool_):
-            return self._placed(("constant", bool(value)), ("truth", bool(value)))
-        value = float(value)
-        return self._placed(("constant", value), struct.pack("d", value))  # tells 0.0 from −0.0
+        value = bool(value) if isinstance(value, bool | np.bool_) else float(value)
+        return self._placed(("constant", value), repr(value))  # as text 0.0 is not −0.0, nor False
 
     def input(self, argument: int, component: int) -> int:
         """The number of one component of an argument."""
@@ -61,7 +58,7 @@ class Graph:
         if None not in known:
             with np.errstate(all="ignore"):
                 return self.constant(BATCH[name](*known).item())
-        found = self._simplified(name, operands, known)
+        found = self._simplified(name, operands)
         if found is not None:
             return found
         if name in COMMUTATIVE:
@@ -80,51 +77,47 @@ class Graph:
                 stack += operands if name not in ("constant", "input") else []
         return sorted(needed)
 
-    def _placed(self, operation: Operation, key: Any = None) -> int:
-        key = operation if key is None else key
-        found = self._places.get(key)
-        if found is None:
-            found = self._places[key] = len(self.operations)
+    def _placed(self, operation: Operation, text: str | None = None) -> int:
+        found = self._places.setdefault(text or operation, len(self.operations))
+        if found == len(self.operations):
             self.operations.append(operation)
         return found
 
-    def _simplified(
-        self, name: str, operands: tuple[int, ...], known: list[float | bool | None]
-    ) -> int | None:
-        first, last = operands[0], operands[-1]
-        if name in ("multiply", "divide"):  # signs are taken out
-            for k in (0, 1):
-                if self.operations[operands[k]][0] == "negative":
-                    bare = [*operands]
-                    bare[k] = self.operations[operands[k]][1]
-                    return self.add("negative", self.add(name, *bare))
+    def _simplified(self, name: str, operands: tuple[int, ...]) -> int | None:
+        a, b = operands[0], operands[-1]
+        if name in ("negative", "logical_not"):
+            return self._operand(name, a)
         if name == "where":
-            if known[0] is not None:
-                return operands[1 if known[0] else 2]
-            return last if operands[1] == last else None
-        if name in ("add", "multiply"):
-            for value, other in ((known[0], last), (known[-1], first)):
-                if _is(value, 0.0 if name == "add" else 1.0):
-                    return other
-                if name == "multiply" and _is(value, -1.0):
-                    return self.add("negative", other)
-            if name == "add":
-                for a, b in ((first, last), (last, first)):
-                    if self.operations[b][0] == "negative":
-                        return self.add("subtract", a, self.operations[b][1])
-        elif name == "subtract":
-            if _is(known[1], 0.0):
-                return first
-            if _is(known[0], 0.0):
-                return self.add("negative", last)
-            if self.operations[last][0] == "negative":
-                return self.add("add", first, self.operations[last][1])
-        elif name == "divide" and _is(known[1], 1.0):
-            return first
-        elif name in ("negative", "logical_not") and self.operations[first][0] == name:
-            return int(self.operations[first][1])
-        return None
+            truth = self.value(a)
+            if operands[1] == b or truth is not None:
+                return operands[1] if truth else b
+        if name not in _NEUTRAL:
+            return None
+        for a, b in (operands, operands[::-1]) if name in COMMUTATIVE else (operands,):
+            if self._is(b, _NEUTRAL[name]):
+                return a
+            if name == "multiply" and self._is(b, -1.0):
+                return self.add("negative", a)
+            bare = self._operand("negative", b)  # signs are taken out
+            if bare is not None and name in _CONTRARY:
+                return self.add(_CONTRARY[name], a, bare)
+            if bare is not None:
+                return self.add("negative", self.add(name, a, bare))
+        if name == "subtract" and self._is(a, 0.0):
+            return self.add("negative", b)
+        bare = self._operand("negative", a) if name == "divide" else None
+        return None if bare is None else self.add("negative", self.add(name, bare, b))
+
+    def _operand(self, name: str, number: int) -> int | None:
+        """The operand of an operation, where it is this one."""
+        operation = self.operations[number]
+        return operation[1] if operation[0] == name else None
+
+    def _is(self, number: int, value: float) -> bool:
+        known = self.value(number)
+        return not isinstance(known, bool) and known == value
 
 
-def _is(value: float | bool | None, number: float) -> bool:
-    return not isinstance(value, bool) and value == number
+# What changes nothing, to the right.
+_NEUTRAL = {"add": 0.0, "subtract": 0.0, "multiply": 1.0, "divide": 1.0}
+_CONTRARY = {"add": "subtract", "subtract": "add"}

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pgm.kernels.arrays import Array
-from pgm.tracing.graph import Graph
+from pgm.tracing.derivatives import derivatives
 from pgm.tracing.operations import BATCH, MACHINE, PYTHON, SCALAR
+from pgm.tracing.traced import Recorder
 
 _PART = 4096
 # An argument, and a component of it.
@@ -25,25 +26,39 @@ class Program:
 
     Attributes
     ----------
-    graph : Graph
+    graph : Recorder
     widths : tuple of int
         Components of each argument.
-    columns : tuple of (int, int)
-        Of each hidden component, stacked: the argument, and its component there.
     value : tuple of int
         Numbers of operations: d of them.
+    columns : tuple of (int, int)
+        Of each hidden component, stacked: the argument, and its component there.
     slope : tuple of (int or None)
         d n of them, row by row; None is zero.
     """
 
-    graph: Graph
+    graph: Recorder
     widths: tuple[int, ...]
-    columns: tuple[Column, ...]
     value: tuple[int, ...]
-    slope: tuple[int | None, ...]
+    columns: tuple[Column, ...] = ()
+    slope: tuple[int | None, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: self.__dict__[field.name] for field in fields(self)}
+
+    @cached_property
+    def _by(self) -> dict[tuple[Column, ...], Program]:
+        return {}
+
+    def by(self, columns: tuple[Column, ...]) -> Program:
+        """The same value, and its derivative by some components of the arguments."""
+        found = self._by.get(columns)
+        if found is None:
+            graph = self.graph.copy()
+            rows = derivatives(graph, self.value, [graph.input(*column) for column in columns])
+            slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
+            found = self._by[columns] = replace(self, graph=graph, columns=columns, slope=slope)
+        return found
 
     @property
     def _components(self) -> list[Column]:

@@ -4,67 +4,36 @@ from __future__ import annotations
 
 import linecache
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from pgm.kernels.arrays import Array, Mask, components_last, difference
-from pgm.tracing.derivatives import derivatives
-from pgm.tracing.program import Column, Program
+from pgm.tracing.program import Program
 from pgm.tracing.surroundings import Surroundings
 from pgm.tracing.traced import STAND_INS, Node, Recorder, Traced, Untraceable, bare, traced_elements
 
 LIMIT = 2000  # operations
 
 
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """A function as scalar operations.
-
-    Attributes
-    ----------
-    graph : Recorder
-    outputs : tuple of int
-        The operations that are its value, row by row.
-    widths : tuple of int
-        Components of each argument.
-    """
-
-    graph: Recorder
-    outputs: tuple[int, ...]
-    widths: tuple[int, ...]
-    _programs: dict[tuple[Column, ...], Program] = field(default_factory=dict, repr=False)
-
-    def program(self, columns: tuple[Column, ...]) -> Program:
-        """The value, and its derivative by some components of the arguments."""
-        found = self._programs.get(columns)
-        if found is None:
-            graph = self.graph.copy()
-            rows = derivatives(graph, self.outputs, [graph.input(*column) for column in columns])
-            slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
-            found = Program(graph, self.widths, columns, self.outputs, slope)
-            self._programs[columns] = found
-        return found
-
-
-def trace(function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...]) -> Trace | str:
-    """The trace of a function with a value of a shape that is due, or a reason for none."""
+def trace(
+    function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...]
+) -> Program | str:
+    """The program of a function with a value of a shape that is due, or a reason for none."""
     try:
         made = [_recorded(function, widths, due, 0)]
         if made[0][0].cast:
             made += [_recorded(function, widths, due, kind) for kind in range(1, len(STAND_INS))]
     except Untraceable as reason:
         return str(reason)
-    (graph, outputs), *others = made
-    for again, found in others:
-        # As text, in which a NaN equals itself.
-        if repr(again.operations) != repr(graph.operations) or found != outputs:
-            return (
-                "it computes with float(), math, or arrays of floats that values were written in "
-                "(np.zeros, np.asarray(x, dtype=float)); np.stack and np.zeros_like are traced"
-            )
-    return Trace(graph.copy(), outputs, tuple(widths))
+    # As text, in which a NaN equals itself.
+    if len({repr((graph.operations, outputs)) for graph, outputs in made}) > 1:
+        return (
+            "it computes with float(), math, or arrays of floats that values were written in "
+            "(np.zeros, np.asarray(x, dtype=float)); np.stack and np.zeros_like are traced"
+        )
+    graph, outputs = made[0]
+    return Program(graph.copy(), tuple(widths), outputs)
 
 
 def _recorded(
@@ -132,13 +101,13 @@ class Tracer:
     def __init__(self, function: Callable[..., Any], widths: Sequence[int], angles: Mask) -> None:
         self.function, self.widths, self.angles = function, tuple(widths), angles
         self.reason: str | None = None
-        self.trace: Trace | None = None
+        self.trace: Program | None = None
         # Shapes of batches at which it has been compared since the last plan was made.
         self.compared: set[tuple[int, ...]] = set()
         self._surroundings: Surroundings | None = None
         # Values, and points about them; a trace and what it gives there.
         self._drawn: tuple[list[bytes], list[Array]] | None = None
-        self._known: tuple[Trace, Array] | None = None
+        self._known: tuple[Program, Array] | None = None
 
     def confirm(self, centres: Sequence[Array]) -> bool:
         """Whether there is a trace that equals the function about some values (width,).
@@ -159,12 +128,17 @@ class Tracer:
         if self.trace is not None and self._equal(self.trace, points):
             return True
         found = trace(self.function, self.widths, (self.angles.size,))
-        if isinstance(found, Trace) and self._equal(found, points):
+        if isinstance(found, Program) and self._equal(found, points):
             self.trace = found
             return True
         self.trace = None
         self.reason = found if isinstance(found, str) else _DIFFERS
         return False
+
+    def traced(self) -> Program | str:
+        """The trace, confirmed about zero, or the reason for none."""
+        self.confirm([np.zeros(width) for width in self.widths])
+        return self.trace or str(self.reason)
 
     def settled(self) -> bool:
         """Whether nothing that the function refers to can have changed since `confirm`."""
@@ -173,14 +147,14 @@ class Tracer:
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_surroundings": None, "_drawn": None, "_known": None}
 
-    def _equal(self, found: Trace, points: list[Array]) -> bool:
+    def _equal(self, found: Program, points: list[Array]) -> bool:
         with np.errstate(all="ignore"):
             try:
                 due = np.asarray(self.function(*[point.copy() for point in points]), dtype=float)
             except Exception:
                 return False
             if self._known is None or self._known[0] is not found:
-                value = found.program(()).batch(points, _SPREAD.shape)[0]
+                value = found.batch(points, _SPREAD.shape)[0]
                 self._known = found, components_last(value, 1)
             value = self._known[1]
             if due.shape != value.shape or (np.isfinite(due) != np.isfinite(value)).any():

@@ -1,9 +1,14 @@
 """Figures that experiments draw are looked at by a program, and written coarsely."""
 
+import os
+import pickle
+
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from experiments import record
+from experiments.catalogue import EXPERIMENTS
+from experiments.report.running import run_all
 from tests.plot import legible
 
 # Experiments whose figures are few; those of the others are looked at by slow tests.
@@ -39,8 +44,28 @@ def looked_at():
             FigureCanvasAgg(figure)  # a closed figure has none
             found = legible.faults(figure, whole=False)
             assert not found, f"{self.name}, {name}: {found}"
+            figure.set_layout_engine("none")  # it is found
         written(self, figure, name, caption)
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(record.Record, "figure", look)
         yield
+
+
+@pytest.fixture(scope="session")
+def quick(tmp_path_factory):
+    """Run experiments at their quick settings, as reports do: each once for all workers' tests."""
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+    def outcome(name):
+        path = shared / f"{name}.outcome"
+        if not path.exists():
+            (found,) = run_all({name: EXPERIMENTS[name]}, own / "quick", seed=0, quick=True)
+            (own / path.name).write_bytes(pickle.dumps(found))
+            (own / path.name).replace(path)
+        found = pickle.loads(path.read_bytes())
+        assert not found.error, found.error
+        return found
+
+    return outcome

@@ -1,19 +1,15 @@
 """The lecture's example: its corrected numbers, and that its own follow from the slip."""
 
-import json
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from experiments import imu_heading
-
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
-    out = tmp_path_factory.mktemp("imu_heading")
-    imu_heading.run(out=out, **imu_heading.QUICK)
-    return out, json.loads((out / "summary.json").read_text())
+def done(quick):
+    found = quick("imu_heading")
+    return found.folder, found.summary
 
 
 def update(before):

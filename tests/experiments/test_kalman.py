@@ -1,11 +1,9 @@
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection
 
-from experiments import kalman
 from experiments.kalman import figures
 from experiments.kalman.comparison import differences, solve
 from experiments.kalman.experiment import largest
@@ -17,10 +15,9 @@ NAMES = ("kalman", "extended", "unscented")
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
-    out = tmp_path_factory.mktemp("kalman")
-    kalman.run(out=out, seed=0, **kalman.QUICK)
-    return out, json.loads((out / "summary.json").read_text())
+def done(quick):
+    found = quick("kalman")
+    return found.folder, found.summary
 
 
 def test_the_cluster_graph_gives_the_textbook_numbers(done):

@@ -1,4 +1,3 @@
-import json
 import re
 from dataclasses import replace
 from itertools import combinations
@@ -9,7 +8,6 @@ import pytest
 from matplotlib.patches import FancyArrowPatch
 from scipy.stats import norm
 
-from experiments import seven_nodes
 from experiments.dense import Dense
 from experiments.seven_nodes.boundaries import draw_boundaries
 from experiments.seven_nodes.experiment import solve
@@ -20,10 +18,9 @@ from models.seven_nodes import CLUSTERS, c, e, g, seven_nodes_clusters
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
-    out = tmp_path_factory.mktemp("seven_nodes")
-    seven_nodes.run(out=out, value=1.0)
-    return out, json.loads((out / "summary.json").read_text())
+def done(quick):
+    found = quick("seven_nodes")
+    return found.folder, found.summary
 
 
 def test_the_messages_are_the_known_ones(done):

@@ -1,13 +1,12 @@
 """The discrete worlds: the lecture's numbers, the textbook, enumeration, and what is written."""
 
-import json
 from itertools import product
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from experiments import grid_world, hallway, maze, topological
+from experiments import topological
 from experiments.worlds import locate, textbook
 from models import worlds
 
@@ -60,14 +59,9 @@ def test_the_most_probable_path_is_the_best_of_all():
 
 
 @pytest.fixture(scope="module")
-def summaries(tmp_path_factory):
-    found = {}
-    for experiment in (grid_world, hallway, maze, topological):
-        name = experiment.__name__.removeprefix("experiments.")
-        out = tmp_path_factory.mktemp(name)
-        experiment.run(out=out)
-        found[name] = out, json.loads((out / "summary.json").read_text())
-    return found
+def summaries(quick):
+    done = map(quick, ("grid_world", "hallway", "maze", "topological"))
+    return {each.name: (each.folder, each.summary) for each in done}
 
 
 def test_all_of_them_are_the_textbook_s_and_drawn(summaries):

@@ -50,7 +50,8 @@ def faults(drawn: Figure | Axes, *, letters: float = LETTERS, whole: bool = True
     """The faults of a picture, each in words."""
     figure = drawn if isinstance(drawn, Figure) else drawn.figure
     figure.canvas.draw()
-    found = [*_cut(figure), *_small(figure, letters), *_on_each_other(figure)]
+    texts = _texts(figure)
+    found = [*_cut(figure, texts), *_small(texts, letters), *_on_each_other(texts)]
     for ax in _axes(figure):
         found += _diagram(ax) if not ax.axison else _plot(ax, whole)
     return found
@@ -86,23 +87,23 @@ def _texts(figure: Figure) -> list[Text]:
     ]
 
 
-def _cut(figure: Figure) -> Iterator[str]:
+def _cut(figure: Figure, texts: Sequence[Text]) -> Iterator[str]:
     """Texts and legends that leave the figure."""
-    things: list[Artist] = [*_texts(figure), *figure.findobj(Legend)]
+    things: list[Artist] = [*texts, *figure.findobj(Legend)]
     for thing in things:
         if not _within(thing.get_window_extent(), figure.bbox):
             yield f"{_called(thing)} leaves the figure"
 
 
-def _small(figure: Figure, letters: float) -> Iterator[str]:
-    for text in _texts(figure):
+def _small(texts: Sequence[Text], letters: float) -> Iterator[str]:
+    for text in texts:
         if text.get_fontsize() < letters - 1e-6:
             yield f"{_called(text)} has letters of {text.get_fontsize():.2g} pt"
 
 
-def _on_each_other(figure: Figure) -> Iterator[str]:
+def _on_each_other(every: Sequence[Text]) -> Iterator[str]:
     """Texts that overlap."""
-    texts = [text for text in _texts(figure) if text.get_rotation() % 90.0 == 0.0]
+    texts = [text for text in every if text.get_rotation() % 90.0 == 0.0]
     boxes = _boxes(texts)
     for k, text in enumerate(texts):
         for j in _overlapping(boxes[k], boxes[k + 1 :]):

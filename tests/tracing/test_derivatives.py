@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pgm.tracing import Trace, trace
+from pgm.tracing import Program, trace
 
 ONE = ["sin", "cos", "tan", "tanh", "sinh", "cosh", "arctan", "arcsinh", "exp", "log1p", "expm1"]
 ONE += [
@@ -104,8 +104,8 @@ def test_drawn_functions_have_exact_derivatives(tree, seed):
         (3,),
         (1,),
     )
-    assert isinstance(found, Trace), found
-    program = found.program(((0, 0), (0, 1), (0, 2)))
+    assert isinstance(found, Program), found
+    program = found.by(((0, 0), (0, 1), (0, 2)))
     x = np.random.default_rng(seed).normal(size=3)
     (value,), slope, _ = program.single([x])
     with mpmath.workdps(50):

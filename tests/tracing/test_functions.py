@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from pgm.tracing import Trace, Tracer, trace
+from pgm.tracing import Program, Tracer, trace
 
 F = np.array([[1.0, 2.0, 0.0], [0.5, -1.0, 3.0]])
 LIMITS = {"low": -0.5}
@@ -113,7 +113,7 @@ def everything(x):
 
 def traced(function, widths, height):
     found = trace(function, widths, (height,))
-    assert isinstance(found, Trace), found
+    assert isinstance(found, Program), found
     return found
 
 
@@ -122,7 +122,7 @@ def test_an_idiom_is_traced(name):
     x = np.random.default_rng(2).normal(size=(2, 3, 3)) * 1.3
     with np.errstate(all="ignore"):
         due = IDIOMS[name](x)
-    program = traced(IDIOMS[name], (3,), 2).program(())
+    program = traced(IDIOMS[name], (3,), 2)
     value, slope = program.batch([x], (2, 3))
     assert slope.shape == (2, 0, 2, 3)
     if name == "outer":  # it is another function of one run
@@ -144,7 +144,7 @@ def test_each_printer_computes_what_the_function_does():
     points = np.concatenate([pairs_, np.random.default_rng(1).normal(size=(20, 2))])
     due = everything(points)
     columns = ((0, 0), (0, 1))
-    program = traced(everything, (2,), due.shape[-1]).program(columns)
+    program = traced(everything, (2,), due.shape[-1]).by(columns)
     again = pickle.loads(pickle.dumps(program))
     value, slope = again.batch([points], (len(points),))
     np.testing.assert_allclose(value.T, due, rtol=1e-14)
@@ -266,7 +266,7 @@ def test_the_reason_for_no_trace(reason):
 
 def test_numbers_of_an_earlier_call_are_refused():
     held.clear()
-    assert isinstance(trace(holds, (3,), (2,)), Trace)
+    assert isinstance(trace(holds, (3,), (2,)), Program)
     assert "earlier call" in trace(holds, (3,), (2,))
 
 
@@ -306,7 +306,7 @@ def test_a_function_whose_closure_changes_is_traced_again():
     tracer = Tracer(lambda x: step * x[..., :2], (3,), np.zeros(2, dtype=bool))
     for step in (0.5, 2.0):
         assert tracer.confirm([np.ones(3)])
-        assert tracer.trace.program(()).single([np.ones(3)])[0].tolist() == [step, step]
+        assert tracer.trace.single([np.ones(3)])[0].tolist() == [step, step]
 
 
 def test_a_turn_more_is_the_same_angle():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from models import motion, sensors, tracking
-from pgm.tracing import Trace, trace
+from pgm.tracing import Program, trace
 
 WIDTHS = {"state": 3, "control": 3, "other": 3, "bias": 1, "landmark": 2, "sight": 2}
 PAIRS = ("turn_after_move",)  # of two components
@@ -64,9 +64,9 @@ def test_traced_derivatives_are_those_given(name):
     arguments = points(widths)
     due = function(*arguments)
     found = trace(function, widths, due.shape[-1:])
-    assert isinstance(found, Trace), found
+    assert isinstance(found, Program), found
     columns = tuple((a, i) for a, width in enumerate(widths) for i in range(width))
-    value, slope = found.program(columns).batch(arguments, due.shape[:-1])
+    value, slope = found.by(columns).batch(arguments, due.shape[:-1])
     np.testing.assert_allclose(np.moveaxis(value, 0, -1), due, rtol=1e-13, atol=1e-13)
     ends = np.cumsum(widths)
     for end, width, by in zip(ends, widths, derivatives, strict=True):

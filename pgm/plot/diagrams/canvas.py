@@ -134,7 +134,7 @@ class Canvas:
 
     def arrow(self, *, head: float = 9.0, zorder: float = 2.0, **between: Any) -> None:
         """Draw an arrow, as of the keywords of a `FancyArrowPatch`, with a head of some size."""
-        self.ax.add_patch(
+        self.ax.add_artist(  # limits are set, and not found by `add_patch`, which takes long
             FancyArrowPatch(
                 **between,
                 arrowstyle="-|>",
@@ -148,7 +148,7 @@ class Canvas:
     def shape(self, patch: Patch, fill: Any, border: float) -> None:
         """Draw a shape with a border of some width, above all lines."""
         patch.set(facecolor=fill, edgecolor=INK, linewidth=self.width(border), zorder=3.0)
-        self.ax.add_patch(patch)
+        self.ax.add_artist(patch)
 
     def width(self, points: float) -> float:
         """The width of a line."""

@@ -54,7 +54,7 @@ def bare(text):
 def test_names_are_shown_word_for_word(name):
     texts = []
     for ax in drawn(name):
-        ax.figure.savefig(io.BytesIO())
+        ax.figure.savefig(io.BytesIO(), dpi=20)
         texts.append({shown(text) for text in ax.figure.findobj(Text)} - {""})
         plt.close(ax.figure)
     network, clusters, ellipses, trajectory, first, second, rmse, nis, whiteness = texts

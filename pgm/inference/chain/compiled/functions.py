@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.linearisers import FunctionTemplate
-from pgm.tracing import Program, Trace
+from pgm.tracing import Program
 from pgm.tracing.compiled import compiled as machine_code
-from pgm.tracing.derivatives import derivatives
 
 
 class Functions(NamedTuple):
@@ -25,7 +24,7 @@ class Functions(NamedTuple):
     value: int
     slope: int
     kept: tuple[Any, ...]
-    trace: Trace
+    trace: Program
 
 
 def compiled(
@@ -40,11 +39,9 @@ def compiled(
     `alone` says whether its values are needed by themselves, as on points; `together`, whether it
     is of packs of runs.
     """
-    reason = template.whole_reason
-    if reason is not None:
-        return reason
-    trace = template.whole.trace
-    assert trace is not None
+    trace = template.whole.traced()
+    if isinstance(trace, str):
+        return trace
     known = isinstance(before, Functions) and before.trace is trace and before
     if known and (not alone or len(known.kept) > 1):
         return known
@@ -55,18 +52,14 @@ def compiled(
     return Functions(kept[-1].address, kept[0].address, tuple(kept), trace)
 
 
-def _program(template: FunctionTemplate, trace: Trace, per_row: int) -> Program:
-    graph, height = trace.graph.copy(), template.height
-    value, known = trace.outputs[:height], iter(trace.outputs[height:])
-    inputs = [graph.input(*column) for column in template.columns]
-    rows = derivatives(graph, value, inputs)
-    slope: list[int | None] = []
-    for row in rows:
-        slope += [row.get(j) for j in range(template.size)] + [None] * (-template.size % per_row)
-    apart = len(slope) // height
+def _program(template: FunctionTemplate, trace: Program, per_row: int) -> Program:
+    height, size = template.height, template.size
+    alone = replace(trace, value=trace.value[:height]).by(template.missing_columns)
+    slope = np.full((height, size + -size % per_row), None)
+    slope[:, template.missing] = np.reshape(np.array(alone.slope), (height, -1))
+    first = height
     for _, width, place, jacobian in template.derivatives:
         if jacobian is not None:
-            columns = np.arange(template.size)[place].tolist()
-            for k in range(height * width):
-                slope[k // width * apart + columns[k % width]] = next(known)
-    return Program(graph, trace.widths, template.columns, value, tuple(slope))
+            given = np.reshape(trace.value[first : first + height * width], (height, width))
+            slope[:, place], first = given, first + height * width
+    return replace(alone, columns=template.columns, slope=tuple(slope.ravel().tolist()))
