@@ -10,14 +10,8 @@ from typing import Any
 import numpy as np
 
 from pgm.cpds import AffineCPD
-from pgm.inference.chain.compiled.table import (
-    Integers64,
-    Rows,
-    Uncompiled,
-    link_row,
-    require_compiled,
-    sensor_row,
-)
+from pgm.inference.chain.compiled.sweep import Chain
+from pgm.inference.chain.compiled.table import Integers64, Uncompiled
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.family import Family
 from pgm.inference.online.step_evidence import places
@@ -30,8 +24,8 @@ Shapes = tuple[tuple[int, ...], ...]
 class Layout:
     """A plan of one step, of a transition or of measurements, for values in arrays of these shapes.
 
-    `packed` says whether a kernel gets them in one row; `step` is the address of it all, which the
-    layout keeps.
+    `packed` says whether a kernel gets them in one row; `step` is the step, which holds while the
+    layout is kept.
     """
 
     def __init__(
@@ -43,46 +37,27 @@ class Layout:
         packed: bool,
     ) -> None:
         from pgm.kernels.compiled import online as o
+        from pgm.kernels.compiled import sweeps as s
 
-        self._rows, self._where = Rows(), places(values)
+        chain = Chain(plan)
+        chain.lay_out(False, False)
+        self._rows, self._where = chain.rows, places(values)
         starts = [*accumulate(map(prod, shapes), initial=0)][:-1]
         self._order = starts if packed else list(range(len(shapes)))
         self._parts: list[list[int]] = []
         self._shifts: list[list[int]] = []
-        require_compiled(plan)
-        step = np.zeros(o.STEP, dtype=np.int64)
-        step[o.CHAIN], step[o.MEMORY] = self._chain(plan)
+        for link, row in zip(plan.transition, chain.links, strict=True):
+            self._inputs(link.family, row, 1, None)
+        for sensor, row in zip(plan.read, chain.sensors, strict=True):
+            self._inputs(sensor.family, row, len(sensor.values), sensor.variable)
         if {part[o.ORDER] for part in self._parts} != set(self._order):
             raise Uncompiled("something that is given is read by no function")
-        step[o.PACKED] = packed
-        for table, place in ((self._parts, o.PARTS), (self._shifts, o.SHIFTS)):
-            step[place] = self._rows.at(np.array(table, dtype=np.int64))
-            step[place + 1] = len(table)
-        self.step = self._rows.at(step)
-
-    def _chain(self, plan: ChainPlan) -> tuple[int, int]:
-        """The addresses of the chain and of room to work in."""
-        from pgm.kernels.compiled import factors as f
-        from pgm.kernels.compiled import sweeps as s
-
         rows, layout = self._rows, plan.layout
-        fields = np.zeros(s.FIELDS, dtype=np.int64)
-        fields[s.SINGLE], fields[s.LAST] = layout.single, plan.steps
-        fields[s.FRONT], fields[s.WIDTH] = layout.state_size, layout.slice_size
-        fields[s.STATES] = rows.places(layout.state_places, layout.slice_size)
-        links = plan.transition if plan.steps else []
-        table = np.zeros((len(links), f.COLUMNS), dtype=np.int64)
-        for link, row in zip(links, table, strict=True):
-            link_row(plan, link, rows, row, stored=False)
-            self._inputs(link.family, row, 1, None)
-        fields[s.LINKS], fields[s.LINK_COUNT] = rows.at(table), len(table)
-        table = np.zeros((len(plan.read), f.COLUMNS), dtype=np.int64)
-        for sensor, row in zip(plan.read, table, strict=True):
-            sensor_row(plan, sensor, rows, row, stored=False)
-            self._inputs(sensor.family, row, len(sensor.values), sensor.variable)
-        fields[s.SENSORS], fields[s.SENSOR_COUNT] = rows.at(table), len(table)
         room = s.room(layout.slice_size, layout.state_size, rows.height, rows.points)
-        return rows.at(fields), rows.at(np.zeros(room))
+        step = [rows.at(chain.fields), rows.at(np.zeros(room)), packed]
+        for table in (self._parts, self._shifts):
+            step += rows.at(np.array(table, dtype=np.int64)), len(table)
+        self.step = np.array(step, dtype=np.int64)
 
     def _inputs(self, family: Family, row: Integers64, count: int, sensor: Variable | None) -> None:
         """Where a CPD reads its inputs, and measurements, in arrays of its own."""
