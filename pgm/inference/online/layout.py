@@ -16,6 +16,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.family import Family
 from pgm.inference.online.step_evidence import places
 from pgm.kernels.arrays import Array
+from pgm.kernels.compiled import tables as t
 from pgm.variables import Variable
 
 Shapes = tuple[tuple[int, ...], ...]
@@ -36,7 +37,6 @@ class Layout:
         *,
         packed: bool,
     ) -> None:
-        from pgm.kernels.compiled import online as o
         from pgm.kernels.compiled import sweeps as s
 
         chain = Chain(plan)
@@ -50,7 +50,7 @@ class Layout:
             self._inputs(link.family, row, 1, None)
         for sensor, row in zip(plan.read, chain.sensors, strict=True):
             self._inputs(sensor.family, row, len(sensor.values), sensor.variable)
-        if {part[o.ORDER] for part in self._parts} != set(self._order):
+        if {order for order, *_ in self._parts} != set(self._order):
             raise Uncompiled("something that is given is read by no function")
         rows, layout = self._rows, plan.layout
         room = s.room(layout.slice_size, layout.state_size, rows.height, rows.points)
@@ -61,14 +61,12 @@ class Layout:
 
     def _inputs(self, family: Family, row: Integers64, count: int, sensor: Variable | None) -> None:
         """Where a CPD reads its inputs, and measurements, in arrays of its own."""
-        from pgm.kernels.compiled import factors as f
-
         if family.noisy:
             raise Uncompiled(f"{family.cpd!r} has a noise that depends on inputs")
         cpd, end = family.cpd, 0
         parents = [parent for parent in cpd.given if parent in family.inputs]
         known = np.zeros((count, sum(parent.dimension for parent in parents)))
-        row[f.INPUTS : f.INPUTS + 4] = self._rows.told(known[:, None], 1)
+        row[t.INPUTS : t.INPUTS + 4] = self._rows.told(known[:, None], 1)
         for parent in parents:
             begin, end = end, end + parent.dimension
             own = sensor is not None and (sensor, parent) in self._where
@@ -76,13 +74,13 @@ class Layout:
             self._part(place, known[:, begin:end], shared=not own)
         if isinstance(cpd, AffineCPD) and parents:
             shift = np.zeros((count, cpd.child.dimension))
-            row[f.OFFSET : f.OFFSET + 4] = self._rows.told(shift[:, None], 1)
+            row[t.OFFSET : t.OFFSET + 4] = self._rows.told(shift[:, None], 1)
             matrix = np.concatenate([cpd.matrices[parent] for parent in parents], axis=1)
             parts = shift, np.ascontiguousarray(cpd.offset), matrix, known
             self._shifts.append([*map(self._rows.at, parts), *matrix.shape, count])
         if sensor is not None:
             values = np.zeros((count, sensor.dimension))
-            row[f.READINGS : f.READINGS + 4] = self._rows.told(values[:, None], 1)
+            row[t.READINGS : t.READINGS + 4] = self._rows.told(values[:, None], 1)
             self._part(self._where[None, sensor], values, shared=False, missing=True)
 
     def _part(self, place: int, target: Array, *, shared: bool, missing: bool = False) -> None:

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from pgm.kernels.compiled import tables as t
 from pgm.kernels.compiled.algebra import copy, least_open, padded
+from pgm.kernels.compiled.measurements import once
 from pgm.kernels.compiled.memory import STAMP, compiled, numbers, past, places, ready
-from pgm.kernels.compiled.sweeps import SINGLE, WIDTH, _joined, _moved, _once
+from pgm.kernels.compiled.sweeps import joined, moved
 
 (CHAIN, MEMORY, PACKED, PARTS, PART_COUNT, SHIFTS, SHIFT_COUNT, STEP) = range(8)
 # Which array, or where it begins in the row of all; its rows and columns; its place, the floats
@@ -65,17 +67,17 @@ def _shift(shift):
 
 @compiled
 def _predicted(fields, mean, cov, after, spread, work):
-    if fields[SINGLE]:
-        done = _moved(fields, 0, 0, mean, cov, after, spread, work)
+    if fields[t.SINGLE]:
+        done = moved(fields, 0, 0, mean, cov, after, spread, work)
     else:
-        done = _joined(fields, 0, 0, mean, cov, after, spread, work)
-    copy(spread, cov, fields[WIDTH] * padded(fields[WIDTH]))  # it is compared with itself
+        done = joined(fields, 0, 0, mean, cov, after, spread, work)
+    copy(spread, cov, fields[t.WIDTH] * padded(fields[t.WIDTH]))  # it is compared with itself
     return done, 0.0
 
 
 @compiled
 def _updated(fields, mean, cov, after, spread, work):
-    return _once(fields, 0, 0, mean, cov, mean, cov, after, spread, work)
+    return once(fields, 0, 0, mean, cov, mean, cov, after, spread, work)
 
 
 def _through(kernel: Any) -> Any:
@@ -87,17 +89,12 @@ def _through(kernel: Any) -> Any:
     @compiled
     def through(head, before, after):
         fields, mean = places(head[CHAIN]), numbers(head[MEMORY])
-        size, source, target = (
-            fields[WIDTH],
-            numbers(before.ctypes.data),
-            numbers(after.ctypes.data),
-        )
-        wide = padded(size)
+        size, wide = fields[t.WIDTH], padded(fields[t.WIDTH])
         cov, later = past(mean, wide), past(mean, (size + 1) * wide)
         spread, work = past(later, wide), past(later, (size + 1) * wide)
         for i in range(size + 1):
             for j in range(wide):
-                mean[i * wide + j] = source[i * size + j] if j < size else 0.0
+                mean[i * wide + j] = before[i, j] if j < size else 0.0
         done, density = kernel(fields, mean, cov, later, spread, work)
         if not (done and isfinite(density)):
             return nan
@@ -107,7 +104,7 @@ def _through(kernel: Any) -> Any:
                 return nan
         for i in range(size + 1):
             for j in range(size):
-                target[i * size + j] = later[i * wide + j]
+                after[i, j] = later[i * wide + j]
         return density if least_open(spread, work, size) > _REGULAR else nan
 
     return through
