@@ -12,7 +12,7 @@ from pgm.compile import SliceLayout
 from pgm.evidence import Sightings
 from pgm.inference.chain.compiled.table import Integers64, Uncompiled
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.online.beliefs import Core, OnlineBelief, is_plain, put_core
+from pgm.inference.online.beliefs import OnlineBelief, is_plain, put_core
 from pgm.inference.online.layout import Layout, Shapes
 from pgm.inference.online.step_evidence import numbers
 from pgm.inference.status import FILTERED, PREDICTED, Status
@@ -79,7 +79,7 @@ class CompiledSteps:
 
     def predict(self, belief: OnlineBelief, inputs: Values | None = None) -> OnlineBelief:
         """As `OnlineFilter.predict`."""
-        core: Core | None = getattr(belief, "_core", None)
+        core = belief._core if type(belief) is OnlineBelief else None
         if core is not None and core[0] is self and type(inputs) is dict and len(inputs) == 1:
             kind = self._motion
             ((variable, row),) = inputs.items()
@@ -93,14 +93,13 @@ class CompiledSteps:
                 found = _empty(self._shape)
                 if self._predict(kind.step, known, found, row) == 0.0:
                     after: OnlineBelief = _new(OnlineBelief)
-                    told = log_evidence, PREDICTED, kind.status
-                    put_core(after, (self, step + 1, found, *told))
+                    put_core(after, (self, step + 1, found, log_evidence, PREDICTED, kind.status))
                     return after
         return self._step(belief, {} if inputs is None else inputs, moves=True)
 
     def update(self, belief: OnlineBelief, readings: Values) -> OnlineBelief:
         """As `OnlineFilter.update`."""
-        core: Core | None = getattr(belief, "_core", None)
+        core = belief._core if type(belief) is OnlineBelief else None
         if core is not None and core[0] is self and type(readings) is dict and len(readings) == 1:
             kind, (_, step, known, log_evidence, _, _) = self._sensors, core
             ((variable, seen),) = readings.items()
@@ -121,8 +120,8 @@ class CompiledSteps:
                         density = self._update(kind.step, known, found, first, second)
                         if density == density:
                             after: OnlineBelief = _new(OnlineBelief)
-                            told = log_evidence + density, FILTERED, kind.status
-                            put_core(after, (self, step, found, *told))
+                            total = log_evidence + density
+                            put_core(after, (self, step, found, total, FILTERED, kind.status))
                             return after
         return self._step(belief, readings, moves=False)
 
@@ -136,7 +135,7 @@ class CompiledSteps:
 
     def _step(self, belief: OnlineBelief, values: Values, *, moves: bool) -> OnlineBelief:
         """A step of any kind of input."""
-        core: Core | None = getattr(belief, "_core", None)
+        core = belief._core if type(belief) is OnlineBelief else None
         make, general, kernel = self._ways[moves]
         laid = None
         if core is not None and core[0] is self and (moves or core[1]):

@@ -94,7 +94,7 @@ def _through(kernel: Any) -> Any:
         spread, work = past(later, wide), past(later, (size + 1) * wide)
         for i in range(size + 1):
             for j in range(wide):
-                mean[i * wide + j] = before[i, j] if j < size else 0.0
+                mean[i * wide + j] = before[i * size + j] if j < size else 0.0
         done, density = kernel(fields, mean, cov, later, spread, work)
         if not (done and isfinite(density)):
             return nan
@@ -104,14 +104,14 @@ def _through(kernel: Any) -> Any:
                 return nan
         for i in range(size + 1):
             for j in range(size):
-                after[i, j] = later[i * wide + j]
+                after[i * size + j] = later[i * wide + j]
         return density if least_open(spread, work, size) > _REGULAR else nan
 
     return through
 
 
 _moved_on, _taken_in = _through(_predicted), _through(_updated)
-_kept: Any = njit(error_model="numpy", cache=True)
+_kept: Any = njit(error_model="numpy", cache=True, _nrt=False)
 
 
 def _entries(stamp: int) -> tuple[Any, Any]:
@@ -122,13 +122,13 @@ def _entries(stamp: int) -> tuple[Any, Any]:
         row = given[np.newaxis, :]
         if stamp < 0 or not _fill(step, row, row):
             return nan
-        return _moved_on(step, before, after)
+        return _moved_on(step, numbers(before.ctypes.data), numbers(after.ctypes.data))
 
     @_kept
     def update(step, before, after, first, second):
         if stamp < 0 or not _fill(step, first, second):
             return nan
-        return _taken_in(step, before, after)
+        return _taken_in(step, numbers(before.ctypes.data), numbers(after.ctypes.data))
 
     return predict, update
 
