@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from itertools import accumulate
 from math import prod
 from typing import Any
@@ -15,49 +16,59 @@ from pgm.inference.chain.compiled.table import Integers64, Uncompiled
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.family import Family
 from pgm.inference.online.step_evidence import places
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.kernels.compiled import tables as t
 from pgm.variables import Variable
-
-Shapes = tuple[tuple[int, ...], ...]
 
 
 class Layout:
     """A plan of one step, of a transition or of measurements, for values in arrays of these shapes.
 
-    `packed` says whether a kernel gets them in one row; `step` is the step, which holds while the
-    layout is kept.
+    `step` is its table, which holds while the layout is kept; None where it is not for a kernel.
+    `first` and `second` are the variables whose arrays a kernel takes as they come: an input alone,
+    or a sensor and the parent given with its sightings; others come in one row. `status` is that
+    of a belief after the step.
     """
+
+    step: Integers64 | None = None
+    first: Variable | None = None
+    second: Variable | None = None
 
     def __init__(
         self,
         plan: ChainPlan,
         values: Mapping[Variable, Any],
-        shapes: Shapes,
-        *,
-        packed: bool,
+        shapes: list[tuple[int, ...]],
+        status: Status,
     ) -> None:
-        from pgm.kernels.compiled import sweeps as s
-
-        chain = Chain(plan)
-        chain.lay_out(False, False)
-        self._rows, self._where = chain.rows, places(values)
-        starts = [*accumulate(map(prod, shapes), initial=0)][:-1]
-        self._order = starts if packed else list(range(len(shapes)))
+        self.status, self._where = status, places(values)
         self._parts: list[list[int]] = []
         self._shifts: list[list[int]] = []
+        if len(values) == 1 and len(shapes) == 1 + bool(plan.sensors):
+            self.first, self.second = next(iter(values)), [*self._where][-1][1]
+        starts = [*accumulate(map(prod, shapes), initial=0)][:-1]
+        self._order = list(range(len(shapes))) if self.first is not None else starts
+        with suppress(Uncompiled):
+            self.step = self._table(plan)
+
+    def _table(self, plan: ChainPlan) -> Integers64:
+        from pgm.kernels.compiled import sweeps as s
+
+        chain, layout = Chain(plan), plan.layout
+        chain.lay_out(False, False)
+        self._rows = rows = chain.rows
         for link, row in zip(plan.transition, chain.links, strict=True):
             self._inputs(link.family, row, 1, None)
         for sensor, row in zip(plan.read, chain.sensors, strict=True):
             self._inputs(sensor.family, row, len(sensor.values), sensor.variable)
         if {order for order, *_ in self._parts} != set(self._order):
             raise Uncompiled("something that is given is read by no function")
-        rows, layout = self._rows, plan.layout
         room = s.room(layout.slice_size, layout.state_size, rows.height, rows.points)
-        step = [rows.at(chain.fields), rows.at(np.zeros(room)), packed]
+        step = [rows.at(chain.fields), rows.at(np.zeros(room)), self.first is None]
         for table in (self._parts, self._shifts):
             step += rows.at(np.array(table, dtype=np.int64)), len(table)
-        self.step = np.array(step, dtype=np.int64)
+        return np.array(step, dtype=np.int64)
 
     def _inputs(self, family: Family, row: Integers64, count: int, sensor: Variable | None) -> None:
         """Where a CPD reads its inputs, and measurements, in arrays of its own."""
