@@ -141,6 +141,18 @@ def test_iterated_smoothing(rule):
     assert_posterior(*found)
 
 
+def test_long_iterated_smoothing(alone):
+    """The general kernels solve for all steps in rounds."""
+    found = both(
+        pgm.smooth,
+        network(SENSORS["range_bearing"].cpd()),
+        sighted(steps=80),
+        iterations=4,
+        lineariser=pgm.Unscented(),
+    )
+    assert_posterior(*found)
+
+
 @pytest.mark.parametrize("nonlinear", [False, True])
 @pytest.mark.parametrize("lag", [0, 2])
 def test_a_fixed_lag_with_hidden_controls(nonlinear, lag):

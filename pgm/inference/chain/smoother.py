@@ -109,11 +109,15 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
     else:
         first = _start(plan, start)
     steps = _is_newton(plan, schedule) and schedule.gate is None and not plan.exact
-    if steps and compiled.is_used(plan):
+    anchored = isinstance(schedule.damping, LevenbergMarquardt)
+    machine = compiled.is_used(plan) and not anchored
+    if steps and machine:
         found = _compiled(plan, schedule, first)
         if found is not None:
             return found
-    chain = Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else swept)
+    machine = machine and compiled.is_known(plan)
+    rounds = _is_long(plan) and schedule.iterations > 1 and not machine
+    chain = Chain(plan, _in_rounds if rounds else swept)
     if isinstance(first, Smoothed):
         return _iterated(chain, schedule, first, None)
     chain.begin(first, reckoned=False)

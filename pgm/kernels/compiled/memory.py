@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -28,9 +29,17 @@ STAMP = crc32(b"".join(file.read_bytes() for file in sorted(Path(__file__).paren
 PLACES = types.CPointer(types.int64)
 # They are called by each other alone, and hold no object of Python's.
 _OPTIONS: Any = {"error_model": "numpy", "nogil": True, "_nrt": False}
-compiled: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)
+_kernel: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)
 inlined: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)
 _LOCK = Lock()
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """A kernel, which is compiled once for whole numbers, whatever literals it is called with."""
+    kernel = _kernel(function)
+    general = kernel.get_call_template
+    kernel.get_call_template = lambda args, kws: general([types.unliteral(k) for k in args], kws)
+    return kernel
 
 
 @compiled

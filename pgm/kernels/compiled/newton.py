@@ -67,7 +67,6 @@ def _absorb(cpd, run, first, last, reference, width, equations, work):
     part = past(slope, height * every)
     squares = past(part, height * every)
     at, found, count = numbers(x), numbers(squares), every * (every + 3) // 2
-    one = 1 + 0 * height  # a literal is a type of its own, for which all is compiled again
     for begin in range(first, last, RUNS):
         row = min(begin, cpd[t.ROWS] - RUNS)
         for lane in range(RUNS):
@@ -79,7 +78,7 @@ def _absorb(cpd, run, first, last, reference, width, equations, work):
         else:
             f.load(cpd, t.MATRIX, run, row, matrix, height, size)
             f.load(cpd, t.OFFSET, run, row, value, 1, height)
-            add(1.0, matrix, size, one, x, value, height, size, one)
+            add(1.0, matrix, size, 1, x, value, height, size, 1)
         if linked:
             copy(past(x, size), left, height)
         else:
@@ -96,13 +95,13 @@ def _absorb(cpd, run, first, last, reference, width, equations, work):
                 value[i] += x[size + i] - left[i]
             left[i] = residual
         if curved:
-            add(-1.0, matrix, size, one, x, value, height, size, one)
+            add(-1.0, matrix, size, 1, x, value, height, size, 1)
             f.save(cpd, t.MATRIX, run, row, matrix, height, size)
             f.save(cpd, t.OFFSET, run, row, value, 1, height)
         f.load(cpd, t.NOISE, run, row, weight, height, height)
-        product(weight, height, one, slope, part, height, height, every)
-        product(part, one, every, slope, squares, every, height, every)
-        product(part, one, every, left, past(squares, every * every), every, height, one)
+        product(weight, height, 1, slope, part, height, height, every)
+        product(part, 1, every, slope, squares, every, height, every)
+        product(part, 1, every, left, past(squares, every * every), every, height, 1)
         for lane in range(begin - row, min(last - row, RUNS)):
             block = past(equations, steps[row + lane] * _size(width))
             for k in range(0, 2 * count, 2):

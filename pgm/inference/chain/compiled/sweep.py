@@ -54,6 +54,15 @@ def is_used(plan: ChainPlan) -> bool:
     return choice is not False
 
 
+def is_known(plan: ChainPlan) -> bool:
+    """Whether a plan can be swept in machine code as it is linearised."""
+    try:
+        require_compiled(plan)
+    except Uncompiled:
+        return False
+    return True
+
+
 def forward(
     plan: ChainPlan,
     schedule: Filtering | None,
