@@ -134,9 +134,9 @@ class CompiledSteps:
             if kind.step is not None:
                 self._last[moves] = kind
                 if kind.first is None:
-                    rows = [np.concatenate([_NO_ROWS, *rows], axis=None)]
-                if not moves:
-                    rows = [row if row.ndim == 2 else row[None] for row in (*rows, _NO_ROWS)][:2]
+                    one = len(rows) == 1
+                    row = rows[0].ravel() if one else np.concatenate([_NO_ROWS, *rows], axis=None)
+                    rows = [row] if moves else [row[None], _NO_ROWS]
                 _, step, known, log_evidence, _, _ = core
                 found = _empty(self._shape)
                 density = kernel(kind.step, known, found, *rows)
