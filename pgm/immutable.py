@@ -39,6 +39,14 @@ class Immutable:
         self._set(**{name: _closed(value) for name, value in state.items()})
 
 
+def unlocked(cls: Any) -> Any:
+    """A subclass whose attributes can be set; a value made of it is given its own class last.
+
+    That takes a third of the time of `_set`, for values that are made at each step online.
+    """
+    return type(cls.__name__, (cls,), {"__slots__": (), "__setattr__": object.__setattr__})
+
+
 def _closed(value: Any) -> Any:
     """A value that came out of a pickle, where it is neither a view nor read-only."""
     if isinstance(value, dict):

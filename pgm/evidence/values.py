@@ -15,7 +15,7 @@ from pgm.cpds import CPD
 from pgm.display import InCode, Shown, Summary, as_numbers, brief, table
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
-from pgm.immutable import Immutable
+from pgm.immutable import Immutable, unlocked
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Discrete, Variable
 
@@ -72,11 +72,7 @@ class Sightings(Shown, Immutable):
         return Summary(self._title, [*which, table(columns)])
 
 
-# Quicker than `Sightings(...)`: they are made at each step online.
-_new = object.__new__
-_put_values, _put_step, _put_given = (
-    Sightings.__dict__[name].__set__ for name in ("values", "step", "given")
-)
+_new, _Unlocked = object.__new__, unlocked(Sightings)
 
 # By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.
 Evidence = Mapping[Variable, Any]
@@ -154,10 +150,10 @@ def sightings(
             f"sightings: given maps parents to their values, given={{m: landmarks}}; found "
             f"{type(given).__name__}"
         )
-    found = _new(Sightings)
-    _put_values(found, values)
-    _put_step(found, step)
-    _put_given(found, MappingProxyType({**given} if given else {}))
+    found: Sightings = _new(_Unlocked)  # quicker than `Sightings(...)`
+    found.values, found.step = values, step
+    found.given = MappingProxyType({**given} if given else {})
+    found.__class__ = Sightings
     return found
 
 

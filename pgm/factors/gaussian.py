@@ -43,7 +43,7 @@ from pgm.factors.scope import (
     names,
     positions,
 )
-from pgm.immutable import Immutable
+from pgm.immutable import Immutable, unlocked
 from pgm.kernels import moments, roots
 from pgm.kernels.arrays import Array, Integers, block, deviation, difference, frozen, wrap
 from pgm.resources import require_memory
@@ -204,11 +204,9 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
     @classmethod
     def _sealed(cls, scope: Scope, mean: Array, cov: Array) -> Gaussian:
         """Of arrays that are read-only."""
-        gaussian = _new(cls)
-        _put_scope(gaussian, scope)
-        _put_mean(gaussian, mean)
-        _put_cov(gaussian, cov)
-        _put_steps(gaussian, None)
+        gaussian: Gaussian = _new(_Unlocked)
+        gaussian.scope, gaussian.mean, gaussian.cov, gaussian.steps = scope, mean, cov, None
+        gaussian.__class__ = cls
         return gaussian
 
     @classmethod
@@ -395,7 +393,4 @@ def as_gaussian(value: object) -> Gaussian:
     return value
 
 
-_new = object.__new__
-_put_scope, _put_mean, _put_cov, _put_steps = (
-    Gaussian.__dict__[name].__set__ for name in ("scope", "mean", "cov", "steps")
-)
+_new, _Unlocked = object.__new__, unlocked(Gaussian)

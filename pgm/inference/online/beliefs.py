@@ -49,8 +49,29 @@ class Steps(Protocol):
     only: Variable | None
 
 
+class _Later:
+    """An attribute of a belief, which is made when one is asked for, after a compiled step."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, belief: OnlineBelief | None, owner: type) -> Any:
+        core = None if belief is None else belief._core
+        if belief is None or core is None:
+            raise AttributeError(self.name)
+        steps, step, both, log_evidence, kind, status = core
+        set_writeable(both, False)
+        parts = step, steps.layout, (), both[0], both[1:], np.array(log_evidence), status, kind
+        OnlineBelief.__init__(belief, *parts)
+        put_core(belief, core)
+        return belief.__dict__[self.name]
+
+
+_later: Any = _Later
+
+
 class _Kept:
-    """Of which a belief's attributes are made when they are asked for, after a compiled step."""
+    """The parts of a belief that a compiled step makes."""
 
     __slots__ = ("_core",)
 
@@ -87,16 +108,16 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
     (1, 'filtered')
     """
 
-    step: int
-    layout: SliceLayout
-    lead: tuple[int, ...]
-    mean: Array
-    cov: Array
-    log_evidence: Array
-    status: Status
-    kind: Kind
-    careful: Belief | None
-    behind: Trail | Sliding | None
+    step: int = _later()
+    layout: SliceLayout = _later()
+    lead: tuple[int, ...] = _later()
+    mean: Array = _later()
+    cov: Array = _later()
+    log_evidence: Array = _later()
+    status: Status = _later()
+    kind: Kind = _later()
+    careful: Belief | None = _later()
+    behind: Trail | Sliding | None = _later()
     associations: Found = NONE
     _gated: tuple[Decided, ...] = ()
     watch: Watch | None = None
@@ -129,23 +150,11 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         values["kind"] = kind
         values["careful"] = careful
         values["behind"] = behind
-
-    def __getattr__(self, name: str) -> Any:
-        if name == "_core":
-            return None
-        core = None if name.startswith("_") else self._core
-        if core is None or "step" in self.__dict__:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        steps, step, both, log_evidence, kind, status = core
-        set_writeable(both, False)
-        parts = step, steps.layout, (), both[0], both[1:], np.array(log_evidence), status, kind
-        OnlineBelief.__init__(self, *parts)
-        return getattr(self, name)
+        put_core(self, None)
 
     def __getstate__(self) -> dict[str, Any]:
         state = {"step": self.step} | super().__getstate__()  # the step first: it makes the rest
-        del state["_core"]
-        return state
+        return state | {"_core": None}
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a hidden variable at the belief's step, (*runs, d).
@@ -188,6 +197,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         """The same belief, with what gates decided at its last update, and whether it is lost."""
         found = object.__new__(type(self))  # as `copy`, in a fifth of the time
         found.__dict__.update(self.__dict__, _gated=gated, watch=watch)
+        put_core(found, None)
         return found
 
     @property

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pgm.compile import SliceLayout
 from pgm.evidence import Sightings
-from pgm.inference.chain.compiled.table import Uncompiled
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.online.beliefs import Core, OnlineBelief, is_plain, put_core
-from pgm.inference.online.layout import Layout, Shapes
+from pgm.inference.online.beliefs import OnlineBelief, is_plain, put_core
+from pgm.inference.online.layout import Layout
 from pgm.inference.online.step_evidence import numbers
 from pgm.inference.status import FILTERED, PREDICTED, Status
 from pgm.kernels.arrays import Array
@@ -23,30 +21,13 @@ Values = Mapping[Variable, Any]
 Make = Callable[[OnlineBelief, Any], ChainPlan]
 General = Callable[[OnlineBelief, Any], OnlineBelief]
 
-_ARRAY, _FLOAT, _INF = np.ndarray, np.dtype(np.float64), np.inf
+_ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)
 _NO_ROWS = np.empty((0, 0))
 # After the name of a sensor with sightings, before those of the parents given with them.
 _SIGHTED = object()
 # Kinds of input that are kept.
 _MOST = 64
-# Of a kernel: the arrays are of another kind.
-_OTHER = 2
 _new, _empty = object.__new__, np.empty
-
-
-@dataclass(frozen=True, slots=True)
-class Kind:
-    """A kind of input, and the step laid out for it: no address, 0, where it is not for a kernel.
-
-    `first` and `second` are the variables whose arrays a kernel takes as they come: an input alone,
-    or a sensor and the parent given with its sightings. `status` is that of a belief after it.
-    """
-
-    address: int
-    status: Status
-    first: Variable | None = None
-    second: Variable | None = None
-    kept: object = None
 
 
 class CompiledSteps:
@@ -73,20 +54,17 @@ class CompiledSteps:
         self.layout = layout
         self.only = layout.slice[0] if len(layout.slice) == 1 else None
         self._shape = layout.slice_size + 1, layout.slice_size
-        self._ahead, self._seen, self._done, self._linearised = ahead, seen, done, linearised
-        self._moved, self._taken = moved, taken
         self._predict, self._update = _entry(online.predict), _entry(online.update)
-        self._motion = self._sensors = Kind(0, done)
-        self._known: dict[Any, Kind] = {}
+        self._ways = (seen, taken, self._update), (ahead, moved, self._predict)
+        self._statuses = linearised, done
+        # The last kinds of updates and of predictions, which are looked at first; all kinds.
+        self._last: list[Layout | None] = [None, None]
+        self._known: dict[Any, Layout] = {}
 
     def predict(self, belief: OnlineBelief, inputs: Values | None = None) -> OnlineBelief:
         """As `OnlineFilter.predict`."""
-        core: Core | None = getattr(belief, "_core", None)
-        if core is None or core[0] is not self:
-            return self.adopted(self._moved(belief, inputs))
-        _, step, known, log_evidence, _, _ = core
-        kind, told, out = self._motion, _OTHER, _empty(self._shape)
-        if type(inputs) is dict and len(inputs) == 1:
+        core, kind = belief._core if type(belief) is OnlineBelief else None, self._last[1]
+        if core and core[0] is self and kind and type(inputs) is dict and len(inputs) == 1:
             ((variable, row),) = inputs.items()
             if (
                 variable is kind.first
@@ -94,30 +72,21 @@ class CompiledSteps:
                 and row.dtype is _FLOAT
                 and row.ndim == 1
             ):
-                told = self._predict(kind.address, known, row, out)
-        if told == _OTHER:
-            found = self._laid(belief, {} if inputs is None else inputs, self._ahead)
-            if found is None:
-                return self.adopted(self._moved(belief, inputs))
-            kind, (row, *_) = found
-            self._motion = kind
-            told = self._predict(kind.address, known, row.reshape(-1), out)
-        if told:
-            return self.adopted(self._moved(belief, inputs))
-        after: OnlineBelief = _new(OnlineBelief)
-        put_core(after, (self, step + 1, out, log_evidence, PREDICTED, self._done))
-        return after
+                _, step, known, log_evidence, _, _ = core
+                found = _empty(self._shape)
+                if self._predict(kind.step, known, found, row) == 0.0:
+                    after: OnlineBelief = _new(OnlineBelief)
+                    put_core(after, (self, step + 1, found, log_evidence, PREDICTED, kind.status))
+                    return after
+        return self._any(belief, {} if inputs is None else inputs, moves=True)
 
     def update(self, belief: OnlineBelief, readings: Values) -> OnlineBelief:
         """As `OnlineFilter.update`."""
-        core: Core | None = getattr(belief, "_core", None)
-        if core is None or core[0] is not self:
-            return self.adopted(self._taken(belief, readings))
-        _, step, known, log_evidence, _, _ = core
-        kind, density, out = self._sensors, _INF, _empty(self._shape)
-        if step and type(readings) is dict and len(readings) == 1:
+        core, kind = belief._core if type(belief) is OnlineBelief else None, self._last[0]
+        if core and core[0] is self and kind and type(readings) is dict and len(readings) == 1:
+            _, step, known, log_evidence, _, _ = core
             ((variable, seen),) = readings.items()
-            if variable is kind.first and type(seen) is Sightings and seen.step is None:
+            if step and variable is kind.first and type(seen) is Sightings and seen.step is None:
                 first, given = seen.values, seen.given
                 if len(given) == 1:
                     ((parent, second),) = given.items()
@@ -130,19 +99,14 @@ class CompiledSteps:
                         and second.dtype is _FLOAT
                         and second.ndim == 2
                     ):
-                        density = self._update(kind.address, known, first, second, out)
-        if density == _INF:
-            found = self._laid(belief, readings, self._seen) if step else None
-            if found is None:
-                return self.adopted(self._taken(belief, readings))
-            kind, (first, second) = found
-            self._sensors = kind
-            density = self._update(kind.address, known, first, second, out)
-        if not density < _INF:
-            return self.adopted(self._taken(belief, readings))
-        after: OnlineBelief = _new(OnlineBelief)
-        put_core(after, (self, step, out, log_evidence + density, FILTERED, kind.status))
-        return after
+                        found = _empty(self._shape)
+                        density = self._update(kind.step, known, found, first, second)
+                        if density == density:
+                            after: OnlineBelief = _new(OnlineBelief)
+                            total = log_evidence + density
+                            put_core(after, (self, step, found, total, FILTERED, kind.status))
+                            return after
+        return self._any(belief, readings, moves=False)
 
     def adopted(self, belief: OnlineBelief) -> OnlineBelief:
         """A belief made the general way, from which steps may go on here."""
@@ -152,54 +116,60 @@ class CompiledSteps:
             put_core(belief, (self, belief.step, both, *told))
         return belief
 
-    def _laid(
-        self, belief: OnlineBelief, values: Values, make: Make
-    ) -> tuple[Kind, list[Array]] | None:
-        """The kind of values, and two arrays, the first with all of them if there are more."""
-        if type(values) is not dict:
-            return None
-        names: list[Any] = []
-        rows: list[Array] = []
-        for variable, value in values.items():
-            names.append(variable)
-            given: list[tuple[Any, int]] = [(value, 1)]
-            if type(value) is Sightings:
-                if value.step is not None:
-                    return None
-                names += [_SIGHTED, *value.given]
-                given = [(each, 2) for each in (value.values, *value.given.values())]
-            for each, axes in given:
-                row = numbers(each, axes)
-                if row is None:
-                    return None
-                rows.append(row)
-        shapes = tuple(row.shape for row in rows)
-        key = make is self._seen, tuple(names), shapes
-        kind = self._known.get(key)
-        if kind is None:
-            if len(self._known) >= _MOST:
-                self._known.clear()
-            kind = self._known[key] = self._made(make, belief, values, names, shapes)
-        if not kind.address:
-            return None
-        if kind.first is None:
-            rows = [np.concatenate([_NO_ROWS.ravel(), *(row.ravel() for row in rows)])]
-        wide = [row if row.ndim == 2 else row[None] for row in rows]
-        return kind, [*wide, _NO_ROWS, _NO_ROWS][:2]
+    def _any(self, belief: OnlineBelief, values: Values, *, moves: bool) -> OnlineBelief:
+        """A step with any kind of values."""
+        core = belief._core if type(belief) is OnlineBelief else None
+        make, general, kernel = self._ways[moves]
+        given = None
+        if core and core[0] is self and (moves or core[1]):
+            given = _given(values)
+        if core and given:
+            names, rows = given
+            key = make, *names, *(row.shape for row in rows)
+            kind = self._known.get(key)
+            if kind is None:
+                if len(self._known) >= _MOST:
+                    self._known.clear()
+                kind = self._known[key] = self._laid(make, belief, values, rows)
+            if kind.step is not None:
+                self._last[moves] = kind
+                if kind.first is None:
+                    one = len(rows) == 1
+                    row = rows[0].ravel() if one else np.concatenate([_NO_ROWS, *rows], axis=None)
+                    rows = [row] if moves else [row[None], _NO_ROWS]
+                _, step, known, log_evidence, _, _ = core
+                found = _empty(self._shape)
+                density = kernel(kind.step, known, found, *rows)
+                if density == density:
+                    after: OnlineBelief = _new(OnlineBelief)
+                    told = log_evidence + density, PREDICTED if moves else FILTERED, kind.status
+                    put_core(after, (self, step + moves, found, *told))
+                    return after
+        return self.adopted(general(belief, values))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _made(
-        self, make: Make, belief: OnlineBelief, values: Values, names: list[Any], shapes: Shapes
-    ) -> Kind:
+    def _laid(self, make: Make, belief: OnlineBelief, values: Values, rows: list[Array]) -> Layout:
         plan = make(belief, values)
-        as_given = len(names) == 1 if not plan.sensors else len(names) == 3 and names[1] is _SIGHTED
-        status = self._done if plan.linear else self._linearised
-        try:
-            layout = Layout(plan, values, shapes, packed=not as_given)
-        except Uncompiled:
-            return Kind(0, status, kept=names)
-        first, second = (names[0], names[-1]) if as_given else (None, None)
-        return Kind(layout.step, status, first, second, (names, layout))
+        return Layout(plan, values, [row.shape for row in rows], self._statuses[plan.linear])
+
+
+def _given(values: Values) -> tuple[list[Any], list[Array]] | None:
+    """The variables that values are of, and their arrays; None where some are odd."""
+    if type(values) is not dict:
+        return None
+    names: list[Any] = []
+    rows: list[Array | None] = []
+    for variable, value in values.items():
+        names.append(variable)
+        if type(value) is not Sightings:
+            rows.append(numbers(value, 1))
+        elif value.step is None:
+            names += [_SIGHTED, *value.given]
+            rows += [numbers(each, 2) for each in (value.values, *value.given.values())]
+        else:
+            return None
+    found = [row for row in rows if row is not None]
+    return (names, found) if len(found) == len(rows) else None
 
 
 def _entry(kernel: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from itertools import accumulate
 from math import prod
 from typing import Any
@@ -10,79 +11,64 @@ from typing import Any
 import numpy as np
 
 from pgm.cpds import AffineCPD
-from pgm.inference.chain.compiled.table import (
-    Integers64,
-    Rows,
-    Uncompiled,
-    link_row,
-    require_compiled,
-    sensor_row,
-)
+from pgm.inference.chain.compiled.sweep import Chain
+from pgm.inference.chain.compiled.table import Integers64, Uncompiled
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.family import Family
 from pgm.inference.online.step_evidence import places
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.kernels.compiled import tables as t
 from pgm.variables import Variable
-
-Shapes = tuple[tuple[int, ...], ...]
 
 
 class Layout:
     """A plan of one step, of a transition or of measurements, for values in arrays of these shapes.
 
-    `packed` says whether a kernel gets them in one row; `step` is the address of it all, which the
-    layout keeps.
+    `step` is its table, which holds while the layout is kept; None where it is not for a kernel.
+    `first` and `second` are the variables whose arrays a kernel takes as they come: an input alone,
+    or a sensor and the parent given with its sightings; others come in one row. `status` is that
+    of a belief after the step.
     """
+
+    step: Integers64 | None = None
+    first: Variable | None = None
+    second: Variable | None = None
 
     def __init__(
         self,
         plan: ChainPlan,
         values: Mapping[Variable, Any],
-        shapes: Shapes,
-        *,
-        packed: bool,
+        shapes: list[tuple[int, ...]],
+        status: Status,
     ) -> None:
-        from pgm.kernels.compiled import online as o
-
-        self._rows, self._where = Rows(), places(values)
-        starts = [*accumulate(map(prod, shapes), initial=0)][:-1]
-        self._order = starts if packed else list(range(len(shapes)))
+        self.status, self._where = status, places(values)
         self._parts: list[list[int]] = []
         self._shifts: list[list[int]] = []
-        require_compiled(plan)
-        step = np.zeros(o.STEP, dtype=np.int64)
-        step[o.CHAIN], step[o.MEMORY] = self._chain(plan)
-        if {part[o.ORDER] for part in self._parts} != set(self._order):
-            raise Uncompiled("something that is given is read by no function")
-        step[o.PACKED] = packed
-        for table, place in ((self._parts, o.PARTS), (self._shifts, o.SHIFTS)):
-            step[place] = self._rows.at(np.array(table, dtype=np.int64))
-            step[place + 1] = len(table)
-        self.step = self._rows.at(step)
+        if len(values) == 1 and len(shapes) == 1 + bool(plan.sensors):
+            self.first, self.second = next(iter(values)), [*self._where][-1][1]
+        starts = [*accumulate(map(prod, shapes), initial=0)][:-1]
+        self._order = list(range(len(shapes))) if self.first is not None else starts
+        with suppress(Uncompiled):
+            self.step = self._table(plan)
 
-    def _chain(self, plan: ChainPlan) -> tuple[int, int]:
-        """The addresses of the chain and of room to work in."""
+    def _table(self, plan: ChainPlan) -> Integers64:
         from pgm.kernels.compiled import sweeps as s
 
-        rows, layout = self._rows, plan.layout
-        fields = np.zeros(t.FIELDS, dtype=np.int64)
-        fields[t.SINGLE], fields[t.LAST] = layout.single, plan.steps
-        fields[t.FRONT], fields[t.WIDTH] = layout.state_size, layout.slice_size
-        fields[t.STATES] = rows.places(layout.state_places, layout.slice_size)
-        links = plan.transition if plan.steps else []
-        table = np.zeros((len(links), t.COLUMNS), dtype=np.int64)
-        for link, row in zip(links, table, strict=True):
-            link_row(plan, link, rows, row, stored=False)
+        chain, layout = Chain(plan), plan.layout
+        chain.lay_out(False, False)
+        self._rows = rows = chain.rows
+        for link, row in zip(plan.transition, chain.links, strict=True):
             self._inputs(link.family, row, 1, None)
-        fields[t.LINKS], fields[t.LINK_COUNT] = rows.at(table), len(table)
-        table = np.zeros((len(plan.read), t.COLUMNS), dtype=np.int64)
-        for sensor, row in zip(plan.read, table, strict=True):
-            sensor_row(plan, sensor, rows, row, stored=False)
+        for sensor, row in zip(plan.read, chain.sensors, strict=True):
             self._inputs(sensor.family, row, len(sensor.values), sensor.variable)
-        fields[t.SENSORS], fields[t.SENSOR_COUNT] = rows.at(table), len(table)
+        if {order for order, *_ in self._parts} != set(self._order):
+            raise Uncompiled("something that is given is read by no function")
         room = s.room(layout.slice_size, layout.state_size, rows.height, rows.points)
-        return rows.at(fields), rows.at(np.zeros(room))
+        step = [rows.at(chain.fields), rows.at(np.zeros(room)), self.first is None]
+        for table in (self._parts, self._shifts):
+            step += rows.at(np.array(table, dtype=np.int64)), len(table)
+        return np.array(step, dtype=np.int64)
 
     def _inputs(self, family: Family, row: Integers64, count: int, sensor: Variable | None) -> None:
         """Where a CPD reads its inputs, and measurements, in arrays of its own."""
