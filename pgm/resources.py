@@ -1,9 +1,12 @@
-"""Resources of a machine: memory, refused before it is taken, and packages that may be missing."""
+"""Resources of a machine: memory, refused before it is taken, threads, and packages that may miss."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from importlib import import_module
+from itertools import pairwise
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -62,6 +65,20 @@ def require_memory(
             f"{gibibytes(limit / NUMBER)}; {advice}",
             **where,
         )
+
+
+def in_threads(work: Callable[[int, int], object], count: int, threads: int) -> None:
+    """Do work, which must not fail, on shares of a count, from one to another, in so many threads.
+
+    This thread is one of them.
+    """
+    edges = [k * count // threads for k in range(threads + 1)]
+    others = [Thread(target=work, args=share) for share in pairwise(edges[1:])]
+    for each in others:
+        each.start()
+    work(*edges[:2])
+    for each in others:
+        each.join()
 
 
 FRAMES = "sepset[frames]"

@@ -72,8 +72,8 @@ from pgm.kernels.compiled.packs import RUNS, bits, opposite, where
 # Linearisations of a step's measurements, where their settings are, (tolerance, damping), and their
 # record, (iterations + 1, runs): the residuals of each, how many, and whether some did not settle.
 (ITERATIONS, SETTINGS, RESIDUALS) = range(9, 12)
-# The least share of a variance that is left open, and variances to grow from, by run; how runs
-# ended.
+# The least share of a variance that is left open, variances to grow from, and whether a mean is far
+# from zero, by run; how runs ended.
 (CLOSEST, STATUS, RUN_COUNT) = range(12, 15)
 # The belief that a sweep starts with, and its record.
 (BEGIN_MEAN, BEGIN_COV, PREDICTED_MEAN, PREDICTED_COV, MEAN, COV, DENSITY) = range(16, 44, 4)
@@ -85,6 +85,8 @@ FIELDS = 84
 TOGETHER = 256
 # As of `gaussian`, `moments` and `forward`.
 NEARLY_SINGULAR, _CORRELATED, _EVERY, _MILD, _GROWN = 1e-6, 3e-5, 8, 1e-3, 1e2
+# The square of deviations from zero in which the last digit of a mean might count.
+_FAR = 1e16
 # The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is
 # linearised again, or any, is not known to a billionth of a deviation: an order of sums shows.
 _CURVED, _STRAIGHT = 1e-6, 1e-8
@@ -137,20 +139,23 @@ def _step(fields, step, run, known, work):
     rest[0] = density
     save(fields, DENSITY, step, run, rest, 1, 1)
     closest = past(numbers(fields[CLOSEST]), run)
-    _look(closest, fields[RUN_COUNT], cov, spread, size, step, fields[LAST], rest)
+    _look(closest, fields[RUN_COUNT], known, cov, spread, size, step, fields[LAST], rest)
     return ok
 
 
 @compiled
-def _look(closest, apart, before, after, size, step, last, work):
-    """Look how much of variances is left open; see `Watch`."""
-    wide, least, grown = width(size, before), 1.0, False
+def _look(closest, apart, mean, before, after, size, step, last, work):
+    """Look how much of variances is left open, as `Watch`, and how far from zero means are."""
+    wide, least, grown, far = width(size, before), 1.0, False, False
     often = step == last or step % _EVERY == 0
     for i in range(size):
         was, left = before[i * wide + i], after[i * wide + i]
         grown = grown | (was > _GROWN * take(closest, (i + 1) * apart, 1, before))
         small = (left < _MILD * was) & (left != 0.0) & (was > 0.0) & (left < least * was)
         least = where(small, left / was, least)
+        far = far | ((mean[i] * mean[i] > _FAR * left) & (left > 0.0))
+    if some(far):
+        give(closest, (size + 1) * apart, 1, where(far, 1.0, 0.0), before)
     doubtful = grown | (least < 1.0)
     if some(doubtful):
         share = least_open(before, work, size)

@@ -25,6 +25,7 @@ from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Filtering
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.moments import Conditional
+from pgm.resources import in_threads
 
 # Machine code repays its loading from a second of the general kernels on: a step of theirs takes as
 # long as the arithmetic of so many runs, and four million of such a quarter of a microsecond each.
@@ -36,13 +37,14 @@ _LINE = 64
 class Swept:
     """How a sweep went: the runs that are left to the general kernels, and what it says of others.
 
-    `residuals` and `converged` are as of a `MomentChain`; `closest` as of a `Watch`.
+    `residuals` and `converged` are as of a `MomentChain`, `closest` and `far` as of `Forward`.
     """
 
     left: list[slice]
     residuals: list[Array]
     converged: Mask
     closest: float
+    far: bool = True
 
 
 def is_used(plan: ChainPlan) -> bool:
@@ -96,8 +98,8 @@ def forward(
     chain.put(s.MEAN, known[0])
     chain.put(s.COV, known[1])
     chain.put(s.DENSITY, known[2])
-    closest = np.full((plan.layout.slice_size + 1, plan.runs), np.inf)
-    closest[0] = 1.0
+    closest = np.full((plan.layout.slice_size + 2, plan.runs), np.inf)
+    closest[0], closest[-1] = 1.0, 0.0
     if predicted:
         chain.put(s.PREDICTED_MEAN, predicted[0])
         chain.put(s.PREDICTED_COV, predicted[1])
@@ -113,7 +115,8 @@ def forward(
     converged = np.full(plan.runs, plan.linear)
     if iterations > 1 and not plan.linear:
         converged = record[-1] == 0.0
-    return Swept(left, list(record[:longest]), converged, float(closest[0].min(initial=1.0)))
+    found = float(closest[0].min(initial=1.0)), bool(closest[-1].any())
+    return Swept(left, list(record[:longest]), converged, *found)
 
 
 def backward(
@@ -220,19 +223,12 @@ class Chain:
         size = s.room(
             plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points, lanes
         )
-        edges = [k * plan.runs // threads for k in range(threads + 1)]
-        rooms = [np.empty(size + _LINE) for _ in range(threads)]
-        jobs = [
-            (chain, first, last, -(-address(room) // _LINE) * _LINE)  # a pack, a line of the cache
-            for first, last, room in zip(edges, edges[1:], rooms, strict=False)
-        ]
-        if threads > 1:
-            from concurrent.futures import ThreadPoolExecutor  # here, since it is slow to import
 
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(lambda job: kernel(*job), jobs))
-        else:
-            kernel(*jobs[0])
+        def work(first: int, last: int) -> None:
+            room = np.empty(size + _LINE)
+            kernel(chain, first, last, -(-address(room) // _LINE) * _LINE)  # a line of the cache
+
+        in_threads(work, plan.runs, threads)
         return stretches(self.status != s.DONE)
 
 
