@@ -1,4 +1,4 @@
-"""Resources of a machine: memory, refused before it is taken, threads, and packages that may miss."""
+"""Resources of a machine: memory, refused before it is taken, threads, and optional packages."""
 
 from __future__ import annotations
 

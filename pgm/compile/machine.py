@@ -14,7 +14,7 @@ from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.display import InCode, Told
 from pgm.errors import ModelError
 from pgm.kernels import roots
-from pgm.linearisers import FunctionTemplate
+from pgm.linearisers import Cubature, FunctionTemplate, GaussHermite, Taylor, Unscented
 from pgm.resources import optional
 
 
@@ -47,6 +47,8 @@ class Compiled(InCode):
             )
 
 
+# Points of these rules are the same at all steps.
+RULES = Unscented, Cubature, GaussHermite
 # None leaves it to the size of the work.
 Choice = bool | Compiled | None
 
@@ -65,9 +67,9 @@ def as_choice(compiled: Any, what: str) -> Choice:
 class Compilation(Told[CPD]):
     """Of each CPD of a dynamic network ``"compiled"``, or why sweeps do not compile it.
 
-    A chain is swept in machine code where all of its CPDs can be. Only a call can tell of gates, of
-    its lineariser (`Taylor`, `Unscented`, `Cubature` and `GaussHermite` are compiled), of noise by
-    inputs that is singular, and of runs that are left, since their readings are too sharp.
+    A chain is swept in machine code where all of its CPDs can be. `Taylor`, `Unscented`, `Cubature`
+    and `GaussHermite` are compiled. Only a call can tell of gates, of its own lineariser, of noise
+    by inputs that is singular, and of runs that are left, since their readings are too sharp.
 
     Examples
     --------
@@ -98,5 +100,8 @@ def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
         return "compiled"
     if isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped:
         return "its sightings are grouped, where a step has several"
+    rule = cpd.lineariser if isinstance(cpd, NonlinearGaussianCPD) else None
+    if rule is not None and type(rule) not in (Taylor, *RULES):
+        return f"it is linearised by {rule!r}"
     assert template is not None
     return template.whole_reason or "compiled"

@@ -298,3 +298,12 @@ def test_a_sensor_without_noise_is_told():
     sensor = MODELS["an exact range"].observation[0]
     assert told[sensor] == "its noise is singular"
     assert set(told.values()) == {"compiled", "its noise is singular"}
+
+
+def test_a_lineariser_of_a_function_is_told():
+    child, rule = SENSORS["range_only"].z, pgm.MonteCarlo(20)
+    range_of = pgm.NonlinearGaussianCPD(
+        child, (x,), lambda s: np.hypot(s[..., :1], 1.0), 0.1, lineariser=rule
+    )
+    told = pgm.compile(MODELS["plain"].replace(observation=[range_of]), 3).compilation
+    assert told[range_of] == f"it is linearised by {rule!r}"

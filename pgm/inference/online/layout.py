@@ -22,6 +22,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.family import Family
 from pgm.inference.online.step_evidence import places
 from pgm.kernels.arrays import Array
+from pgm.kernels.compiled import tables as t
 from pgm.variables import Variable
 
 Shapes = tuple[tuple[int, ...], ...]
@@ -62,38 +63,35 @@ class Layout:
 
     def _chain(self, plan: ChainPlan) -> tuple[int, int]:
         """The addresses of the chain and of room to work in."""
-        from pgm.kernels.compiled import factors as f
         from pgm.kernels.compiled import sweeps as s
 
         rows, layout = self._rows, plan.layout
-        fields = np.zeros(s.FIELDS, dtype=np.int64)
-        fields[s.SINGLE], fields[s.LAST] = layout.single, plan.steps
-        fields[s.FRONT], fields[s.WIDTH] = layout.state_size, layout.slice_size
-        fields[s.STATES] = rows.places(layout.state_places, layout.slice_size)
+        fields = np.zeros(t.FIELDS, dtype=np.int64)
+        fields[t.SINGLE], fields[t.LAST] = layout.single, plan.steps
+        fields[t.FRONT], fields[t.WIDTH] = layout.state_size, layout.slice_size
+        fields[t.STATES] = rows.places(layout.state_places, layout.slice_size)
         links = plan.transition if plan.steps else []
-        table = np.zeros((len(links), f.COLUMNS), dtype=np.int64)
+        table = np.zeros((len(links), t.COLUMNS), dtype=np.int64)
         for link, row in zip(links, table, strict=True):
             link_row(plan, link, rows, row, stored=False)
             self._inputs(link.family, row, 1, None)
-        fields[s.LINKS], fields[s.LINK_COUNT] = rows.at(table), len(table)
-        table = np.zeros((len(plan.read), f.COLUMNS), dtype=np.int64)
+        fields[t.LINKS], fields[t.LINK_COUNT] = rows.at(table), len(table)
+        table = np.zeros((len(plan.read), t.COLUMNS), dtype=np.int64)
         for sensor, row in zip(plan.read, table, strict=True):
             sensor_row(plan, sensor, rows, row, stored=False)
             self._inputs(sensor.family, row, len(sensor.values), sensor.variable)
-        fields[s.SENSORS], fields[s.SENSOR_COUNT] = rows.at(table), len(table)
+        fields[t.SENSORS], fields[t.SENSOR_COUNT] = rows.at(table), len(table)
         room = s.room(layout.slice_size, layout.state_size, rows.height, rows.points)
         return rows.at(fields), rows.at(np.zeros(room))
 
     def _inputs(self, family: Family, row: Integers64, count: int, sensor: Variable | None) -> None:
         """Where a CPD reads its inputs, and measurements, in arrays of its own."""
-        from pgm.kernels.compiled import factors as f
-
         if family.noisy:
             raise Uncompiled(f"{family.cpd!r} has a noise that depends on inputs")
         cpd, end = family.cpd, 0
         parents = [parent for parent in cpd.given if parent in family.inputs]
         known = np.zeros((count, sum(parent.dimension for parent in parents)))
-        row[f.INPUTS : f.INPUTS + 4] = self._rows.told(known[:, None], 1)
+        row[t.INPUTS : t.INPUTS + 4] = self._rows.told(known[:, None], 1)
         for parent in parents:
             begin, end = end, end + parent.dimension
             own = sensor is not None and (sensor, parent) in self._where
@@ -101,13 +99,13 @@ class Layout:
             self._part(place, known[:, begin:end], shared=not own)
         if isinstance(cpd, AffineCPD) and parents:
             shift = np.zeros((count, cpd.child.dimension))
-            row[f.OFFSET : f.OFFSET + 4] = self._rows.told(shift[:, None], 1)
+            row[t.OFFSET : t.OFFSET + 4] = self._rows.told(shift[:, None], 1)
             matrix = np.concatenate([cpd.matrices[parent] for parent in parents], axis=1)
             parts = shift, np.ascontiguousarray(cpd.offset), matrix, known
             self._shifts.append([*map(self._rows.at, parts), *matrix.shape, count])
         if sensor is not None:
             values = np.zeros((count, sensor.dimension))
-            row[f.READINGS : f.READINGS + 4] = self._rows.told(values[:, None], 1)
+            row[t.READINGS : t.READINGS + 4] = self._rows.told(values[:, None], 1)
             self._part(self._where[None, sensor], values, shared=False, missing=True)
 
     def _part(self, place: int, target: Array, *, shared: bool, missing: bool = False) -> None:

@@ -1,14 +1,10 @@
-"""A CPD at one of its rows, linearised at a belief, in machine code.
-
-A CPD is a row of a table of integers: its sizes, the addresses of its functions, and where its
-numbers are. An array (rows, runs, ...) is told by four of them: its address, and how many floats
-lie between rows, between runs, and between components; address 0 is that of no array.
-"""
+"""A CPD at one of its rows, linearised at a belief, in machine code."""
 
 from __future__ import annotations
 
 from math import pi, sqrt
 
+from pgm.kernels.compiled import tables as t
 from pgm.kernels.compiled.algebra import (
     add,
     clear,
@@ -32,14 +28,6 @@ from pgm.kernels.compiled.memory import (
     take,
 )
 from pgm.kernels.compiled.packs import where, whole
-
-# The columns of the table.
-(KIND, SIZE, HEIGHT, PARENTS, WHOLE, CHILD, FUNCTION, VALUE, TURNING, TURNS) = range(10)
-(ANGLES, BARE, UNSURE, POINTS, COUNT, CENTRED, LEAST, STEPS, SHARP) = range(10, 19)
-(INPUTS, MATRIX, OFFSET, NOISE, KEPT_NOISE, READINGS, MOVED) = range(20, 48, 4)
-COLUMNS = 48
-# How a CPD is linearised: it is affine, or was before; at its mean; on points.
-AFFINE, TAYLOR, REGRESSION = range(3)
 
 # As of `gaussian`, `regression` and `moments`, for the floats of one belief.
 _REGULAR, _PLAIN, _ROUNDING = 1e-11, 1e-16, 1e-14
@@ -74,6 +62,23 @@ def save(cpd, array, row, run, values, rows, columns):
 
 
 @compiled
+def keep(cpd, row, run, x, value, matrix, noise, work):
+    """Keep a linearisation, where that is asked for."""
+    if cpd[t.KIND] == t.AFFINE or not cpd[t.MATRIX]:
+        return
+    size, height = cpd[t.SIZE], cpd[t.HEIGHT]
+    wide = width(size, x)
+    save(cpd, t.MATRIX, row, run, matrix, height, size)
+    for i in range(height):
+        work[i] = value[i]
+        for k in range(size):
+            work[i] -= matrix[i * wide + k] * x[k]
+    save(cpd, t.OFFSET, row, run, work, 1, height)
+    if cpd[t.KIND] == t.REGRESSION:
+        save(cpd, t.KEPT_NOISE, row, run, noise, height, height)
+
+
+@compiled
 def gather(chosen, size, mean, cov, wide, x, spread):
     """Some components of a belief, whose covariance has rows of so many."""
     own = width(size, spread)
@@ -87,23 +92,23 @@ def gather(chosen, size, mean, cov, wide, x, spread):
 @compiled
 def evaluate(cpd, function, row, run, x, value, slope):
     """Call a function of a CPD, `VALUE` or `FUNCTION`."""
-    apart = cpd[INPUTS + 2]
-    inputs = past(numbers(cpd[INPUTS]), row * cpd[INPUTS + 1] + run * apart)
+    apart = cpd[t.INPUTS + 2]
+    inputs = past(numbers(cpd[t.INPUTS]), row * cpd[t.INPUTS + 1] + run * apart)
     call(cpd[function], x, inputs, apart, value, slope)
 
 
 @compiled
 def linearise(cpd, row, run, x, cov, matrix, value, noise, work):
     """The F, F μ + b and noise of a CPD at a belief over its parents; whether that has a root."""
-    size, height, kind = cpd[SIZE], cpd[HEIGHT], cpd[KIND]
-    load(cpd, NOISE, row, run, noise, height, height)
-    if kind == REGRESSION:
+    size, height, kind = cpd[t.SIZE], cpd[t.HEIGHT], cpd[t.KIND]
+    load(cpd, t.NOISE, row, run, noise, height, height)
+    if kind == t.REGRESSION:
         return _regress(cpd, row, run, x, cov, matrix, value, noise, work)
-    if kind == TAYLOR:
-        evaluate(cpd, FUNCTION, row, run, x, value, matrix)
+    if kind == t.TAYLOR:
+        evaluate(cpd, t.FUNCTION, row, run, x, value, matrix)
     else:
-        load(cpd, MATRIX, row, run, matrix, height, size)
-        load(cpd, OFFSET, row, run, value, 1, height)
+        load(cpd, t.MATRIX, row, run, matrix, height, size)
+        load(cpd, t.OFFSET, row, run, value, 1, height)
         wide = width(size, matrix)
         for i in range(height):
             for k in range(size):
@@ -113,9 +118,9 @@ def linearise(cpd, row, run, x, cov, matrix, value, noise, work):
 
 @compiled
 def _regress(cpd, row, run, x, cov, matrix, value, noise, work):
-    size, height, count = cpd[SIZE], cpd[HEIGHT], cpd[COUNT]
+    size, height, count = cpd[t.SIZE], cpd[t.HEIGHT], cpd[t.COUNT]
     wide, tall = width(size, x), width(height, x)
-    points = numbers(cpd[POINTS])
+    points = numbers(cpd[t.POINTS])
     rows, signs = past(points, count * size), past(points, count * (size + count))
     upper, inverse = work, past(work, size * wide)
     at, raw = past(inverse, wide), past(inverse, wide * (count + 1))
@@ -128,15 +133,15 @@ def _regress(cpd, row, run, x, cov, matrix, value, noise, work):
     add(1.0, points, size, 1, upper, at, count, size, wide)
     clear(raw, count * tall)
     for p in range(count):
-        evaluate(cpd, VALUE, row, run, past(at, p * wide), past(raw, p * tall), matrix)
-    if cpd[ANGLES] and not cpd[CENTRED]:
-        evaluate(cpd, VALUE, row, run, x, value, matrix)
+        evaluate(cpd, t.VALUE, row, run, past(at, p * wide), past(raw, p * tall), matrix)
+    if cpd[t.ANGLES] and not cpd[t.CENTRED]:
+        evaluate(cpd, t.VALUE, row, run, x, value, matrix)
     else:
         copy(raw, value, tall)
     for p in range(count):
         for i in range(height):
             raw[p * tall + i] -= value[i]
-    if cpd[ANGLES]:
+    if cpd[t.ANGLES]:
         _about(cpd, row, run, x, at, raw, found)
     product(rows, count, 1, raw, found, count, count, tall)
     slope, left = past(found, tall), past(found, (1 + size) * tall)
@@ -148,7 +153,7 @@ def _regress(cpd, row, run, x, cov, matrix, value, noise, work):
         for j in range(size):
             matrix[i] += slope[j * tall + i] * slope[j * tall + i]
     sound = True
-    least = numbers(cpd[LEAST])  # of the own noise, then the rounding of the rule
+    least = numbers(cpd[t.LEAST])  # of the own noise, then the rounding of the rule
     for i in range(height):
         sound = sound & (error[i * tall + i] + least[i] > _PLAIN * matrix[i])
     sizes = past(error, height * tall)
@@ -168,11 +173,11 @@ def _regress(cpd, row, run, x, cov, matrix, value, noise, work):
 @compiled
 def _about(cpd, row, run, x, at, raw, work):
     """Offsets of angles of which some exceed half a turn, wrapped about their line."""
-    size, height, count, steep = cpd[SIZE], cpd[HEIGHT], cpd[COUNT], False
+    size, height, count, steep = cpd[t.SIZE], cpd[t.HEIGHT], cpd[t.COUNT], False
     wide, tall = width(size, x), width(height, x)
     slope = past(work, tall)
     for i in range(height):
-        if not (cpd[ANGLES] >> i) & 1:
+        if not (cpd[t.ANGLES] >> i) & 1:
             continue
         far = abs(raw[i]) > pi
         for p in range(1, count):
@@ -180,7 +185,7 @@ def _about(cpd, row, run, x, at, raw, work):
         if not some(far):
             continue
         if not steep:
-            evaluate(cpd, FUNCTION, row, run, x, work, slope)
+            evaluate(cpd, t.FUNCTION, row, run, x, work, slope)
             steep = True
         for p in range(count):
             line = 0.0
@@ -194,14 +199,14 @@ def _about(cpd, row, run, x, at, raw, work):
 @compiled
 def _clear_rounding(cpd, x, matrix, reference, raw, error, sizes):
     """Make the error zero in components in which it may be rounding of the values."""
-    size, height = cpd[SIZE], cpd[HEIGHT]
+    size, height = cpd[t.SIZE], cpd[t.HEIGHT]
     wide, tall = width(size, x), width(height, x)
-    least = numbers(cpd[LEAST])
+    least = numbers(cpd[t.LEAST])
     for i in range(height):
         variance, summands, farthest = error[i * tall + i], abs(reference[i]), 0.0
         for j in range(size):
             summands += abs(matrix[i * wide + j] * x[j])
-        for p in range(cpd[COUNT]):
+        for p in range(cpd[t.COUNT]):
             far = abs(raw[p * tall + i])
             farthest = where(far > farthest, far, farthest)
         most = least[height] * (summands + farthest)
@@ -217,19 +222,19 @@ def to_chart(cpd, row, run, before, x, value, work):
 
     One that wraps gives the same for angles a whole turn on; another turns too.
     """
-    size, height = cpd[SIZE], cpd[HEIGHT]
-    pairs, near = places(cpd[TURNING]), True
-    for k in range(cpd[TURNS]):
+    size, height = cpd[t.SIZE], cpd[t.HEIGHT]
+    pairs, near = places(cpd[t.TURNING]), True
+    for k in range(cpd[t.TURNS]):
         near = near & (abs(value[pairs[3 * k]] - before[pairs[3 * k + 1]]) <= pi)
     if every(near):
         return
     at, ends, slope = work, past(work, size), past(work, size + 2 * height)
     copy(x, at, size)
-    evaluate(cpd, VALUE, row, run, at, ends, slope)
-    for k in range(cpd[TURNS]):
+    evaluate(cpd, t.VALUE, row, run, at, ends, slope)
+    for k in range(cpd[t.TURNS]):
         at[pairs[3 * k + 2]] += _TURN
-    evaluate(cpd, VALUE, row, run, at, past(ends, height), slope)
-    for k in range(cpd[TURNS]):
+    evaluate(cpd, t.VALUE, row, run, at, past(ends, height), slope)
+    for k in range(cpd[t.TURNS]):
         new = pairs[3 * k]
         turns = whole((value[new] - before[pairs[3 * k + 1]]) / _TURN)
         wraps = abs(ends[height + new] - ends[new]) < pi
@@ -239,7 +244,7 @@ def to_chart(cpd, row, run, before, x, value, work):
 @compiled
 def predict(cpd, cov, matrix, noise, out, work):
     """F P Fᵀ + noise; whether zeros of components without noise need not be told from rounding."""
-    size, height = cpd[SIZE], cpd[HEIGHT]
+    size, height = cpd[t.SIZE], cpd[t.HEIGHT]
     wide, tall = width(size, cov), width(height, cov)
     half, turned = work, past(work, height * wide)
     product(matrix, wide, 1, cov, half, height, size, wide)
@@ -248,16 +253,16 @@ def predict(cpd, cov, matrix, noise, out, work):
     add(1.0, half, wide, 1, turned, out, height, size, tall)
     mirror(out, height)
     ok = True
-    if cpd[BARE] and size:
+    if cpd[t.BARE] and size:
         for i in range(height):
-            if not (cpd[BARE] >> i) & 1:
+            if not (cpd[t.BARE] >> i) & 1:
                 continue
             most = 0.0
             for k in range(size):
                 variance = cov[k * wide + k]
                 most += abs(matrix[i * wide + k]) * sqrt(where(variance > 0.0, variance, 0.0))
             ok = ok & (out[i * tall + i] > _ROUNDING * most * most)
-    if cpd[UNSURE]:
+    if cpd[t.UNSURE]:
         ok = ok & (root(out, work, past(work, height * tall), height, 1e-13) > 0.0)
     return ok
 
@@ -265,8 +270,8 @@ def predict(cpd, cov, matrix, noise, out, work):
 @compiled
 def nearest(cpd, value, reading):
     """Move angles of a reading to the branch nearest the value."""
-    for i in range(cpd[HEIGHT]):
-        if (cpd[ANGLES] >> i) & 1:
+    for i in range(cpd[t.HEIGHT]):
+        if (cpd[t.ANGLES] >> i) & 1:
             off = reading[i] - value[i]
             far = (abs(off) > pi) & (off - off == 0.0)
             reading[i] = where(far, reading[i] - _TURN * whole(off / _TURN), reading[i])

@@ -16,12 +16,12 @@ from pgm.kernels.compiled.packs import (
     NUMBERS,
     ROW_PACK,
     RUN_PACK,
-    RUNS,
     Packs,
     bits,
     opposite,
     splat,
 )
+from pgm.kernels.compiled.tables import RUNS
 
 # Of the text of all kernels: code on disk is of this text, or is not loaded.
 STAMP = crc32(b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py"))))

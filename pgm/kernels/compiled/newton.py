@@ -23,7 +23,7 @@ from typing import Any
 from numba import njit
 
 from pgm.kernels.compiled import factors as f
-from pgm.kernels.compiled import sweeps as s
+from pgm.kernels.compiled import tables as t
 from pgm.kernels.compiled.algebra import add, clear, copy, padded, product
 from pgm.kernels.compiled.memory import (
     STAMP,
@@ -35,16 +35,9 @@ from pgm.kernels.compiled.memory import (
     places,
     ready,
 )
-from pgm.kernels.compiled.packs import RUNS, where
+from pgm.kernels.compiled.packs import where
+from pgm.kernels.compiled.tables import RUNS
 
-# The trajectory of the linearisation, the one that is found, its variances, and the equations:
-# those of the prior, and room for those of each step, of so many threads.
-REFERENCE, FOUND, VARIANCE = s.MEAN, s.LATER_MEAN, s.LATER_COV
-BEGIN, EQUATIONS, THREADS = s.BEGIN_MEAN, s.GAIN, s.SHIFT
-# Of a CPD: its rows, the step of each, and where its squares go.
-ROWS, STEP, TARGETS = f.COUNT, f.LEAST, f.POINTS
-# How a run ends, but for these: it is not worked on.
-IDLE = 2
 # So many steps are linearised before they are eliminated.
 _AT_ONCE = 64
 
@@ -64,9 +57,9 @@ def _size(width):
 @compiled
 def _absorb(cpd, run, first, last, reference, width, equations, work):
     """Add the squares of some rows of a CPD, linearised at the reference."""
-    size, height = cpd[f.SIZE], cpd[f.HEIGHT]
-    curved, linked = cpd[f.KIND] != f.AFFINE, cpd[f.READINGS] == 0
-    parents, steps, targets = places(cpd[f.PARENTS]), places(cpd[STEP]), places(cpd[TARGETS])
+    size, height = cpd[t.SIZE], cpd[t.HEIGHT]
+    curved, linked = cpd[t.KIND] != t.AFFINE, cpd[t.READINGS] == 0
+    parents, steps, targets = places(cpd[t.PARENTS]), places(cpd[t.STEP]), places(cpd[t.TARGETS])
     every = size + height if linked else size
     x, value = work, past(work, every)
     left, weight = past(value, height), past(value, 2 * height)
@@ -76,24 +69,24 @@ def _absorb(cpd, run, first, last, reference, width, equations, work):
     at, found, count = numbers(x), numbers(squares), every * (every + 3) // 2
     one = 1 + 0 * height  # a literal is a type of its own, for which all is compiled again
     for begin in range(first, last, RUNS):
-        row = min(begin, cpd[ROWS] - RUNS)
+        row = min(begin, cpd[t.ROWS] - RUNS)
         for lane in range(RUNS):
             point = past(reference, steps[row + lane] * width)
             for i in range(every):
                 at[i * RUNS + lane] = point[parents[i]]
         if curved:
-            f.evaluate(cpd, f.FUNCTION, run, row, x, value, matrix)
+            f.evaluate(cpd, t.FUNCTION, run, row, x, value, matrix)
         else:
-            f.load(cpd, f.MATRIX, run, row, matrix, height, size)
-            f.load(cpd, f.OFFSET, run, row, value, 1, height)
+            f.load(cpd, t.MATRIX, run, row, matrix, height, size)
+            f.load(cpd, t.OFFSET, run, row, value, 1, height)
             add(1.0, matrix, size, one, x, value, height, size, one)
         if linked:
             copy(past(x, size), left, height)
         else:
-            f.load(cpd, f.READINGS, run, row, left, 1, height)
+            f.load(cpd, t.READINGS, run, row, left, 1, height)
         if curved or not linked:
             f.nearest(cpd, value, left)
-        f.save(cpd, f.MOVED, run, row, left, 1, height)
+        f.save(cpd, t.MOVED, run, row, left, 1, height)
         clear(slope, height * every)
         for i in range(height):
             copy(past(matrix, i * size), past(slope, i * every), size)
@@ -104,9 +97,9 @@ def _absorb(cpd, run, first, last, reference, width, equations, work):
             left[i] = residual
         if curved:
             add(-1.0, matrix, size, one, x, value, height, size, one)
-            f.save(cpd, f.MATRIX, run, row, matrix, height, size)
-            f.save(cpd, f.OFFSET, run, row, value, 1, height)
-        f.load(cpd, f.NOISE, run, row, weight, height, height)
+            f.save(cpd, t.MATRIX, run, row, matrix, height, size)
+            f.save(cpd, t.OFFSET, run, row, value, 1, height)
+        f.load(cpd, t.NOISE, run, row, weight, height, height)
         product(weight, height, one, slope, part, height, height, every)
         product(part, one, every, slope, squares, every, height, every)
         product(part, one, every, left, past(squares, every * every), every, height, one)
@@ -177,15 +170,15 @@ def _substitute(block, width, known, work):
 @compiled
 def _forward(fields, run, reference, equations, work):
     """Linearise a run, and eliminate slice after slice; whether that goes."""
-    width, last = fields[s.WIDTH], fields[s.LAST]
+    width, last = fields[t.WIDTH], fields[t.LAST]
     size = _size(width)
-    copy(_of(fields, BEGIN, run), equations, size)
+    copy(_of(fields, t.BEGIN, run), equations, size)
     for begin in range(0, last + 1, _AT_ONCE):
         end = min(begin + _AT_ONCE, last + 1)
         clear(past(equations, (begin + 1) * size), (end - begin) * size)
-        for k in range(fields[s.SENSOR_COUNT]):
-            cpd = past(places(fields[s.SENSORS]), k * f.COLUMNS)
-            rows = places(cpd[f.STEPS])
+        for k in range(fields[t.SENSOR_COUNT]):
+            cpd = past(places(fields[t.SENSORS]), k * t.COLUMNS)
+            rows = places(cpd[t.STEPS])
             _absorb(cpd, run, rows[begin], rows[end], reference, width, equations, work)
         for step in range(begin, end):
             if not _eliminate(past(equations, step * size), width):
@@ -199,19 +192,19 @@ def _entry(stamp: int) -> Any:
     @njit(error_model="numpy", nogil=True, cache=True)
     def newton(chain, first, last, memory):
         fields, known = places(chain), numbers(memory)
-        status, width = places(fields[s.STATUS]), fields[s.WIDTH]
-        part = (first * fields[THREADS] + fields[s.RUN_COUNT] - 1) // fields[s.RUN_COUNT]
-        equations, work = _of(fields, EQUATIONS, part), past(known, _size(width))
+        status, width = places(fields[t.STATUS]), fields[t.WIDTH]
+        part = (first * fields[t.THREADS] + fields[t.RUN_COUNT] - 1) // fields[t.RUN_COUNT]
+        equations, work = _of(fields, t.EQUATIONS, part), past(known, _size(width))
         for run in range(first, last):
-            if status[run] != s.DONE:
+            if status[run] != t.DONE:
                 continue
-            reference = _of(fields, REFERENCE, run)
+            reference = _of(fields, t.REFERENCE, run)
             if not _forward(fields, run, reference, equations, opened(memory, RUNS)):
-                status[run] = s.LEFT
+                status[run] = t.LEFT
                 continue
-            found, variance = _of(fields, FOUND, run), _of(fields, VARIANCE, run)
+            found, variance = _of(fields, t.FOUND, run), _of(fields, t.VARIANCE, run)
             clear(known, _size(width))
-            for step in range(fields[s.LAST], -1, -1):
+            for step in range(fields[t.LAST], -1, -1):
                 _substitute(past(equations, step * _size(width)), width, known, work)
                 for i in range(width):
                     row, here = i * padded(width + 1), step * width + i

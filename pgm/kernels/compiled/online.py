@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from pgm.kernels.compiled import tables as t
 from pgm.kernels.compiled.algebra import least_open, padded
+from pgm.kernels.compiled.measurements import once
 from pgm.kernels.compiled.memory import STAMP, compiled, numbers, past, places, ready
-from pgm.kernels.compiled.sweeps import SINGLE, WIDTH, _joined, _moved, _once
+from pgm.kernels.compiled.sweeps import joined, moved
 
 (CHAIN, MEMORY, PACKED, PARTS, PART_COUNT, SHIFTS, SHIFT_COUNT, STEP) = range(8)
 # Which array, or where it begins in the row of all; its rows and columns; its place, the floats
@@ -106,15 +108,15 @@ def _entries(stamp: int) -> tuple[Any, Any]:
         if told != DONE:
             return told
         fields, known = places(head[CHAIN]), numbers(head[MEMORY])
-        size = fields[WIDTH]
+        size = fields[t.WIDTH]
         wide = padded(size)
         before, mean = past(known, wide), past(known, wide + size * wide)
         cov, work = past(mean, wide), past(mean, wide + size * wide)
         _unpacked(belief, size, known, before)
-        if fields[SINGLE]:
-            done = _moved(fields, 0, 0, known, before, mean, cov, work)
+        if fields[t.SINGLE]:
+            done = moved(fields, 0, 0, known, before, mean, cov, work)
         else:
-            done = _joined(fields, 0, 0, known, before, mean, cov, work)
+            done = joined(fields, 0, 0, known, before, mean, cov, work)
         return DONE if done and _settled(mean, cov, cov, out, size, work) else NO
 
     @_kept
@@ -127,12 +129,12 @@ def _entries(stamp: int) -> tuple[Any, Any]:
         if told != DONE:
             return inf if told == OTHER else nan
         fields, known = places(head[CHAIN]), numbers(head[MEMORY])
-        size = fields[WIDTH]
+        size = fields[t.WIDTH]
         wide = padded(size)
         before, mean = past(known, wide), past(known, wide + size * wide)
         cov, work = past(mean, wide), past(mean, wide + size * wide)
         _unpacked(belief, size, known, before)
-        done, density = _once(fields, 0, 0, known, before, known, before, mean, cov, work)
+        done, density = once(fields, 0, 0, known, before, known, before, mean, cov, work)
         if done and isfinite(density) and _settled(mean, cov, before, out, size, work):
             return density
         return nan

@@ -17,7 +17,8 @@ from numba.core.typeconv import Conversion
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
-RUNS, ROW = 8, 4  # how many runs go at once, and floats of a row
+from pgm.kernels.compiled.tables import ROW, RUNS
+
 _DOUBLE, _BIT, _INT = ir.DoubleType(), ir.IntType(1), ir.IntType(32)
 
 

@@ -1,23 +1,17 @@
-"""Forward and backward sweeps of a chain in machine code, a run after another.
-
-A chain is a row of integers, as a CPD is one (`factors`): its shape, the addresses of its tables
-of CPDs, and its arrays, by step where those of a CPD are by row.
-"""
+"""Forward and backward sweeps of a chain in machine code, a run after another."""
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import Any
 
 from numba import njit
 
-from pgm.kernels.arrays import LOG_2PI
+from pgm.kernels.compiled import tables as t
 from pgm.kernels.compiled.algebra import (
     add,
     clear,
     copy,
     least_open,
-    log_det,
     mirror,
     product,
     root,
@@ -27,35 +21,11 @@ from pgm.kernels.compiled.algebra import (
     whiten,
     width,
 )
-from pgm.kernels.compiled.factors import (
-    AFFINE,
-    CHILD,
-    COLUMNS,
-    HEIGHT,
-    KEPT_NOISE,
-    KIND,
-    MATRIX,
-    MOVED,
-    OFFSET,
-    PARENTS,
-    READINGS,
-    REGRESSION,
-    SHARP,
-    SIZE,
-    STEPS,
-    WHOLE,
-    gather,
-    linearise,
-    load,
-    nearest,
-    predict,
-    save,
-    to_chart,
-)
+from pgm.kernels.compiled.factors import gather, keep, linearise, load, predict, save, to_chart
+from pgm.kernels.compiled.measurements import taken
 from pgm.kernels.compiled.memory import (
     STAMP,
     compiled,
-    every,
     give,
     numbers,
     opened,
@@ -64,36 +34,16 @@ from pgm.kernels.compiled.memory import (
     some,
     take,
 )
-from pgm.kernels.compiled.packs import RUNS, bits, opposite, where
+from pgm.kernels.compiled.packs import bits, opposite, where
 
-# The shape of a chain: T, whether one CPD makes all of a slice of all of the one before, and the
-# components of states and of a slice.
-(LAST, SINGLE, FRONT, WIDTH, LINKS, LINK_COUNT, SENSORS, SENSOR_COUNT, STATES) = range(9)
-# Linearisations of a step's measurements, where their settings are, (tolerance, damping), and their
-# record, (iterations + 1, runs): the residuals of each, how many, and whether some did not settle.
-(ITERATIONS, SETTINGS, RESIDUALS) = range(9, 12)
-# The least share of a variance that is left open, variances to grow from, and whether a mean is far
-# from zero, by run; how runs ended.
-(CLOSEST, STATUS, RUN_COUNT) = range(12, 15)
-# The belief that a sweep starts with, and its record.
-(BEGIN_MEAN, BEGIN_COV, PREDICTED_MEAN, PREDICTED_COV, MEAN, COV, DENSITY) = range(16, 44, 4)
-# The reversed chain, its transition, and the smoothed beliefs.
-(STEP_MATRIX, STEP_NOISE, GAIN, SHIFT, REST, LATER_MEAN, LATER_COV) = range(44, 72, 4)
-(CONTROL_GAIN, CONTROL_SHIFT, CONTROL_REST) = range(72, 84, 4)
-FIELDS = 84
 # Runs whose arrays lie next to each other are swept together, so that memory is read in rows.
 TOGETHER = 256
-# As of `gaussian`, `moments` and `forward`.
-NEARLY_SINGULAR, _CORRELATED, _EVERY, _MILD, _GROWN = 1e-6, 3e-5, 8, 1e-3, 1e2
+# As of `moments` and `forward`.
+_CORRELATED, _EVERY, _MILD, _GROWN = 3e-5, 8, 1e-3, 1e2
 # The square of deviations from zero in which the last digit of a mean might count.
 _FAR = 1e16
-# The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is
-# linearised again, or any, is not known to a billionth of a deviation: an order of sums shows.
-_CURVED, _STRAIGHT = 1e-6, 1e-8
-# Lengths rᵀ S⁻¹ r and numbers from which on little or nothing can be told.
-_FARTHEST, _LARGEST = 1e12, 1e150
-# How a run ended: done, or to be done by the general kernels.
-DONE, LEFT = 0, 1
+# A number from which on little or nothing can be told.
+_LARGEST = 1e150
 
 
 def room(width: int, front: int, height: int, points: int, lanes: int = 1) -> int:
@@ -109,24 +59,24 @@ def _step(fields, step, run, known, work):
 
     The belief is that of the step before, and then of this one.
     """
-    size = fields[WIDTH]
+    size = fields[t.WIDTH]
     wide = width(size, known)
     spread = past(known, wide)
     mean, cov = work, past(work, wide)
     rest = past(cov, size * wide)
     sure = True
     if not step:
-        load(fields, BEGIN_MEAN, 0, run, mean, 1, size)
-        load(fields, BEGIN_COV, 0, run, cov, size, size)
-    elif fields[SINGLE]:
-        sure = _moved(fields, step - 1, run, known, spread, mean, cov, rest)
+        load(fields, t.BEGIN_MEAN, 0, run, mean, 1, size)
+        load(fields, t.BEGIN_COV, 0, run, cov, size, size)
+    elif fields[t.SINGLE]:
+        sure = moved(fields, step - 1, run, known, spread, mean, cov, rest)
     else:
-        sure = _joined(fields, step - 1, run, known, spread, mean, cov, rest)
+        sure = joined(fields, step - 1, run, known, spread, mean, cov, rest)
     if not some(sure):
         return sure
-    save(fields, PREDICTED_MEAN, step, run, mean, 1, size)
-    save(fields, PREDICTED_COV, step, run, cov, size, size)
-    ok, density = _taken(fields, step, run, mean, cov, known, spread, rest)
+    save(fields, t.PREDICTED_MEAN, step, run, mean, 1, size)
+    save(fields, t.PREDICTED_COV, step, run, cov, size, size)
+    ok, density = taken(fields, step, run, mean, cov, known, spread, rest)
     total = density
     for i in range(size):
         at = i * wide + i
@@ -134,12 +84,12 @@ def _step(fields, step, run, known, work):
     ok = ok & sure & (abs(total) < _LARGEST)
     if not some(ok):
         return ok
-    save(fields, MEAN, step, run, known, 1, size)
-    save(fields, COV, step, run, spread, size, size)
+    save(fields, t.MEAN, step, run, known, 1, size)
+    save(fields, t.COV, step, run, spread, size, size)
     rest[0] = density
-    save(fields, DENSITY, step, run, rest, 1, 1)
-    closest = past(numbers(fields[CLOSEST]), run)
-    _look(closest, fields[RUN_COUNT], known, cov, spread, size, step, fields[LAST], rest)
+    save(fields, t.DENSITY, step, run, rest, 1, 1)
+    closest = past(numbers(fields[t.CLOSEST]), run)
+    _look(closest, fields[t.RUN_COUNT], known, cov, spread, size, step, fields[t.LAST], rest)
     return ok
 
 
@@ -175,41 +125,24 @@ def _look(closest, apart, mean, before, after, size, step, last, work):
 
 
 @compiled
-def _moved(fields, row, run, before, spread, mean, cov, work):
+def moved(fields, row, run, before, spread, mean, cov, work):
     """The slice, where one CPD makes all of it of all of the slice before."""
-    cpd = places(fields[LINKS])
-    size = cpd[SIZE]
+    cpd = places(fields[t.LINKS])
+    size = cpd[t.SIZE]
     square = size * width(size, work)
     matrix, noise, rest = work, past(work, square), past(work, 2 * square)
     ok = linearise(cpd, row, run, before, spread, matrix, mean, noise, rest)
     ok = ok & predict(cpd, spread, matrix, noise, cov, rest)
     if some(ok):
         to_chart(cpd, row, run, before, before, mean, rest)
-        _keep(cpd, row, run, before, mean, matrix, noise, rest)
+        keep(cpd, row, run, before, mean, matrix, noise, rest)
     return ok
 
 
 @compiled
-def _keep(cpd, row, run, x, value, matrix, noise, work):
-    """Keep a linearisation, where that is asked for."""
-    if cpd[KIND] == AFFINE or not cpd[MATRIX]:
-        return
-    size, height = cpd[SIZE], cpd[HEIGHT]
-    wide = width(size, x)
-    save(cpd, MATRIX, row, run, matrix, height, size)
-    for i in range(height):
-        work[i] = value[i]
-        for k in range(size):
-            work[i] -= matrix[i * wide + k] * x[k]
-    save(cpd, OFFSET, row, run, work, 1, height)
-    if cpd[KIND] == REGRESSION:
-        save(cpd, KEPT_NOISE, row, run, noise, height, height)
-
-
-@compiled
-def _joined(fields, row, run, known, spread, mean, cov, work):
+def joined(fields, row, run, known, spread, mean, cov, work):
     """The slice, a CPD after another, in the joint of the states before and itself."""
-    front, own, states = fields[FRONT], fields[WIDTH], places(fields[STATES])
+    front, own, states = fields[t.FRONT], fields[t.WIDTH], places(fields[t.STATES])
     size, own_wide = front + own, width(own, work)
     wide, ok = width(size, work), True
     square = size * wide
@@ -223,9 +156,14 @@ def _joined(fields, row, run, known, spread, mean, cov, work):
         pair[i] = known[states[i]]
         for j in range(front):
             joint[i * wide + j] = spread[states[i] * own_wide + states[j]]
-    for link in range(fields[LINK_COUNT]):
-        cpd = past(places(fields[LINKS]), link * COLUMNS)
-        count, height, child, parents = cpd[SIZE], cpd[HEIGHT], cpd[CHILD], places(cpd[PARENTS])
+    for link in range(fields[t.LINK_COUNT]):
+        cpd = past(places(fields[t.LINKS]), link * t.COLUMNS)
+        count, height, child, parents = (
+            cpd[t.SIZE],
+            cpd[t.HEIGHT],
+            cpd[t.CHILD],
+            places(cpd[t.PARENTS]),
+        )
         thick, tall = width(count, work), width(height, work)
         gather(parents, count, pair, joint, wide, x, block)
         ok = ok & linearise(cpd, row, run, x, block, matrix, value, noise, rest)
@@ -244,7 +182,7 @@ def _joined(fields, row, run, known, spread, mean, cov, work):
             for j in range(height):
                 joint[(child + i) * wide + child + j] = after[i * tall + j]
         to_chart(cpd, row, run, pair, x, value, rest)
-        _keep(cpd, row, run, x, value, matrix, noise, rest)
+        keep(cpd, row, run, x, value, matrix, noise, rest)
         copy(value, past(pair, child), height)
     for i in range(own):
         mean[i] = pair[front + i]
@@ -256,207 +194,14 @@ def _joined(fields, row, run, known, spread, mean, cov, work):
 
 
 @compiled
-def _taken(fields, step, run, mean, cov, known, spread, work):
-    """The belief given the measurements of a step; whether all was regular, and their density."""
-    size, iterations, apart = fields[WIDTH], fields[ITERATIONS], fields[RUN_COUNT]
-    wide = width(size, work)
-    if iterations < 2 or not _are_curved(fields, step):
-        return _once(fields, step, run, mean, cov, mean, cov, known, spread, work)
-    point, about = work, past(work, wide)
-    rest = past(about, size * wide)
-    copy(mean, point, size)
-    copy(cov, about, size * wide)
-    tolerance, damping = numbers(fields[SETTINGS])[0], numbers(fields[SETTINGS])[1]
-    record = past(numbers(fields[RESIDUALS]), run)
-    residual, made, settled, last = 0.0, 0.0, False, 0
-    ok, density = _once(fields, step, run, mean, cov, point, about, known, spread, rest)
-    for iteration in range(1, iterations):
-        if every(settled) or not some(ok):
-            break
-        for i in range(size):
-            mixed = damping * point[i] + (1.0 - damping) * known[i]
-            point[i] = where(settled, point[i], mixed)
-        for i in range(size * wide):
-            mixed = damping * about[i] + (1.0 - damping) * spread[i]
-            about[i] = where(settled, about[i], mixed)
-        ok, density = _once(fields, step, run, mean, cov, point, about, known, spread, rest)
-        residual, last = 0.0, iteration
-        made = where(settled, made, 1.0 * iteration)
-        for i in range(size):
-            variance, size_of = spread[i * wide + i], abs(known[i])
-            unit = where(size_of > 1.0, size_of, 1.0)
-            unit = where(variance > 0.0, sqrt(variance), unit)
-            moved = abs(known[i] - point[i]) / unit
-            residual = where(residual > moved, residual, moved)
-        settled = settled | (residual <= tolerance)
-        _at_most(record, (iteration - 1) * apart, residual, known)
-    for later in range(last, iterations - 1):
-        _at_most(record, later * apart, residual, known)
-    _at_most(record, (iterations - 1) * apart, made, known)
-    _at_most(record, iterations * apart, where(settled, 0.0, 1.0), known)
-    return ok, density
-
-
-@compiled
-def _at_most(record, place, value, like):
-    """Let a float of a record be no less than a value."""
-    known = take(record, place, 1, like)
-    give(record, place, 1, where(known > value, known, value), like)
-
-
-@compiled
-def _are_curved(fields, step):
-    """Whether a measurement of a step has to be linearised."""
-    for k in range(fields[SENSOR_COUNT]):
-        cpd = past(places(fields[SENSORS]), k * COLUMNS)
-        bounds = places(cpd[STEPS])
-        if cpd[KIND] != AFFINE and bounds[step] < bounds[step + 1]:
-            return True
-    return False
-
-
-@compiled
-def _once(fields, step, run, mean, cov, point, about, known, spread, work):
-    """Take the measurements of a step, linearised at a point, into N(mean, cov)."""
-    size, ok, density = fields[WIDTH], True, 0.0
-    wide = width(size, work)
-    copy(mean, known, wide)
-    copy(cov, spread, size * wide)
-    for k in range(fields[SENSOR_COUNT]):
-        cpd = past(places(fields[SENSORS]), k * COLUMNS)
-        bounds = places(cpd[STEPS])
-        for row in range(bounds[step], bounds[step + 1]):
-            sure, more = _read(cpd, row, run, size, cov, point, about, known, spread, work)
-            ok = ok & sure
-            density += more
-            if not some(ok):
-                return ok, density
-    return ok, density
-
-
-@compiled
-def _read(cpd, row, run, size, before, point, about, known, spread, work):
-    """Take in a measurement, linearised at a point; its missing components are NaN.
-
-    `before` is the covariance before those of its step.
-    """
-    count, height, wide = cpd[SIZE], cpd[HEIGHT], width(size, work)
-    thick, tall = width(count, work), width(height, work)
-    matrix, noise = work, past(work, height * wide)
-    value, reading = past(noise, height * tall), past(noise, (height + 1) * tall)
-    rest = past(reading, tall)
-    x, block, parents = point, about, places(cpd[PARENTS])
-    if not cpd[WHOLE]:
-        x, block = rest, past(rest, thick)
-        rest = past(block, count * thick)
-        gather(parents, count, point, about, wide, x, block)
-    ok = linearise(cpd, row, run, x, block, matrix, value, noise, rest)
-    _keep(cpd, row, run, x, value, matrix, noise, rest)
-    load(cpd, READINGS, row, run, reading, 1, height)
-    nearest(cpd, value, reading)
-    save(cpd, MOVED, row, run, reading, 1, height)
-    if not cpd[WHOLE]:
-        copy(matrix, rest, height * thick)
-        clear(matrix, height * wide)
-        for i in range(height):
-            for j in range(count):
-                matrix[i * wide + parents[j]] = rest[i * thick + j]
-    sharp, density, unseen = numbers(cpd[SHARP])[0], 0.0, True
-    for i in range(height):
-        seen = reading[i] == reading[i]
-        residual = reading[i] - value[i]
-        for j in range(size):
-            residual -= matrix[i * wide + j] * (known[j] - point[j])
-        value[i] = residual
-        density = where(seen, density + LOG_2PI, density)
-        unseen = unseen & (reading[i] != reading[i])
-        if every(seen):
-            continue
-        # One that is missing is as a reading of noise alone.
-        value[i], sharp = where(seen, residual, 0.0), where(seen, sharp, 0.0)
-        for j in range(size):
-            matrix[i * wide + j] = where(seen, matrix[i * wide + j], 0.0)
-        for j in range(height):
-            noise[i * tall + j] = where(seen, noise[i * tall + j], 0.0)
-            noise[j * tall + i] = where(seen, noise[j * tall + i], 0.0)
-        noise[i * tall + i] = where(seen, noise[i * tall + i], 1.0)
-    if every(unseen) or not some(ok):
-        return ok, 0.0 * density
-    limits = sharp, _STRAIGHT if cpd[KIND] == AFFINE else _CURVED
-    sure, density = _update(
-        known, spread, before, matrix, value, noise, size, height, limits, density, rest
-    )
-    return ok & sure, density
-
-
-@compiled
-def _update(mean, cov, before, matrix, residual, noise, size, height, limits, density, work):
-    """Condition N(mean, cov) on z = H x + n, of residual z − H mean; whether digits are left.
-
-    Where |S| is below the first limit no direction shrinks so much that P − W Wᵀ would lose digits,
-    and elsewhere the covariance is a sum of squares; the other says how sharp n may be beside the
-    covariance before its step.
-    """
-    wide, tall = width(size, work), width(height, work)
-    predictive, upper = work, past(work, height * tall)
-    inverse, white = past(upper, height * tall), past(upper, (height + 1) * tall)
-    gain = past(white, tall)
-    turned = past(gain, height * wide)
-    spread = past(turned, height * wide)
-    product(matrix, wide, 1, cov, gain, height, size, wide)
-    for i in range(height):
-        for j in range(i + 1):
-            total = noise[i * tall + j]
-            for k in range(size):
-                total += gain[i * wide + k] * matrix[j * wide + k]
-            predictive[i * tall + j] = total
-    det = root(predictive, upper, inverse, height, NEARLY_SINGULAR)
-    ok = det > 0.0
-    if not some(ok):
-        return ok, density
-    density += log_det(det, inverse, height)
-    length = 0.0
-    for i in range(height):
-        total = residual[i]
-        for k in range(i):
-            total -= upper[k * tall + i] * white[k]
-        white[i] = total * inverse[i]
-        length += white[i] * white[i]
-    density += length
-    ok = ok & (length < _FARTHEST)
-    whiten(upper, inverse, gain, height, wide)
-    add(1.0, white, 1, 1, gain, mean, 1, height, wide)
-    mild = det < limits[0]
-    if not every(mild):
-        copy(gain, turned, height * wide)
-        unwhiten(upper, inverse, turned, height, wide)
-        part = limits[1] * (10.0 + length)
-        product(matrix, wide, 1, before, spread, height, size, wide)
-        for i in range(height):
-            for j in range(i + 1):
-                total = noise[i * tall + j]
-                for k in range(size):
-                    total += spread[i * wide + k] * matrix[j * wide + k]
-                predictive[i * tall + j] = noise[i * tall + j] - part * total
-        ok = ok & (mild | (root(predictive, upper, inverse, height, 0.0) > 0.0))
-        squares(cov, turned, matrix, noise, size, height, spread, past(spread, size * wide))
-    if some(mild):
-        add(-1.0, gain, 1, wide, gain, cov, size, height, wide)
-    if not every(mild):
-        for i in range(size * wide):
-            cov[i] = where(mild, cov[i], spread[i])
-    return ok, -0.5 * density
-
-
-@compiled
 def _back(fields, step, run, later, work):
     """Reverse the transition from a step, and send the belief of the step after it through."""
-    size, front = fields[WIDTH], fields[FRONT]
+    size, front = fields[t.WIDTH], fields[t.FRONT]
     wide, thin, ok = width(size, work), width(front, work), True
     spread = past(later, wide)
-    if step == fields[LAST]:
-        load(fields, MEAN, step, run, later, 1, size)
-        load(fields, COV, step, run, spread, size, size)
+    if step == fields[t.LAST]:
+        load(fields, t.MEAN, step, run, later, 1, size)
+        load(fields, t.COV, step, run, spread, size, size)
     else:
         # The gain, and then the transpose of that of controls.
         gain, shift = work, past(work, max(size * thin, front * wide))
@@ -466,39 +211,39 @@ def _back(fields, step, run, later, work):
         if not some(ok):
             return ok
         transpose(gain, rest, size, front)
-        save(fields, GAIN, step, run, rest, front, size)
-        save(fields, SHIFT, step, run, shift, 1, front)
-        save(fields, REST, step, run, left, front, front)
-        if not fields[LATER_MEAN]:
+        save(fields, t.GAIN, step, run, rest, front, size)
+        save(fields, t.SHIFT, step, run, shift, 1, front)
+        save(fields, t.REST, step, run, left, front, front)
+        if not fields[t.LATER_MEAN]:
             return ok
         _push(gain, shift, left, later, spread, front, size, rest)
-        if fields[CONTROL_GAIN]:
-            load(fields, CONTROL_GAIN, step, run, rest, size, front)
+        if fields[t.CONTROL_GAIN]:
+            load(fields, t.CONTROL_GAIN, step, run, rest, size, front)
             transpose(rest, gain, size, front)
-            load(fields, CONTROL_SHIFT, step, run, shift, 1, size)
-            load(fields, CONTROL_REST, step, run, left, size, size)
+            load(fields, t.CONTROL_SHIFT, step, run, shift, 1, size)
+            load(fields, t.CONTROL_REST, step, run, left, size, size)
             _push(gain, shift, left, later, spread, size, front, rest)
-    save(fields, LATER_MEAN, step, run, later, 1, size)
-    save(fields, LATER_COV, step, run, spread, size, size)
+    save(fields, t.LATER_MEAN, step, run, later, 1, size)
+    save(fields, t.LATER_COV, step, run, spread, size, size)
     return ok
 
 
 @compiled
 def _reverse(fields, step, run, gain, shift, left, work):
     """Bayes' rule for the transition from a step, as `moments.reverse`; the gain is Gᵀ."""
-    size, front, states = fields[WIDTH], fields[FRONT], places(fields[STATES])
+    size, front, states = fields[t.WIDTH], fields[t.FRONT], places(fields[t.STATES])
     wide, thin = width(size, work), width(front, work)
     mean, cov, matrix = work, past(work, thin), past(work, thin + front * thin)
     noise, after = past(matrix, size * thin), past(matrix, size * (thin + wide))
     later, upper = past(after, wide), past(after, wide + size * wide)
     inverse, rest = past(upper, size * wide), past(upper, (size + 1) * wide)
-    load(fields, MEAN, step, run, after, 1, size)
-    load(fields, COV, step, run, later, size, size)
+    load(fields, t.MEAN, step, run, after, 1, size)
+    load(fields, t.COV, step, run, later, size, size)
     gather(states, front, after, later, wide, mean, cov)
-    load(fields, STEP_MATRIX, step, run, matrix, size, front)
-    load(fields, STEP_NOISE, step, run, noise, size, size)
-    load(fields, PREDICTED_MEAN, step + 1, run, after, 1, size)
-    load(fields, PREDICTED_COV, step + 1, run, later, size, size)
+    load(fields, t.STEP_MATRIX, step, run, matrix, size, front)
+    load(fields, t.STEP_NOISE, step, run, noise, size, size)
+    load(fields, t.PREDICTED_MEAN, step + 1, run, after, 1, size)
+    load(fields, t.PREDICTED_COV, step + 1, run, later, size, size)
     ok = root(later, upper, inverse, size, _CORRELATED) > 0.0
     if not some(ok):
         return ok
@@ -528,7 +273,7 @@ def _left(status, run, lanes):
     """Whether all of some runs are left."""
     left = 0
     for lane in range(lanes):
-        left += status[run + lane] == LEFT
+        left += status[run + lane] == t.LEFT
     return left == lanes
 
 
@@ -538,7 +283,7 @@ def _leave(status, run, ok):
     wrong = bits(opposite(ok))
     while wrong:
         if wrong & 1:
-            status[run] = LEFT
+            status[run] = t.LEFT
         wrong >>= 1
         run += 1
 
@@ -552,8 +297,11 @@ def _entry(stamp: int, lanes: int, back: bool) -> Any:
     @_kept
     def sweep(chain, first, last, memory):
         fields, beliefs = places(chain), opened(memory, lanes)
-        status, apart = places(fields[STATUS]), (fields[WIDTH] + 1) * width(fields[WIDTH], beliefs)
-        work, final = past(beliefs, TOGETHER // lanes * apart), fields[LAST]
+        status, apart = (
+            places(fields[t.STATUS]),
+            (fields[t.WIDTH] + 1) * width(fields[t.WIDTH], beliefs),
+        )
+        work, final = past(beliefs, TOGETHER // lanes * apart), fields[t.LAST]
         for begin in range(first, last, TOGETHER):
             end = min(begin + TOGETHER, last)
             for count in range(final + 1):
@@ -573,5 +321,5 @@ def _entry(stamp: int, lanes: int, back: bool) -> Any:
 # Sweep some runs of the chain at an address forward; reverse their transitions, and send the last
 # belief back, if it has a place. The last argument is the address of `room`. A run by itself, and
 # eight at once, of which there have to be as many: the last may share runs with others.
-forward, forward_together = _entry(STAMP, 1, False), _entry(STAMP, RUNS, False)
-backward, backward_together = _entry(STAMP, 1, True), _entry(STAMP, RUNS, True)
+forward, forward_together = _entry(STAMP, 1, False), _entry(STAMP, t.RUNS, False)
+backward, backward_together = _entry(STAMP, 1, True), _entry(STAMP, t.RUNS, True)

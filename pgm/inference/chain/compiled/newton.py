@@ -6,7 +6,6 @@ import numpy as np
 
 from pgm.inference.chain.compiled.sweep import Chain
 from pgm.inference.chain.compiled.table import (
-    TOGETHER,
     Integers64,
     Rows,
     Uncompiled,
@@ -19,6 +18,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.family import Family
 from pgm.inference.iteration import Anchor, Point
 from pgm.kernels.arrays import Array, Integers, Mask, apply, block, independent, room
+from pgm.kernels.compiled import tables as t
 
 
 class Newton:
@@ -29,40 +29,36 @@ class Newton:
     """
 
     def __init__(self, plan: ChainPlan) -> None:
-        from pgm.kernels.compiled import factors as f
-        from pgm.kernels.compiled import newton as n
-        from pgm.kernels.compiled import sweeps as s
-
         layout, steps = plan.layout, plan.steps
         width, states = layout.slice_size, np.arange(layout.slice_size)[layout.state_places]
         self.pair = layout.state_size + width
-        self.chain = chain = Chain(plan, rows=Rows(together=True, least=TOGETHER))
+        self.chain = chain = Chain(plan, rows=Rows(together=True, least=t.RUNS))
         chain.lay_out(False, False)
         self.mean, cov = MomentChain(plan, None).start().by_run
         begin = np.zeros((plan.runs, 2 * width, _padded(width + 1)))
         self.first, self.right = begin[:, :width, :width], begin[:, :width, width]
         self.first[:] = np.eye(width)  # of controls at step 0, which are zero
         self.first[:, states[:, None], states] = _weight(block(cov, states, states))
-        self._put(n.BEGIN, begin)
+        self._put(t.BEGIN, begin)
         # Room for each thread, by the share of runs that lie before its first.
         threads = getattr(layout.compiled, "threads", 1)
         self.equations = np.empty((threads + 1, steps + 2, begin[0].size))
-        self._put(n.EQUATIONS, self.equations)
-        chain.fields[n.THREADS] = threads
+        self._put(t.EQUATIONS, self.equations)
+        chain.fields[t.THREADS] = threads
         here, later = np.arange(width), np.arange(width, 2 * width)
         pair, table = np.concatenate([states, later]), np.concatenate([chain.sensors, chain.links])
         for sensor, row in zip(plan.read, table, strict=False):
             if sensor.variable.angles:
-                moved = at_least(sensor.moved, TOGETHER)
+                moved = at_least(sensor.moved, t.RUNS)
                 sensor.moved = moved[: len(sensor.moved)]
-                row[f.MOVED : f.MOVED + 4] = chain.rows.told(moved, 1)
+                row[t.MOVED : t.MOVED + 4] = chain.rows.told(moved, 1)
             weight = _weight(sensor.family.own_noise, sensor.taken)
             self._tell(row, sensor.family, plan.first, here[sensor.parents], weight)
         for link, row in zip(plan.transition, table[len(plan.read) :], strict=True):
-            row[f.STEPS] = chain.rows.at(np.minimum(np.arange(steps + 2), steps))
+            row[t.STEPS] = chain.rows.at(np.minimum(np.arange(steps + 2), steps))
             places = np.concatenate([pair[link.parents], pair[link.child]])
             self._tell(row, link.family, plan.first + 1, places, _weight(link.family.own_noise))
-        chain.fields[s.SENSORS], chain.fields[s.SENSOR_COUNT] = chain.rows.at(table), len(table)
+        chain.fields[t.SENSORS], chain.fields[t.SENSOR_COUNT] = chain.rows.at(table), len(table)
         self.room, self.turn = np.empty((2, 2, plan.runs, steps + 1, width)), 0
 
     def _put(self, place: int, array: Array) -> None:
@@ -73,21 +69,18 @@ class Newton:
         self, row: Integers64, family: Family, first: int, places: Integers, weight: Array
     ) -> None:
         """Tell of a CPD what sweeps do not know, or know otherwise."""
-        from pgm.kernels.compiled import factors as f
-        from pgm.kernels.compiled import newton as n
-
         rows, width, count = self.chain.rows, self.chain.plan.layout.slice_size, family.step.size
-        row[f.PARENTS], row[n.ROWS] = rows.at(places), max(count, TOGETHER)
-        row[n.STEP] = rows.at(at_least(family.step - first, TOGETHER))
-        row[n.TARGETS] = rows.at(_targets(places, width))
-        row[f.NOISE : f.NOISE + 4] = rows.told(weight, 2)
+        row[t.PARENTS], row[t.ROWS] = rows.at(places), max(count, t.RUNS)
+        row[t.STEP] = rows.at(at_least(family.step - first, t.RUNS))
+        row[t.TARGETS] = rows.at(_targets(places, width))
+        row[t.NOISE : t.NOISE + 4] = rows.told(weight, 2)
         if family.template is not None:
-            lead, own = (max(count, TOGETHER), family.shape[1]), family.shape[2:]
+            lead, own = (max(count, t.RUNS), family.shape[1]), family.shape[2:]
             matrix, offset = room(lead, own), room(lead, own[:1])
             family.matrix, family.offset = matrix[:count], offset[:count]
-            row[f.MATRIX : f.MATRIX + 4] = rows.told(matrix, 2)
-            row[f.OFFSET : f.OFFSET + 4] = rows.told(offset, 1)
-        for place in (f.INPUTS, f.MATRIX, f.OFFSET, f.NOISE, f.READINGS, f.MOVED):
+            row[t.MATRIX : t.MATRIX + 4] = rows.told(matrix, 2)
+            row[t.OFFSET : t.OFFSET + 4] = rows.told(offset, 1)
+        for place in (t.INPUTS, t.MATRIX, t.OFFSET, t.NOISE, t.READINGS, t.MOVED):
             row[place + 1], row[place + 2] = row[place + 2], row[place + 1]
 
     def linearise(self, at: Point, active: Mask) -> None:
@@ -100,22 +93,21 @@ class Newton:
 
     def solve(self, anchor: Anchor | None = None) -> Means:
         """Linearise, and solve; of runs that are not active there is the solution before."""
-        from pgm.kernels.compiled import newton as n
-        from pgm.kernels.compiled import sweeps as s
+        from pgm.kernels.compiled.newton import newton  # here, since Numba is slow to import
 
         chain = self.chain
         self.turn = 1 - self.turn
         found, rest = self.room[self.turn], ~self.active
         self.right[:] = apply(self.first, self.mean - self.at[0])
         reference = np.ascontiguousarray(self.at.swapaxes(0, 1))
-        self._put(n.REFERENCE, reference)
-        self._put(n.FOUND, found[0])
-        self._put(n.VARIANCE, found[1])
-        chain.status[:] = np.where(rest, n.IDLE, s.DONE)
-        chain.run((n.newton, n.newton))
+        self._put(t.REFERENCE, reference)
+        self._put(t.FOUND, found[0])
+        self._put(t.VARIANCE, found[1])
+        chain.status[:] = np.where(rest, t.IDLE, t.DONE)
+        chain.run((newton, newton))
         found[:, rest] = self.room[1 - self.turn][:, rest]
         found[1, :, 0, chain.plan.layout.control_places] = 0.0
-        if (chain.status == s.LEFT).any() or not np.isfinite(found.sum()):
+        if (chain.status == t.LEFT).any() or not np.isfinite(found.sum()):
             raise Uncompiled("its equations have no solution")
         means, variance = found.swapaxes(1, 2)
         return Means(means, variance, None, self.pair)

@@ -10,7 +10,6 @@ import numpy as np
 
 from pgm.compile.machine import Compiled
 from pgm.inference.chain.compiled.table import (
-    TOGETHER,
     Integers64,
     Rows,
     Uncompiled,
@@ -24,6 +23,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Filtering
 from pgm.kernels.arrays import Array, Mask, vacant
+from pgm.kernels.compiled import tables as t
 from pgm.kernels.moments import Conditional
 from pgm.resources import in_threads
 
@@ -93,23 +93,23 @@ def forward(
     except Uncompiled:
         return None
     begin = MomentChain(plan, schedule, keep=keep).start()
-    chain.put(s.BEGIN_MEAN, _by_row(plan, begin.mean, 1))
-    chain.put(s.BEGIN_COV, _by_row(plan, begin.cov, 2))
-    chain.put(s.MEAN, known[0])
-    chain.put(s.COV, known[1])
-    chain.put(s.DENSITY, known[2])
+    chain.put(t.BEGIN_MEAN, _by_row(plan, begin.mean, 1))
+    chain.put(t.BEGIN_COV, _by_row(plan, begin.cov, 2))
+    chain.put(t.MEAN, known[0])
+    chain.put(t.COV, known[1])
+    chain.put(t.DENSITY, known[2])
     closest = np.full((plan.layout.slice_size + 2, plan.runs), np.inf)
     closest[0], closest[-1] = 1.0, 0.0
     if predicted:
-        chain.put(s.PREDICTED_MEAN, predicted[0])
-        chain.put(s.PREDICTED_COV, predicted[1])
-    chain.fields[s.CLOSEST] = address(closest)
+        chain.put(t.PREDICTED_MEAN, predicted[0])
+        chain.put(t.PREDICTED_COV, predicted[1])
+    chain.fields[t.CLOSEST] = address(closest)
     record = np.zeros((iterations + 1, plan.runs if iterations > 1 else 0))
     if iterations > 1 and schedule is not None:
         settings = np.array([schedule.tolerance, damping])
-        chain.fields[s.ITERATIONS] = iterations
-        chain.fields[s.SETTINGS] = chain.rows.at(settings)
-        chain.fields[s.RESIDUALS] = address(record)
+        chain.fields[t.ITERATIONS] = iterations
+        chain.fields[t.SETTINGS] = chain.rows.at(settings)
+        chain.fields[t.RESIDUALS] = address(record)
     left = chain.run((s.forward, s.forward_together))
     longest = int(record[-2].max(initial=0.0)) if iterations > 1 else 0
     converged = np.full(plan.runs, plan.linear)
@@ -139,17 +139,17 @@ def backward(
     chain, layout = Chain(plan), plan.layout
     lead, front, width = (plan.steps, plan.runs), layout.state_size, layout.slice_size
     states = Conditional(*(vacant(lead, own) for own in ((front, width), (front,), (front, front))))
-    parts = {s.STEP_MATRIX: transition.matrix, s.STEP_NOISE: transition.cov}
-    parts |= dict(zip((s.GAIN, s.SHIFT, s.REST), states, strict=True))
-    for place, name in ((s.MEAN, "mean"), (s.PREDICTED_MEAN, "predicted_mean")):
+    parts = {t.STEP_MATRIX: transition.matrix, t.STEP_NOISE: transition.cov}
+    parts |= dict(zip((t.GAIN, t.SHIFT, t.REST), states, strict=True))
+    for place, name in ((t.MEAN, "mean"), (t.PREDICTED_MEAN, "predicted_mean")):
         parts |= {place: getattr(ahead, name), place + 4: getattr(ahead, name[:-4] + "cov")}
     beliefs = None
     if smooth:
         every = plan.steps + 1, plan.runs
         beliefs = vacant(every, (width,)), vacant(every, (width, width))
-        parts |= dict(zip((s.LATER_MEAN, s.LATER_COV), beliefs, strict=True))
+        parts |= dict(zip((t.LATER_MEAN, t.LATER_COV), beliefs, strict=True))
         if slices is not None:
-            places = s.CONTROL_GAIN, s.CONTROL_SHIFT, s.CONTROL_REST
+            places = t.CONTROL_GAIN, t.CONTROL_SHIFT, t.CONTROL_REST
             parts |= dict(zip(places, slices, strict=True))
     for place, array in parts.items():
         chain.put(place, array)
@@ -167,28 +167,23 @@ class Chain:
     """A plan as a row of integers, the tables it tells of, and room to work in."""
 
     def __init__(self, plan: ChainPlan, *, rows: Rows | None = None) -> None:
-        from pgm.kernels.compiled import sweeps as s
-
         layout = plan.layout
-        self.plan, self.rows = plan, rows or Rows(plan.runs >= TOGETHER)
-        self.fields = np.zeros(s.FIELDS, dtype=np.int64)
+        self.plan, self.rows = plan, rows or Rows(plan.runs >= t.RUNS)
+        self.fields = np.zeros(t.FIELDS, dtype=np.int64)
         self.status = np.zeros(plan.runs, dtype=np.int64)
         fields = self.fields
-        fields[s.LAST], fields[s.SINGLE] = plan.steps, layout.single
-        fields[s.FRONT], fields[s.WIDTH] = layout.state_size, layout.slice_size
-        fields[s.STATES] = self.rows.places(layout.state_places, layout.slice_size)
-        fields[s.STATUS], fields[s.RUN_COUNT] = address(self.status), plan.runs
+        fields[t.LAST], fields[t.SINGLE] = plan.steps, layout.single
+        fields[t.FRONT], fields[t.WIDTH] = layout.state_size, layout.slice_size
+        fields[t.STATES] = self.rows.places(layout.state_places, layout.slice_size)
+        fields[t.STATUS], fields[t.RUN_COUNT] = address(self.status), plan.runs
 
     def lay_out(self, stored: bool, keep: bool) -> None:
         """The tables of CPDs; what is linearised is kept in the plan."""
-        from pgm.kernels.compiled import factors as f
-        from pgm.kernels.compiled import sweeps as s
-
         plan, rows = self.plan, self.rows
         require_compiled(plan)
         read = plan.read
-        links = np.zeros((len(plan.transition), f.COLUMNS), dtype=np.int64)
-        sensors = np.zeros((len(read), f.COLUMNS), dtype=np.int64)
+        links = np.zeros((len(plan.transition), t.COLUMNS), dtype=np.int64)
+        sensors = np.zeros((len(read), t.COLUMNS), dtype=np.int64)
         for link, row in zip(plan.transition, links, strict=True):
             link_row(plan, link, rows, row, stored=stored)
         for sensor, row in zip(read, sensors, strict=True):
@@ -199,10 +194,10 @@ class Chain:
             for sensor, row in zip(read, sensors, strict=True):
                 _keep(sensor.family, row, rows)
                 if sensor.variable.angles:
-                    row[f.MOVED : f.MOVED + 4] = rows.told(sensor.moved, 1)
+                    row[t.MOVED : t.MOVED + 4] = rows.told(sensor.moved, 1)
         self.links, self.sensors = links, sensors
-        self.fields[s.LINKS], self.fields[s.LINK_COUNT] = rows.at(links), len(links)
-        self.fields[s.SENSORS], self.fields[s.SENSOR_COUNT] = rows.at(sensors), len(sensors)
+        self.fields[t.LINKS], self.fields[t.LINK_COUNT] = rows.at(links), len(links)
+        self.fields[t.SENSORS], self.fields[t.SENSOR_COUNT] = rows.at(sensors), len(sensors)
 
     def put(self, place: int, array: Array) -> None:
         """Lay out an array (steps, runs, ...)."""
@@ -215,8 +210,8 @@ class Chain:
 
         plan, rows = self.plan, self.rows
         chain, choice = address(self.fields), plan.layout.compiled
-        together = plan.runs >= TOGETHER
-        lanes, kernel = (TOGETHER, kernel[1]) if together else (1, kernel[0])
+        together = plan.runs >= t.RUNS
+        lanes, kernel = (t.RUNS, kernel[1]) if together else (1, kernel[0])
         threads = choice.threads if isinstance(choice, Compiled) else 1
         threads = max(min(threads, plan.runs // lanes), 1)
         ready(kernel, "int64(int64,int64,int64,int64)")
@@ -229,19 +224,17 @@ class Chain:
             kernel(chain, first, last, -(-address(room) // _LINE) * _LINE)  # a line of the cache
 
         in_threads(work, plan.runs, threads)
-        return stretches(self.status != s.DONE)
+        return stretches(self.status != t.DONE)
 
 
 def _keep(family: Any, row: Integers64, rows: Rows) -> None:
-    from pgm.kernels.compiled import factors as f
-
     if family.template is None:
         return
-    row[f.MATRIX : f.MATRIX + 4] = rows.told(family.matrix, 2)
-    row[f.OFFSET : f.OFFSET + 4] = rows.told(family.offset, 1)
-    if row[f.KIND] == f.REGRESSION:
+    row[t.MATRIX : t.MATRIX + 4] = rows.told(family.matrix, 2)
+    row[t.OFFSET : t.OFFSET + 4] = rows.told(family.offset, 1)
+    if row[t.KIND] == t.REGRESSION:
         family.keep_errors()
-        row[f.KEPT_NOISE : f.KEPT_NOISE + 4] = rows.told(family.noise, 2)
+        row[t.KEPT_NOISE : t.KEPT_NOISE + 4] = rows.told(family.noise, 2)
 
 
 def stretches(mask: Mask) -> list[slice]:

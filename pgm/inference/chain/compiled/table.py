@@ -9,21 +9,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.compile.machine import RULES
 from pgm.inference.chain.compiled.functions import Functions, compiled
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
 from pgm.kernels import along_runs
 from pgm.kernels.arrays import Array, Index
-from pgm.linearisers import Cubature, GaussHermite, Taylor, Unscented
+from pgm.kernels.compiled import tables as t
+from pgm.linearisers import Taylor
 from pgm.linearisers.points import Points
 from pgm.linearisers.regression import FEW, StatisticalRegression
 
 Integers64 = npt.NDArray[np.int64]
-# The rules whose points are the same at all steps.
-_RULES = Unscented, Cubature, GaussHermite
-# So many runs are swept together.
-TOGETHER = 8
 # Angles and components without noise are told by the bits of a number.
 _MOST = 60
 
@@ -100,13 +98,11 @@ def require_compiled(plan: ChainPlan) -> None:
 
 def link_row(plan: ChainPlan, link: Link, rows: Rows, table: Integers64, *, stored: bool) -> None:
     """Lay out a CPD of the transition."""
-    from pgm.kernels.compiled import factors as f
-
     layout, family = plan.layout, link.family
     _family(plan, family, link.parents, layout.state_size + layout.slice_size, rows, table, stored)
-    table[f.CHILD] = link.child.start
-    table[f.BARE] = bits(family.bare)
-    table[f.UNSURE] = not family.semidefinite
+    table[t.CHILD] = link.child.start
+    table[t.BARE] = bits(family.bare)
+    table[t.UNSURE] = not family.semidefinite
     if stored or not link.turning:
         return
     size = layout.state_size + layout.slice_size
@@ -114,29 +110,27 @@ def link_row(plan: ChainPlan, link: Link, rows: Rows, table: Integers64, *, stor
     if any(before not in own for before in link.before.tolist()):
         raise Uncompiled(f"{family.cpd!r} turns")
     turning = [(new, before, own.index(before)) for new, before in link.turning]
-    table[f.TURNS] = len(turning)
-    table[f.TURNING] = rows.at(np.array(turning, dtype=np.int64))
+    table[t.TURNS] = len(turning)
+    table[t.TURNING] = rows.at(np.array(turning, dtype=np.int64))
 
 
 def sensor_row(
     plan: ChainPlan, sensor: Sensor, rows: Rows, table: Integers64, *, stored: bool
 ) -> None:
     """Lay out a sensor with its measurements."""
-    from pgm.kernels.compiled import factors as f
-
     family = sensor.family
     _family(plan, family, sensor.parents, plan.layout.slice_size, rows, table, stored)
-    table[f.WHOLE] = sensor.whole
-    table[f.STEPS] = rows.at(np.array(sensor.bounds, dtype=np.int64))
+    table[t.WHOLE] = sensor.whole
+    table[t.STEPS] = rows.at(np.array(sensor.bounds, dtype=np.int64))
     values = sensor.moved if stored else sensor.values
     if sensor.taken is not None:
         values = np.where(sensor.taken, values, np.nan)
-    table[f.READINGS : f.READINGS + 4] = rows.told(values, 1)
+    table[t.READINGS : t.READINGS + 4] = rows.told(values, 1)
     noise, sharp = family.own_noise, np.zeros(1)
     # An error that may be indefinite makes no sum of squares of a difference.
     if noise.shape[:2] == (1, 1) and family.semidefinite:
         sharp = along_runs.sharpness(noise[0].transpose(1, 2, 0))
-    table[f.SHARP] = rows.at(sharp)
+    table[t.SHARP] = rows.at(sharp)
 
 
 def _family(
@@ -148,30 +142,26 @@ def _family(
     table: Integers64,
     stored: bool,
 ) -> None:
-    from pgm.kernels.compiled import factors as f
-
     _, _, height, width = family.shape
-    table[f.SIZE], table[f.HEIGHT] = width, height
-    table[f.PARENTS] = rows.places(parents, size)
+    table[t.SIZE], table[t.HEIGHT] = width, height
+    table[t.PARENTS] = rows.places(parents, size)
     rows.height = max(rows.height, height, width)
     if stored or family.template is None:
-        table[f.KIND] = f.AFFINE
+        table[t.KIND] = t.AFFINE
         for place, array, own in (
-            (f.MATRIX, family.matrix, 2),
-            (f.OFFSET, family.offset, 1),
-            (f.NOISE, family.noise, 2),
+            (t.MATRIX, family.matrix, 2),
+            (t.OFFSET, family.offset, 1),
+            (t.NOISE, family.noise, 2),
         ):
             table[place : place + 4] = rows.told(array, own)
     else:
         _function(plan, family, rows, table)
-        table[f.NOISE : f.NOISE + 4] = rows.told(family.own_noise, 2)
+        table[t.NOISE : t.NOISE + 4] = rows.told(family.own_noise, 2)
     if not stored:
-        table[f.ANGLES] = bits(np.flatnonzero(family.cpd.child.angle_mask))
+        table[t.ANGLES] = bits(np.flatnonzero(family.cpd.child.angle_mask))
 
 
 def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) -> None:
-    from pgm.kernels.compiled import factors as f
-
     template, rule = family.template, family.lineariser
     assert template is not None
     known, together = template.compiled, rows.together
@@ -181,7 +171,7 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
     if not isinstance(functions, Functions):
         raise Uncompiled(f"{family.cpd!r}: {functions}")
     rows.kept.append(functions)
-    table[f.VALUE], table[f.FUNCTION] = functions.value, functions.slope
+    table[t.VALUE], table[t.FUNCTION] = functions.value, functions.slope
     inputs = [
         family.inputs[parent]
         for parent, place in zip(template.given, template.places, strict=True)
@@ -191,18 +181,18 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
         lead = np.broadcast_shapes(*(values.shape[:2] for values in inputs))
         wide = [np.broadcast_to(values, (*lead, values.shape[2])) for values in inputs]
         joined = np.concatenate(wide, axis=-1) if len(wide) > 1 else np.ascontiguousarray(wide[0])
-        table[f.INPUTS : f.INPUTS + 4] = rows.told(joined, 1)
-    table[f.KIND] = f.TAYLOR
+        table[t.INPUTS : t.INPUTS + 4] = rows.told(joined, 1)
+    table[t.KIND] = t.TAYLOR
     if not family.hidden or type(rule) is Taylor:
         return
-    if type(rule) not in _RULES or not isinstance(rule, StatisticalRegression):
+    if type(rule) not in RULES or not isinstance(rule, StatisticalRegression):
         raise Uncompiled(f"{family.cpd!r} is linearised by {rule!r}")
     points = rule.points(template.size, template.child.name, 0)
     if len(points.points) > FEW:
         raise Uncompiled(f"{family.cpd!r}: {rule!r} has many points")
-    table[f.KIND] = f.REGRESSION
-    table[f.COUNT], table[f.CENTRED] = len(points.points), points.centred
-    table[f.POINTS], table[f.LEAST] = _points(points, template.variances, rows)
+    table[t.KIND] = t.REGRESSION
+    table[t.COUNT], table[t.CENTRED] = len(points.points), points.centred
+    table[t.POINTS], table[t.LEAST] = _points(points, template.variances, rows)
 
 
 def _points(points: Points, variances: Sequence[float], rows: Rows) -> tuple[int, int]:
