@@ -19,6 +19,8 @@ NUMBER = 8
 _COUNTLESS = 10**300
 # Just below the largest size by which glibc raises its thresholds, 32 MiB.
 _SIZE = 31 * 2**20
+# Numbers to copy that repay a thread.
+APIECE = 2**17
 # Where the system does not tell.
 _UNKNOWN = 64 * 2**30
 
@@ -76,9 +78,11 @@ def in_threads(work: Callable[[int, int], object], count: int, threads: int) -> 
     others = [Thread(target=work, args=share) for share in pairwise(edges[1:])]
     for each in others:
         each.start()
-    work(*edges[:2])
-    for each in others:
-        each.join()
+    try:
+        work(*edges[:2])
+    finally:
+        for each in others:
+            each.join()
 
 
 FRAMES = "sepset[frames]"

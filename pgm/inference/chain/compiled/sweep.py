@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
@@ -31,6 +32,7 @@ from pgm.resources import in_threads
 # long as the arithmetic of so many runs, and four million of such a quarter of a microsecond each.
 _STEP, _LONG = 200, 4_000_000
 _LINE = 64
+_PREDICTED = t.PREDICTED_MEAN, t.PREDICTED_COV
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,17 +94,17 @@ def forward(
         chain.lay_out(schedule is None, keep)
     except Uncompiled:
         return None
-    begin = MomentChain(plan, schedule, keep=keep).start()
-    chain.put(t.BEGIN_MEAN, _by_row(plan, begin.mean, 1))
-    chain.put(t.BEGIN_COV, _by_row(plan, begin.cov, 2))
-    chain.put(t.MEAN, known[0])
-    chain.put(t.COV, known[1])
-    chain.put(t.DENSITY, known[2])
+    first = replace(plan, transition=[], sensors=[])
+    if plan.batch and plan.begin is None and all(link.family.uniform for link in plan.prior):
+        first = first.of(slice(0, 1))  # which is as all are
+    begin = MomentChain(first, schedule, keep=keep).start()
+    chain.put(t.BEGIN_MEAN, _by_row(first, begin.mean, 1))
+    chain.put(t.BEGIN_COV, _by_row(first, begin.cov, 2))
+    chain.out = *known, *predicted
+    for place, array in zip((t.MEAN, t.COV, t.DENSITY, *_PREDICTED), chain.out, strict=False):
+        chain.put(place, array)
     closest = np.full((plan.layout.slice_size + 2, plan.runs), np.inf)
     closest[0], closest[-1] = 1.0, 0.0
-    if predicted:
-        chain.put(t.PREDICTED_MEAN, predicted[0])
-        chain.put(t.PREDICTED_COV, predicted[1])
     chain.fields[t.CLOSEST] = address(closest)
     record = np.zeros((iterations + 1, plan.runs if iterations > 1 else 0))
     if iterations > 1 and schedule is not None:
@@ -153,6 +155,7 @@ def backward(
             parts |= dict(zip(places, slices, strict=True))
     for place, array in parts.items():
         chain.put(place, array)
+    chain.out = *states, *(beliefs or ())
     return None if chain.run((s.backward, s.backward_together)) else (states, beliefs)
 
 
@@ -171,6 +174,7 @@ class Chain:
         self.plan, self.rows = plan, rows or Rows(plan.runs >= t.RUNS)
         self.fields = np.zeros(t.FIELDS, dtype=np.int64)
         self.status = np.zeros(plan.runs, dtype=np.int64)
+        self.out: Sequence[Array] = ()
         fields = self.fields
         fields[t.LAST], fields[t.SINGLE] = plan.steps, layout.single
         fields[t.FRONT], fields[t.WIDTH] = layout.state_size, layout.slice_size
@@ -220,6 +224,10 @@ class Chain:
         )
 
         def work(first: int, last: int) -> None:
+            # Large pages of fresh memory are cleared once, each by one thread.
+            for array in self.out if threads > 1 else ():
+                begin, end = (runs * len(array) // plan.runs for runs in (first, last))
+                array[begin:end, first:last:512] = 0.0
             room = np.empty(size + _LINE)
             kernel(chain, first, last, -(-address(room) // _LINE) * _LINE)  # a line of the cache
 
