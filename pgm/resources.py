@@ -1,9 +1,12 @@
-"""Resources of a machine: memory, refused before it is taken, and packages that may be missing."""
+"""Resources of a machine: memory, refused before it is taken, threads, and optional packages."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from importlib import import_module
+from itertools import pairwise
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -16,6 +19,8 @@ NUMBER = 8
 _COUNTLESS = 10**300
 # Just below the largest size by which glibc raises its thresholds, 32 MiB.
 _SIZE = 31 * 2**20
+# Numbers to copy that repay a thread.
+APIECE = 2**17
 # Where the system does not tell.
 _UNKNOWN = 64 * 2**30
 
@@ -62,6 +67,22 @@ def require_memory(
             f"{gibibytes(limit / NUMBER)}; {advice}",
             **where,
         )
+
+
+def in_threads(work: Callable[[int, int], object], count: int, threads: int) -> None:
+    """Do work, which must not fail, on shares of a count, from one to another, in so many threads.
+
+    This thread is one of them.
+    """
+    edges = [k * count // threads for k in range(threads + 1)]
+    others = [Thread(target=work, args=share) for share in pairwise(edges[1:])]
+    for each in others:
+        each.start()
+    try:
+        work(*edges[:2])
+    finally:
+        for each in others:
+            each.join()
 
 
 FRAMES = "sepset[frames]"

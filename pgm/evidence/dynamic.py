@@ -28,7 +28,7 @@ from pgm.evidence.values import Constant, Evidence, Sightings, Unknown, opened, 
 from pgm.factors.arrays import common_runs, flat
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask
-from pgm.resources import require_memory
+from pgm.resources import APIECE, in_threads, require_memory
 from pgm.variables import Discrete, Variable
 
 # Values of parents with evidence, (rows, runs or 1, d): a row is a step or a sighting.
@@ -74,27 +74,32 @@ class BoundEvidence:
         return math.prod(self.lead)
 
 
-# So many runs are turned round at a time: their rows stay in the cache.
-_PART = 256
+# About so many numbers are turned round at a time: they stay in the cache.
+_PART = 2**14
 
 
-def by_row(array: npt.NDArray[Kind], lead: tuple[int, ...]) -> npt.NDArray[Kind]:
+def by_row(array: npt.NDArray[Kind], lead: tuple[int, ...], threads: int = 1) -> npt.NDArray[Kind]:
     """A read-only copy of an array (..., rows, d) as (rows, runs or 1, d), runs fastest."""
     source = flat(array, lead, 2)
     memory = np.empty((*source.shape[1:], len(source)), source.dtype)
-    for first in range(0, len(source), _PART):
-        part = slice(first, first + _PART)
-        memory[..., part] = source[part].transpose(1, 2, 0)
+    size = max(_PART // memory[..., 0].size, 256) if memory.size else 1
+
+    def turn(first: int, last: int) -> None:
+        for begin in range(first, last, size):
+            part = slice(begin, min(begin + size, last))
+            memory[..., part] = source[part].transpose(1, 2, 0)
+
+    in_threads(turn, len(source), min(threads, 1 + memory.size // APIECE))
     rows = memory.transpose(0, 2, 1)
     rows.flags.writeable = False
     return rows
 
 
-def reading_by_row(reading: Reading, lead: tuple[int, ...]) -> Reading:
+def reading_by_row(reading: Reading, lead: tuple[int, ...], threads: int = 1) -> Reading:
     """A measurement whose arrays have the user's axes, with the axes of runs as one, rows first."""
     return replace(
         reading,
-        values=by_row(reading.values, lead),
+        values=by_row(reading.values, lead, threads),
         taken=by_row(reading.taken, lead),
         inputs={v: by_row(a, lead) for v, a in reading.inputs.items()},
     )
@@ -110,6 +115,7 @@ def bind(
     transition_inputs: bool = True,
     drawing: bool = False,
     identities: bool = False,
+    threads: int = 1,
 ) -> BoundEvidence:
     """Check evidence against a dynamic network's CPDs and lay it out by step.
 
@@ -119,8 +125,9 @@ def bind(
     transition_inputs: Whether the transition is to be used, so that its inputs must be there.
     drawing: Whether measurements are to be drawn: sightings then have no values.
     identities: Whether sightings may leave open what was seen, with `unknown`.
+    threads: How many share the work on many numbers.
     """
-    binder = _Binder(transition, observation, evidence, steps, lead, drawing, identities)
+    binder = _Binder(transition, observation, evidence, steps, lead, drawing, identities, threads)
     return binder.bind(transition if transition_inputs else ())
 
 
@@ -134,8 +141,10 @@ class _Binder:
         lead: tuple[int, ...],
         drawing: bool,
         identities: bool,
+        threads: int,
     ) -> None:
         self.evidence, self.drawing, self.identities = evidence, drawing, identities
+        self.threads = threads
         self.hidden = {cpd.child for cpd in transition}
         self.sensors = {cpd.child: cpd for cpd in observation}
         self._check_known((*transition, *observation))
@@ -159,8 +168,8 @@ class _Binder:
         return BoundEvidence(
             self.steps,
             lead,
-            tuple({v: by_row(a, lead) for v, a in each.items()} for each in inputs),
-            tuple(reading_by_row(reading, lead) for reading in readings),
+            tuple({v: by_row(a, lead, self.threads) for v, a in each.items()} for each in inputs),
+            tuple(reading_by_row(reading, lead, self.threads) for reading in readings),
         )
 
     def _check_known(self, cpds: Sequence[CPD]) -> None:
@@ -265,7 +274,7 @@ class _Binder:
             step, rows = step[order], rows[..., order, :]
         given, unknown = opened(cpd, given, self.identities and not self.drawing)
         inputs = self._inputs(cpd, given, step, None if sorted_already else order, unknown)
-        taken = taken_of(sensor, rows, step)
+        taken = taken_of(sensor, rows, step, self.threads)
         if taken is None:
             taken = np.ones(rows.shape[-2:], dtype=bool)
         else:

@@ -14,6 +14,7 @@ from pgm.evidence.values import Constant, Soft
 from pgm.factors.axes import MISSING, as_indices
 from pgm.factors.scope import Place, in_row, in_run, listed, unknown_name
 from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.resources import APIECE, in_threads
 from pgm.variables import Discrete, Variable
 
 
@@ -69,12 +70,20 @@ def require_finite(
     return array
 
 
-def taken_readings(variable: Variable, array: Array, step: Integers | None = None) -> Mask | None:
+def taken_readings(
+    variable: Variable, array: Array, step: Integers | None = None, threads: int = 1
+) -> Mask | None:
     """The mask of components of a sensor's measurements taken, (..., rows, d); None for all.
 
     NaN is a component not taken; infinity is refused.
     """
-    if np.isfinite(array).all():
+    finite = np.empty(array.shape, dtype=bool)
+
+    def look(first: int, last: int) -> None:
+        np.isfinite(array[first:last], finite[first:last])
+
+    in_threads(look, len(array), min(threads, 1 + array.size // APIECE))
+    if finite.all():
         return None
     _refuse(
         variable,
@@ -265,8 +274,8 @@ def complete(variable: Variable, rows: Rows, step: Integers | None = None) -> Ro
     return require_finite(variable, rows, step, WHOLE)
 
 
-def taken_of(variable: Variable, rows: Rows, step: Integers) -> Mask | None:
+def taken_of(variable: Variable, rows: Rows, step: Integers, threads: int) -> Mask | None:
     """The mask of what was measured, (..., rows, d); None for all."""
     if isinstance(variable, Discrete):
         return _taken_states(rows)
-    return taken_readings(variable, rows, step)
+    return taken_readings(variable, rows, step, threads)

@@ -160,7 +160,7 @@ def filter(
     """
     schedule = Filtering(iterations, tolerance, damping, gate)
     require_lineariser(lineariser)
-    bound = bind_chain(model, evidence, steps, identities=True)
+    bound = bind_chain(model, evidence, steps, identities=True, compiled=compiled)
     graph = compile(model, bound.steps, compiled=compiled)
     run = runner(graph.model, belief)
     with reporting(progress):
@@ -320,7 +320,7 @@ def smooth(
     rest = iterations, tolerance, damping, gate
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
     require_lineariser(lineariser)
-    bound = bind_chain(model, evidence, steps, identities=True)
+    bound = bind_chain(model, evidence, steps, identities=True, compiled=compiled)
     graph = compile(model, bound.steps, method=method, compiled=compiled)
     run = runner(graph.model, belief)
     with reporting(progress):

@@ -335,7 +335,8 @@ def infer(
     if isinstance(graph, DynamicGraph):
         if memory is not None:
             raise GraphError(CONTINUOUS)
-        bound = bind_chain(graph.model, evidence, graph.steps, identities=True)
+        choice = graph.layout.compiled
+        bound = bind_chain(graph.model, evidence, graph.steps, identities=True, compiled=choice)
         run = runner(graph.model, belief)
         with reporting(progress):
             return run(graph, bound, schedule, lineariser, start, keep, executor)

@@ -151,6 +151,11 @@ class Family(Rows):
             self.noise[rows] = part.noise
 
     @property
+    def uniform(self) -> bool:
+        """Whether it is affine, and the same in all runs."""
+        return self.exact and self.own_noise.shape[1] == 1 == self.affine[1].shape[1]
+
+    @property
     def taylor(self) -> bool:
         """Whether the CPD is affine or expanded to first order at a point."""
         return self.exact or isinstance(self.lineariser, Taylor)

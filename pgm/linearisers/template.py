@@ -134,12 +134,13 @@ class FunctionTemplate:
     @cached_property
     def whole(self) -> Tracer:
         """Of the function's value, followed by the derivatives that were given."""
-        given = [by for _, _, _, by in self.derivatives if by is not None]
+        function = self.function
+        given = tuple(by for _, _, _, by in self.derivatives if by is not None)
 
         def joined(*arguments: Any) -> Any:
             slopes = [jacobian(*arguments) for jacobian in given]
             flat = [slope.reshape(*slope.shape[:-2], -1) for slope in slopes]
-            return np.concatenate([self.function(*arguments), *flat], axis=-1)
+            return np.concatenate([function(*arguments), *flat], axis=-1)
 
         more = self.height * (self.size - len(self.missing))
         widths = [parent.dimension for parent in self.given]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dis
 import functools
 import sys
 import types
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 _CONSTANT: tuple[type, ...] = (bool, int, float, complex, str, bytes, types.NoneType, slice)
-_CONSTANT += (types.EllipsisType, np.generic, np.dtype, np.ufunc)
+_CONSTANT += (types.EllipsisType, types.MemberDescriptorType, np.generic, np.dtype, np.ufunc)
 _OWN = (types.ModuleType, type, types.BuiltinFunctionType, types.FunctionType, type(np.stack))
 # By these a function finds what its code does not name.
 _HIDDEN = {"eval", "exec", "globals", "locals", "vars", "getattr", "open", "__import__"}
@@ -30,7 +31,7 @@ class Surroundings:
         self.known = True
         self._reads: list[tuple[Callable[[], Any], Any]] = []
         self._arrays: list[tuple[Any, bytes]] = []
-        self._seen: set[int] = set()
+        self._seen: set[int | tuple[type, str]] = set()
         self._visit(function, frozenset())
 
     def same(self) -> bool:
@@ -48,6 +49,8 @@ class Surroundings:
             for name in names & value.__dict__.keys():
                 self._watch(functools.partial(value.__dict__.get, name), names)
             return
+        if _is_frozen(value):
+            self._members(type(value).__mro__, names | {"__call__"})
         if id(value) in self._seen:
             return
         self._seen.add(id(value))
@@ -58,12 +61,24 @@ class Surroundings:
         else:
             parts = _parts(value)
             self.known &= parts is not None
+            if isinstance(own := getattr(value, "__func__", None), types.FunctionType):
+                names |= _named(own.__code__)
             for part in parts or ():
                 self._visit(part, names)
 
+    def _members(self, kinds: tuple[type, ...], names: frozenset[str]) -> None:
+        """The attributes of classes that are named, and that their functions name."""
+        for kind in kinds:
+            for name in names & vars(kind).keys():
+                if (kind, name) not in self._seen:
+                    self._seen.add((kind, name))
+                    self._watch(functools.partial(vars(kind).get, name), names)
+                    if isinstance(part := vars(kind)[name], types.FunctionType):
+                        self._members(kinds, _named(part.__code__))
+
     def _function(self, function: types.FunctionType) -> None:
-        names = frozenset(_named(function.__code__))
-        self.known &= not names & _HIDDEN
+        names = _named(function.__code__)
+        self.known &= not names & _HIDDEN and vars(function).keys() <= {"__wrapped__"}
         for attribute in ("__code__", "__defaults__", "__kwdefaults__"):
             read = functools.partial(getattr, function, attribute)
             self._reads.append((read, read()))
@@ -74,7 +89,7 @@ class Surroundings:
         for name in names:
             if name in function.__globals__:
                 self._watch(functools.partial(function.__globals__.get, name), names)
-            elif name in sys.modules:  # imported inside
+            elif name in sys.modules and name in _imported(function.__code__):
                 self._visit(sys.modules[name], names)
 
     def _watch(self, read: Callable[[], Any], names: frozenset[str]) -> None:
@@ -91,10 +106,11 @@ def _parts(value: Any) -> tuple[Any, ...] | None:
         return value.func, *value.args, *value.keywords.values()
     if isinstance(value, tuple | frozenset):
         return tuple(value)
-    if not getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False):
-        return None
-    calls = [vars(each).get("__call__") for each in type(value).__mro__]
-    return *calls, *(getattr(value, field.name) for field in fields(value))
+    return tuple(getattr(value, f.name) for f in fields(value)) if _is_frozen(value) else None
+
+
+def _is_frozen(value: Any) -> bool:
+    return getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False)
 
 
 def _trusted(value: Any) -> bool:
@@ -108,8 +124,17 @@ def _trusted(value: Any) -> bool:
     return isinstance(value, _OWN) and package in ("numpy", "math", "builtins")
 
 
-def _named(code: types.CodeType) -> Iterator[str]:
-    yield from code.co_names
+def _named(code: types.CodeType) -> frozenset[str]:
+    return frozenset(name for part in _codes(code) for name in part.co_names)
+
+
+def _imported(code: types.CodeType) -> set[str]:
+    steps = (step for part in _codes(code) for step in dis.get_instructions(part))
+    return {step.argval for step in steps if step.opname == "IMPORT_NAME"}
+
+
+def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
+    yield code
     for part in code.co_consts:
         if isinstance(part, types.CodeType):
-            yield from _named(part)
+            yield from _codes(part)

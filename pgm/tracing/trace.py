@@ -112,20 +112,22 @@ class Tracer:
     def confirm(self, centres: Sequence[Array]) -> bool:
         """Whether there is a trace that equals the function about some values (width,).
 
-        A function that has changed, with its closure, is traced again.
+        A function that has changed, with its closure, is traced again; one that cannot have changed
+        is not called.
         """
         if self.reason is not None:
             return False
-        self.compared = set()
-        if self._surroundings is None or (self._surroundings.known and not self.settled()):
+        self.compared, settled = set(), self.settled()
+        if self._surroundings is None or (self._surroundings.known and not settled):
             self._surroundings = Surroundings(self.function)
         places = [centre.tobytes() for centre in centres]
         if self._drawn is None or self._drawn[0] != places:
+            settled = False
             self._drawn, self._known = (places, around(centres)), None
             for point in self._drawn[1]:
                 point[-1, -1] = np.nan  # by which a function shows what it does about such
         points = self._drawn[1]
-        if self.trace is not None and self._equal(self.trace, points):
+        if self.trace is not None and (settled or self._equal(self.trace, points)):
             return True
         found = trace(self.function, self.widths, (self.angles.size,))
         if isinstance(found, Program) and self._equal(found, points):

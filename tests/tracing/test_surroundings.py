@@ -6,6 +6,7 @@ import random
 import sys
 import types
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -27,6 +28,31 @@ class Fixed:
 
     def __call__(self, x):
         return self.dt * SCALE * x
+
+
+@dataclass(frozen=True)
+class Helped:
+    dt: float
+    gain: ClassVar[float] = 2.0
+
+    def __call__(self, x):
+        return self._by(x)
+
+    def _by(self, x):
+        return self._times(x)
+
+    def _times(self, x):
+        return self.dt * self.gain * x
+
+    def never(self, x):
+        return TABLE[0] * x
+
+
+def told(x):
+    return told.rate * x
+
+
+told.rate = 2.0
 
 
 @dataclass
@@ -68,6 +94,8 @@ SETTLED = {
     "closure": closes(0.5),
     "frozen": Fixed(0.5),
     "method": Fixed(0.5).__call__,
+    "helped": Helped(0.5),
+    "helped method": Helped(0.5)._by,
     "partial": functools.partial(inner, by=2.0),
     "module": lambda x: OWN.rate * x,
     "imports": imports,
@@ -79,6 +107,8 @@ UNKNOWN = {
     "large array": lambda x: x * MANY[0],
     "mutable": Loose(0.5),
     "object": Plain().method,
+    "frozen, that needs a list": Helped(0.5).never,
+    "attribute of a function": told,
     "closed over": closes(0.5, Plain()),
     "generator": lambda x: random.random() * x,
     "a list of a module": lambda x: OWN.other[0] * x,
@@ -106,6 +136,10 @@ def test_what_may_change_unseen_is_not(name):
     [
         ("README's", sys.modules[__name__], "SCALE"),
         ("frozen", sys.modules[__name__], "SCALE"),
+        ("frozen", Fixed, "__call__"),
+        ("helped", Helped, "gain"),
+        ("helped", Helped, "_times"),
+        ("helped method", Helped, "gain"),
         ("calls", inner, "__defaults__"),
         ("calls", inner, "__code__"),
         ("closure", inner, "__defaults__"),

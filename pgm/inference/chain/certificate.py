@@ -62,9 +62,7 @@ def is_ordinary(mean: Array, cov: Array, share: float = _TOLD) -> bool:
 def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits."""
     with np.errstate(all="ignore"):  # a ratio of what is not finite is no moderate one
-        if not np.isfinite(swept.log_density.sum()) or _means_sink(
-            swept, both=smoothed is not None
-        ):
+        if swept.far and _means_sink(swept, both=smoothed is not None):
             return False
         moderate = swept.closest * MODERATE > 1.0
         if isinstance(swept, Filtered):

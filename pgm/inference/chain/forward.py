@@ -23,7 +23,7 @@ from pgm.inference.iteration import Anchor
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
 from pgm.kernels import along_runs
-from pgm.kernels.arrays import Array, stacked
+from pgm.kernels.arrays import Array, stacked, vacant
 from pgm.progress import counted
 from pgm.resources import retain
 
@@ -43,7 +43,8 @@ class Forward:
     """The beliefs of a forward sweep, before and after measurements, (T+1, runs, n).
 
     Controls at step 0 are zero. `log_density` is of each step's measurements given those before.
-    `closest` is that of the `Watch`, or zero where nothing has watched.
+    `closest` is that of the `Watch`, or zero where nothing has watched; `far` whether a mean may be
+    10⁸ deviations from zero, or nothing has looked.
     """
 
     predicted_mean: Array
@@ -52,6 +53,7 @@ class Forward:
     cov: Array
     log_density: Array
     closest: float = 0.0
+    far: bool = True
 
     @classmethod
     def empty(cls, plan: ChainPlan) -> Forward:
@@ -78,7 +80,7 @@ class Forward:
 class Filtered:
     """The beliefs of a filter alone; a second sweep finds the rest when it is asked for.
 
-    `closest` is that of the `Watch`.
+    `closest` and `far` are as of `Forward`.
     """
 
     plan: ChainPlan
@@ -87,6 +89,7 @@ class Filtered:
     log_density: Array
     schedule: Filtering = ONCE
     closest: float = 1.0
+    far: bool = True
 
     @cached_property
     def whole(self) -> Forward:
@@ -205,7 +208,7 @@ def stored(
     out = Forward.empty(plan)
     if anchor is None and gated is None:
         went = _swept(plan, None, out.known, out.predicted, keep=False)
-        return replace(out, closest=went.closest)
+        return replace(out, closest=went.closest, far=went.far)
     record = _Record(plan, out.known, out.predicted)
     with record.refusing(None):
         sweep.forward(MomentChain(plan, None, anchor=anchor, gated=gated), plan.steps, record)
@@ -219,7 +222,8 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     went = _swept(plan, schedule, out.known, out.predicted, keep=True)
     for family in plan.families:
         family.settle()
-    return replace(out, closest=went.closest), Status.of(went.residuals, went.converged, plan.lead)
+    status = Status.of(went.residuals, went.converged, plan.lead)
+    return replace(out, closest=went.closest, far=went.far), status
 
 
 def filtered(
@@ -228,12 +232,12 @@ def filtered(
     """The beliefs of `run` alone; `room` has arrays for their moments."""
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
-    mean, cov = room or (stacked(shape, (size,)), stacked(shape, (size, size)))
+    mean, cov = room or (vacant(shape, (size,)), vacant(shape, (size, size)))
     log_density = np.empty(shape)
     went = _swept(plan, schedule, (mean, cov, log_density), keep=False)
     # What the gates have decided stays.
     again = replace(schedule, gate=None)
-    found = Filtered(plan, mean, cov, log_density, again, went.closest)
+    found = Filtered(plan, mean, cov, log_density, again, went.closest, went.far)
     return found, Status.of(went.residuals, went.converged, plan.lead)
 
 

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
+from pgm.compile.machine import Choice
 from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
@@ -183,7 +184,12 @@ class SmootherSolver(Solver):
 
 
 def bind_chain(
-    model: Any, evidence: Evidence, steps: int | None, *, identities: bool = False
+    model: Any,
+    evidence: Evidence,
+    steps: int | None,
+    *,
+    identities: bool = False,
+    compiled: Choice = None,
 ) -> BoundEvidence:
     """Check the evidence of a dynamic network; sightings may leave open what was seen, or not."""
     if not isinstance(model, DynamicBayesianNetwork):
@@ -191,7 +197,8 @@ def bind_chain(
     if not isinstance(evidence, Mapping):
         raise EvidenceError(f"evidence maps variables to values; found {type(evidence).__name__}")
     cpds = model.transition, model.observation
-    return bind(*cpds, evidence, steps, model.lead, identities=identities)
+    threads = getattr(compiled, "threads", 1)
+    return bind(*cpds, evidence, steps, model.lead, identities=identities, threads=threads)
 
 
 @quiet()

@@ -40,6 +40,8 @@ from pgm.kernels.compiled.packs import bits, opposite, where
 TOGETHER = 256
 # As of `moments` and `forward`.
 _CORRELATED, _EVERY, _MILD, _GROWN = 3e-5, 8, 1e-3, 1e2
+# The square of deviations from zero in which the last digit of a mean might count.
+_FAR = 1e16
 # A number from which on little or nothing can be told.
 _LARGEST = 1e150
 
@@ -87,20 +89,23 @@ def _step(fields, step, run, known, work):
     rest[0] = density
     save(fields, t.DENSITY, step, run, rest, 1, 1)
     closest = past(numbers(fields[t.CLOSEST]), run)
-    _look(closest, fields[t.RUN_COUNT], cov, spread, size, step, fields[t.LAST], rest)
+    _look(closest, fields[t.RUN_COUNT], known, cov, spread, size, step, fields[t.LAST], rest)
     return ok
 
 
 @compiled
-def _look(closest, apart, before, after, size, step, last, work):
-    """Look how much of variances is left open; see `Watch`."""
-    wide, least, grown = width(size, before), 1.0, False
+def _look(closest, apart, mean, before, after, size, step, last, work):
+    """Look how much of variances is left open, as `Watch`, and how far from zero means are."""
+    wide, least, grown, far = width(size, before), 1.0, False, False
     often = step == last or step % _EVERY == 0
     for i in range(size):
         was, left = before[i * wide + i], after[i * wide + i]
         grown = grown | (was > _GROWN * take(closest, (i + 1) * apart, 1, before))
         small = (left < _MILD * was) & (left != 0.0) & (was > 0.0) & (left < least * was)
         least = where(small, left / was, least)
+        far = far | ((mean[i] * mean[i] > _FAR * left) & (left > 0.0))
+    if some(far):
+        give(closest, (size + 1) * apart, 1, where(far, 1.0, 0.0), before)
     doubtful = grown | (least < 1.0)
     if some(doubtful):
         share = least_open(before, work, size)

@@ -20,8 +20,8 @@ AFFINE, TAYLOR, REGRESSION = range(3)
 # Linearisations of a step's measurements, where their settings are, (tolerance, damping), and their
 # record, (iterations + 1, runs): the residuals of each, how many, and whether some did not settle.
 (ITERATIONS, SETTINGS, RESIDUALS) = range(9, 12)
-# The least share of a variance that is left open, and variances to grow from, by run; how runs
-# ended.
+# The least share of a variance that is left open, variances to grow from, and whether a mean is far
+# from zero, by run; how runs ended.
 (CLOSEST, STATUS, RUN_COUNT) = range(12, 15)
 # The belief that a sweep starts with, and its record.
 (BEGIN_MEAN, BEGIN_COV, PREDICTED_MEAN, PREDICTED_COV, MEAN, COV, DENSITY) = range(16, 44, 4)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
@@ -25,24 +26,27 @@ from pgm.inference.schedule import Filtering
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.compiled import tables as t
 from pgm.kernels.moments import Conditional
+from pgm.resources import in_threads
 
 # Machine code repays its loading from a second of the general kernels on: a step of theirs takes as
 # long as the arithmetic of so many runs, and four million of such a quarter of a microsecond each.
 _STEP, _LONG = 200, 4_000_000
 _LINE = 64
+_PREDICTED = t.PREDICTED_MEAN, t.PREDICTED_COV
 
 
 @dataclass(frozen=True, eq=False)
 class Swept:
     """How a sweep went: the runs that are left to the general kernels, and what it says of others.
 
-    `residuals` and `converged` are as of a `MomentChain`; `closest` as of a `Watch`.
+    `residuals` and `converged` are as of a `MomentChain`, `closest` and `far` as of `Forward`.
     """
 
     left: list[slice]
     residuals: list[Array]
     converged: Mask
     closest: float
+    far: bool = True
 
 
 def is_used(plan: ChainPlan) -> bool:
@@ -99,17 +103,17 @@ def forward(
         chain.lay_out(schedule is None, keep)
     except Uncompiled:
         return None
-    begin = MomentChain(plan, schedule, keep=keep).start()
-    chain.put(t.BEGIN_MEAN, _by_row(plan, begin.mean, 1))
-    chain.put(t.BEGIN_COV, _by_row(plan, begin.cov, 2))
-    chain.put(t.MEAN, known[0])
-    chain.put(t.COV, known[1])
-    chain.put(t.DENSITY, known[2])
-    closest = np.full((plan.layout.slice_size + 1, plan.runs), np.inf)
-    closest[0] = 1.0
-    if predicted:
-        chain.put(t.PREDICTED_MEAN, predicted[0])
-        chain.put(t.PREDICTED_COV, predicted[1])
+    first = replace(plan, transition=[], sensors=[])
+    if plan.batch and plan.begin is None and all(link.family.uniform for link in plan.prior):
+        first = first.of(slice(0, 1))  # which is as all are
+    begin = MomentChain(first, schedule, keep=keep).start()
+    chain.put(t.BEGIN_MEAN, _by_row(first, begin.mean, 1))
+    chain.put(t.BEGIN_COV, _by_row(first, begin.cov, 2))
+    chain.out = *known, *predicted
+    for place, array in zip((t.MEAN, t.COV, t.DENSITY, *_PREDICTED), chain.out, strict=False):
+        chain.put(place, array)
+    closest = np.full((plan.layout.slice_size + 2, plan.runs), np.inf)
+    closest[0], closest[-1] = 1.0, 0.0
     chain.fields[t.CLOSEST] = address(closest)
     record = np.zeros((iterations + 1, plan.runs if iterations > 1 else 0))
     if iterations > 1 and schedule is not None:
@@ -122,7 +126,8 @@ def forward(
     converged = np.full(plan.runs, plan.linear)
     if iterations > 1 and not plan.linear:
         converged = record[-1] == 0.0
-    return Swept(left, list(record[:longest]), converged, float(closest[0].min(initial=1.0)))
+    found = float(closest[0].min(initial=1.0)), bool(closest[-1].any())
+    return Swept(left, list(record[:longest]), converged, *found)
 
 
 def backward(
@@ -159,6 +164,7 @@ def backward(
             parts |= dict(zip(places, slices, strict=True))
     for place, array in parts.items():
         chain.put(place, array)
+    chain.out = *states, *(beliefs or ())
     return None if chain.run((s.backward, s.backward_together)) else (states, beliefs)
 
 
@@ -177,6 +183,7 @@ class Chain:
         self.plan, self.rows = plan, rows or Rows(plan.runs >= t.RUNS)
         self.fields = np.zeros(t.FIELDS, dtype=np.int64)
         self.status = np.zeros(plan.runs, dtype=np.int64)
+        self.out: Sequence[Array] = ()
         fields = self.fields
         fields[t.LAST], fields[t.SINGLE] = plan.steps, layout.single
         fields[t.FRONT], fields[t.WIDTH] = layout.state_size, layout.slice_size
@@ -224,19 +231,16 @@ class Chain:
         size = s.room(
             plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points, lanes
         )
-        edges = [k * plan.runs // threads for k in range(threads + 1)]
-        rooms = [np.empty(size + _LINE) for _ in range(threads)]
-        jobs = [
-            (chain, first, last, -(-address(room) // _LINE) * _LINE)  # a pack, a line of the cache
-            for first, last, room in zip(edges, edges[1:], rooms, strict=False)
-        ]
-        if threads > 1:
-            from concurrent.futures import ThreadPoolExecutor  # here, since it is slow to import
 
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(lambda job: kernel(*job), jobs))
-        else:
-            kernel(*jobs[0])
+        def work(first: int, last: int) -> None:
+            # Large pages of fresh memory are cleared once, each by one thread.
+            for array in self.out if threads > 1 else ():
+                begin, end = (runs * len(array) // plan.runs for runs in (first, last))
+                array[begin:end, first:last:512] = 0.0
+            room = np.empty(size + _LINE)
+            kernel(chain, first, last, -(-address(room) // _LINE) * _LINE)  # a line of the cache
+
+        in_threads(work, plan.runs, threads)
         return stretches(self.status != t.DONE)
 
 
