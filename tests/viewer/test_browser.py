@@ -142,6 +142,17 @@ def test_keys_do_what_the_help_says(look):
     assert page.one(".play").get_attribute("aria-pressed") == "false"
 
 
+def test_a_key_between_the_closing_of_the_help_and_the_next_frame_counts(look):
+    page = look(posteriors.smoothed())
+    page.press("?")
+    focused = page.run(
+        "for (const key of ['Escape', '/'])"
+        " document.activeElement.dispatchEvent(new KeyboardEvent('keydown', {key, bubbles: true}));"
+        "return document.activeElement.type"
+    )
+    assert focused == "search"
+
+
 def test_what_is_found_is_chosen(look):
     posterior = posteriors.tree()
     page = look(posterior)

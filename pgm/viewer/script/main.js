@@ -90,7 +90,8 @@ const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], Arrow
 function keys({ drawing, source, steps, field, help, choose, selected }) {
   document.addEventListener("keydown", (event) => {
     if (!(event.target instanceof Element)) return;
-    const typing = event.target.closest("input, select, textarea, dialog");
+    // Until the next frame a closed dialog keeps the focus.
+    const typing = event.target.closest("input, select, textarea, dialog[open]");
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === "Escape") {
       if (help.open) help.close();
