@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, TypedDict, Unpack, overload
 
 from pgm.compile import Balanced, compile
 from pgm.compile.machine import Choice
@@ -27,22 +27,36 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 
+class _Options(TypedDict, total=False):
+    """Options of `filter`, whatever its beliefs are."""
+
+    lineariser: Lineariser
+    steps: int | None
+    iterations: int
+    tolerance: float
+    damping: Damping
+    gate: Gate
+    progress: Progress
+
+
+class _SmootherOptions(_Options, total=False):
+    """And of `smooth`."""
+
+    start: Start | None
+    lag: int | None
+    method: Balanced | None
+
+
 @overload
 def filter(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     *,
-    lineariser: Lineariser = TAYLOR,
-    steps: int | None = None,
-    iterations: int = 1,
-    tolerance: float = 1e-9,
-    damping: Damping = 0.0,
-    gate: Gate = None,
     keep: None = None,
     executor: Executor | None = None,
     belief: None = None,
     compiled: Choice = None,
-    progress: Progress = False,
+    **options: Unpack[_Options],
 ) -> ChainPosterior: ...
 
 
@@ -51,35 +65,17 @@ def filter(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     *,
-    lineariser: Lineariser = TAYLOR,
-    steps: int | None = None,
-    iterations: int = 1,
-    tolerance: float = 1e-9,
-    damping: Damping = 0.0,
-    gate: Gate = None,
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
     belief: None = None,
     compiled: Choice = None,
-    progress: Progress = False,
+    **options: Unpack[_Options],
 ) -> KeptPosterior: ...
 
 
 @overload
 def filter(
-    model: DynamicBayesianNetwork,
-    evidence: Evidence,
-    *,
-    lineariser: Lineariser = TAYLOR,
-    steps: int | None = None,
-    iterations: int = 1,
-    tolerance: float = 1e-9,
-    damping: Damping = 0.0,
-    gate: Gate = None,
-    keep: None = None,
-    executor: None = None,
-    belief: Grid,
-    progress: Progress = False,
+    model: DynamicBayesianNetwork, evidence: Evidence, *, belief: Grid, **options: Unpack[_Options]
 ) -> GridPosterior: ...
 
 
@@ -88,16 +84,8 @@ def filter(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     *,
-    lineariser: Lineariser = TAYLOR,
-    steps: int | None = None,
-    iterations: int = 1,
-    tolerance: float = 1e-9,
-    damping: Damping = 0.0,
-    gate: Gate = None,
-    keep: None = None,
-    executor: None = None,
     belief: Particles,
-    progress: Progress = False,
+    **options: Unpack[_Options],
 ) -> ParticlePosterior: ...
 
 
@@ -172,20 +160,11 @@ def smooth(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     *,
-    lineariser: Lineariser = TAYLOR,
-    steps: int | None = None,
-    start: Start | None = None,
-    lag: int | None = None,
-    iterations: int = 1,
-    tolerance: float = 1e-9,
-    damping: Damping = 0.0,
-    gate: Gate = None,
-    method: Balanced | None = None,
     keep: None = None,
     executor: Executor | None = None,
     belief: None = None,
     compiled: Choice = None,
-    progress: Progress = False,
+    **options: Unpack[_SmootherOptions],
 ) -> ChainPosterior: ...
 
 
@@ -194,20 +173,11 @@ def smooth(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     *,
-    lineariser: Lineariser = TAYLOR,
-    steps: int | None = None,
-    start: Start | None = None,
-    lag: int | None = None,
-    iterations: int = 1,
-    tolerance: float = 1e-9,
-    damping: Damping = 0.0,
-    gate: Gate = None,
-    method: Balanced | None = None,
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
     belief: None = None,
     compiled: Choice = None,
-    progress: Progress = False,
+    **options: Unpack[_SmootherOptions],
 ) -> KeptPosterior: ...
 
 
@@ -216,19 +186,8 @@ def smooth(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     *,
-    lineariser: Lineariser = TAYLOR,
-    steps: int | None = None,
-    start: Start | None = None,
-    lag: int | None = None,
-    iterations: int = 1,
-    tolerance: float = 1e-9,
-    damping: Damping = 0.0,
-    gate: Gate = None,
-    method: Balanced | None = None,
-    keep: None = None,
-    executor: None = None,
     belief: Grid,
-    progress: Progress = False,
+    **options: Unpack[_SmootherOptions],
 ) -> GridPosterior: ...
 
 
@@ -237,19 +196,8 @@ def smooth(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     *,
-    lineariser: Lineariser = TAYLOR,
-    steps: int | None = None,
-    start: Start | None = None,
-    lag: int | None = None,
-    iterations: int = 1,
-    tolerance: float = 1e-9,
-    damping: Damping = 0.0,
-    gate: Gate = None,
-    method: Balanced | None = None,
-    keep: None = None,
-    executor: None = None,
     belief: Particles,
-    progress: Progress = False,
+    **options: Unpack[_SmootherOptions],
 ) -> ParticlePosterior: ...
 
 

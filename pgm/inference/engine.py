@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
@@ -145,19 +145,18 @@ CONTINUOUS = (
 )
 
 
+class _Options(TypedDict, total=False):
+    """Options of `infer`, whatever its beliefs are."""
+
+    schedule: Schedule | None
+    lineariser: Lineariser
+    start: Start | None
+    progress: Progress
+
+
 @overload
 def infer(
-    graph: DynamicGraph,
-    evidence: Evidence,
-    *,
-    schedule: Schedule | None = None,
-    lineariser: Lineariser = TAYLOR,
-    start: Start | None = None,
-    keep: None = None,
-    executor: None = None,
-    memory: None = None,
-    belief: Grid,
-    progress: Progress = False,
+    graph: DynamicGraph, evidence: Evidence, *, belief: Grid, **options: Unpack[_Options]
 ) -> GridPosterior: ...
 
 
@@ -166,14 +165,11 @@ def infer(
     graph: DynamicGraph,
     evidence: Evidence,
     *,
-    schedule: Schedule | None = None,
-    lineariser: Lineariser = TAYLOR,
-    start: Start | None = None,
     keep: None = None,
     executor: Executor | None = None,
     memory: float | None = None,
     belief: None = None,
-    progress: Progress = False,
+    **options: Unpack[_Options],
 ) -> ChainPosterior: ...
 
 
@@ -182,14 +178,11 @@ def infer(
     graph: DynamicGraph,
     evidence: Evidence,
     *,
-    schedule: Schedule | None = None,
-    lineariser: Lineariser = TAYLOR,
-    start: Start | None = None,
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
     memory: float | None = None,
     belief: None = None,
-    progress: Progress = False,
+    **options: Unpack[_Options],
 ) -> KeptPosterior: ...
 
 
@@ -198,30 +191,17 @@ def infer(
     graph: ClusterGraph,
     evidence: Evidence,
     *,
-    schedule: Schedule | None = None,
-    lineariser: Lineariser = TAYLOR,
-    start: Start | None = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     memory: float | None = None,
     belief: None = None,
-    progress: Progress = False,
+    **options: Unpack[_Options],
 ) -> Posterior: ...
 
 
 @overload
 def infer(
-    graph: DynamicGraph,
-    evidence: Evidence,
-    *,
-    schedule: Schedule | None = None,
-    lineariser: Lineariser = TAYLOR,
-    start: Start | None = None,
-    keep: None = None,
-    executor: None = None,
-    memory: None = None,
-    belief: Particles,
-    progress: Progress = False,
+    graph: DynamicGraph, evidence: Evidence, *, belief: Particles, **options: Unpack[_Options]
 ) -> ParticlePosterior: ...
 
 

@@ -23,6 +23,9 @@ class Graph:
         self.operations: list[Operation] = []
         self._places: dict[Operation | str, int] = {}
 
+    def __repr__(self) -> str:
+        return repr(self.operations)  # in which a NaN equals itself
+
     def copy(self) -> Self:
         """A graph to which more can be added."""
         found = type(self)()

@@ -26,8 +26,7 @@ def trace(
             made += [_recorded(function, widths, due, kind) for kind in range(1, len(STAND_INS))]
     except Untraceable as reason:
         return str(reason)
-    # As text, in which a NaN equals itself.
-    if len({repr((graph.operations, outputs)) for graph, outputs in made}) > 1:
+    if len({repr(each) for each in made}) > 1:
         return (
             "it computes with float(), math, or arrays of floats that values were written in "
             "(np.zeros, np.asarray(x, dtype=float)); np.stack and np.zeros_like are traced"
@@ -105,15 +104,14 @@ class Tracer:
         # Shapes of batches at which it has been compared since the last plan was made.
         self.compared: set[tuple[int, ...]] = set()
         self._surroundings: Surroundings | None = None
-        # Values, and points about them; a trace and what it gives there.
+        # Values, and points about them.
         self._drawn: tuple[list[bytes], list[Array]] | None = None
-        self._known: tuple[Program, Array] | None = None
 
     def confirm(self, centres: Sequence[Array]) -> bool:
         """Whether there is a trace that equals the function about some values (width,).
 
-        A function that has changed, with its closure, is traced again; one that cannot have changed
-        is not called.
+        A function that may have changed, with its closure, is traced again: no point shows all of
+        a change, such as that of a limit between them.
         """
         if self.reason is not None:
             return False
@@ -122,19 +120,20 @@ class Tracer:
             self._surroundings = Surroundings(self.function)
         places = [centre.tobytes() for centre in centres]
         if self._drawn is None or self._drawn[0] != places:
-            settled = False
-            self._drawn, self._known = (places, around(centres)), None
+            self._drawn = places, around(centres)
             for point in self._drawn[1]:
                 point[-1, -1] = np.nan  # by which a function shows what it does about such
-        points = self._drawn[1]
-        if self.trace is not None and (settled or self._equal(self.trace, points)):
+        elif settled:
             return True
-        found = trace(self.function, self.widths, (self.angles.size,))
-        if isinstance(found, Program) and self._equal(found, points):
+        found: Program | str | None = self.trace
+        if found is None or not settled:
+            found = trace(self.function, self.widths, (self.angles.size,))
+            if repr(found) == repr(self.trace):
+                found = self.trace  # what was made of it is still good
+        if isinstance(found, Program) and self._equal(found, self._drawn[1]):
             self.trace = found
             return True
-        self.trace = None
-        self.reason = found if isinstance(found, str) else _DIFFERS
+        self.trace, self.reason = None, found if isinstance(found, str) else _DIFFERS
         return False
 
     def traced(self) -> Program | str:
@@ -147,7 +146,7 @@ class Tracer:
         return self._surroundings is not None and self._surroundings.same()
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_surroundings": None, "_drawn": None, "_known": None}
+        return self.__dict__ | {"_surroundings": None, "_drawn": None}
 
     def _equal(self, found: Program, points: list[Array]) -> bool:
         with np.errstate(all="ignore"):
@@ -155,10 +154,7 @@ class Tracer:
                 due = np.asarray(self.function(*[point.copy() for point in points]), dtype=float)
             except Exception:
                 return False
-            if self._known is None or self._known[0] is not found:
-                value = found.batch(points, _SPREAD.shape)[0]
-                self._known = found, components_last(value, 1)
-            value = self._known[1]
+            value = components_last(found.batch(points, _SPREAD.shape)[0], 1)
             if due.shape != value.shape or (np.isfinite(due) != np.isfinite(value)).any():
                 return False
             known = np.isfinite(due)

@@ -4,7 +4,18 @@ from types import SimpleNamespace
 
 import pytest
 
-from benchmarks import choice, cliffs, command, curves, figure, first_call, memory, page, timing
+from benchmarks import (
+    choice,
+    cliffs,
+    command,
+    curves,
+    figure,
+    first_call,
+    memory,
+    page,
+    threads,
+    timing,
+)
 from benchmarks.row import part
 from benchmarks.timing import Contender, medians
 from benchmarks.verdicts import verdicts
@@ -280,3 +291,13 @@ def test_a_first_call_is_measured_in_processes_of_their_own(monkeypatch):
     assert first_call.measure("rts_taylor") == {"cold": 2.0, "warm": 2.0}
     assert [library for library, _ in started] == ["pgm_compiled", "pgm_compiled", "dynamax"]
     assert len({folder for _, folder in started}) == 1
+
+
+def test_threads_are_timed_in_turns_and_judged(monkeypatch, capsys):
+    pytest.importorskip("numba", reason="sweeps are compiled by Numba, the extra fast")
+    monkeypatch.setattr(threads, "RUNS", 20)
+    monkeypatch.setattr(threads, "STEPS", 3)
+    threads.main()
+    shown = capsys.readouterr().out
+    assert shown.count("smoother") == shown.count("unscented") == 2
+    assert "one thread / two: " in shown

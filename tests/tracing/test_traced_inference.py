@@ -265,3 +265,38 @@ def test_a_jacobian_of_a_wrong_shape_or_that_fails_is_refused_as_elsewhere():
         graph = pgm.compile(robot().replace(observation=[cpd]), 3)
         with pytest.raises(pgm.ModelError, match=f"jacobian by x of the CPD of z {message}"):
             graph.check(jacobians=True)
+
+
+LIMIT, HELD = 5.0, {"limit": 5.0}
+
+
+def up_to_a_global(x):
+    return np.where(x < LIMIT, x, 0.5 * x) + 1.0
+
+
+def up_to_a_value(x):
+    return np.where(x < HELD["limit"], x, 0.5 * x) + 1.0
+
+
+@pytest.mark.parametrize("move", [up_to_a_global, up_to_a_value])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_change_that_no_drawn_point_shows_counts(move, compiled, monkeypatch):
+    if compiled:
+        pytest.importorskip("numba", reason="sweeps are compiled by Numba, the extra fast")
+    x, z = pgm.variables("x z")
+
+    def means(compiled, jacobian=None):
+        motion = pgm.NonlinearGaussianCPD(x, x.previous, move, 0.1, jacobian=jacobian)
+        sensor = pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=0.5)
+        model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(x, 0.0, 1.0)], [motion], [sensor])
+        graph = pgm.compile(model, 30, compiled=compiled)
+        return lambda: pgm.infer(graph, {z: 0.7 * np.arange(1.0, 31.0)[:, None]})[x].mean
+
+    found = means(compiled)
+    before = found()
+    monkeypatch.setitem(globals(), "LIMIT", 7.0)
+    monkeypatch.setitem(HELD, "limit", 7.0)
+    by_state = {x.previous: lambda x: np.where(x < 7.0, 1.0, 0.5)[..., None]}
+    due = means(False, by_state)()
+    assert_allclose(found(), due, atol=1e-9)
+    assert np.abs(before - due).max() > 1.0
