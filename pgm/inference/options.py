@@ -15,7 +15,7 @@ from pgm.display import InCode
 from pgm.errors import EvidenceError, ModelError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Variable
 
 
@@ -76,6 +76,18 @@ def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
                 variable=cpd.child,
                 cpd=cpd,
             )
+
+
+def require_whole(cpd: CPD, taken: Mask, step: int) -> None:
+    """Refuse a measurement with missing components, where a density cannot leave them out."""
+    if not taken.all() and not cpd.partial:
+        raise EvidenceError(
+            f"{cpd!r}: a measurement at step {step} has components that are NaN, which the "
+            "density of such a CPD cannot leave out; give all of them, or none",
+            variable=cpd.child,
+            cpd=cpd,
+            step=step,
+        )
 
 
 # Means of hidden variables.

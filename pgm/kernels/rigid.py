@@ -21,11 +21,6 @@ def mounted(poses: Array, mount: Array) -> Array:
     return _stacked(turned(mount[:2], poses[..., 2]) + poses[..., :2], poses[..., 2] + mount[2])
 
 
-def seen_from(frame: Array, poses: Array) -> Array:
-    """Poses (..., 3) in the frame of a pose (3,)."""
-    return _stacked(points_from(frame, poses[..., :2]), poses[..., 2] - frame[2])
-
-
 def points_from(frame: Array, points: Array) -> Array:
     """Points (..., 2) in the frame of a pose (3,)."""
     away = points - frame[:2]

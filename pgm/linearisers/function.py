@@ -107,11 +107,6 @@ class BoundFunction(NamedTuple):
         """The mask of components of the stacked hidden parents that are angles, (n,)."""
         return self.template.input_angles
 
-    @property
-    def analytic(self) -> bool:
-        """Whether the user gave the derivative by every hidden parent."""
-        return not self.template.missing
-
     def residual(self, a: Array, b: Array) -> Array:
         """The difference a − b of values, (..., d), angles wrapped to [−π, π)."""
         return difference(a, b, self.angles)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -134,19 +134,19 @@ class FunctionTemplate:
     @cached_property
     def whole(self) -> Tracer:
         """Of the function's value, followed by the derivatives that were given."""
-        function = self.function
         given = tuple(by for _, _, _, by in self.derivatives if by is not None)
-
-        def joined(*arguments: Any) -> Any:
-            slopes = [jacobian(*arguments) for jacobian in given]
-            flat = [slope.reshape(*slope.shape[:-2], -1) for slope in slopes]
-            return np.concatenate([function(*arguments), *flat], axis=-1)
-
         more = self.height * (self.size - len(self.missing))
         widths = [parent.dimension for parent in self.given]
-        return Tracer(joined, widths, np.pad(self.child.angle_mask, (0, more)))
+        angles = np.pad(self.child.angle_mask, (0, more))
+        return Tracer(partial(_with_slopes, self.function, given), widths, angles)
 
     @property
     def numerical(self) -> tuple[int, ...]:
         """The stacked components whose derivative has to be taken by differences."""
         return self.missing if self.program is None else ()
+
+
+def _with_slopes(function: Function, jacobians: tuple[Function, ...], *arguments: Any) -> Any:
+    slopes = [jacobian(*arguments) for jacobian in jacobians]
+    flat = [slope.reshape(*slope.shape[:-2], -1) for slope in slopes]
+    return np.concatenate([function(*arguments), *flat], axis=-1)

@@ -119,30 +119,16 @@ def useful_legend(ax: Axes, *, above: bool = False) -> None:
     if len(set(labels)) < 2:
         return
     handles = list(named.values())
+    outside: dict[str, Any] = {"bbox_to_anchor": (1.0, 1.0), "frameon": False, "fontsize": _SIZE}
     place: Any = None if above else _free_place(ax, labels)
     if place:
         ax.legend(handles, labels, loc=place, framealpha=0.9, fontsize=_SIZE)
     elif above or not ax.figure.get_layout_engine() or _beside(labels) > _PART * _width(ax):
         # Without an engine that makes room there is some above alone.
-        ax.legend(
-            handles,
-            labels,
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            ncols=_columns(ax, labels),
-            frameon=False,
-            borderaxespad=0.1,
-            fontsize=_SIZE,
-        )
+        above_it = {"ncols": _columns(ax, labels), "borderaxespad": 0.1}
+        ax.legend(handles, labels, loc="lower right", **outside, **above_it)
     else:
-        ax.legend(
-            handles,
-            labels,
-            loc="upper left",
-            bbox_to_anchor=(1.0, 1.0),
-            frameon=False,
-            fontsize=_SIZE,
-        )
+        ax.legend(handles, labels, loc="upper left", **outside)
 
 
 def _colour(handle: Any) -> str:

@@ -6,111 +6,136 @@ import dis
 import functools
 import sys
 import types
-from collections.abc import Callable, Iterator
-from dataclasses import fields
+from abc import ABCMeta
+from collections import namedtuple
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-_CONSTANT: tuple[type, ...] = (bool, int, float, complex, str, bytes, types.NoneType, slice)
-_CONSTANT += (types.EllipsisType, types.MemberDescriptorType, np.generic, np.dtype, np.ufunc)
+from pgm.kernels.arrays import Array
+
+_FIXED: tuple[type, ...] = (bool, int, float, complex, str, bytes, types.NoneType, slice)
+_FIXED += (types.EllipsisType, np.generic, np.dtype, np.ufunc)
+# What classes have for slots and for the fields of named tuples.
+_FIELDS = (types.MemberDescriptorType, type(vars(namedtuple("_Pair", "a b"))["a"]))
 _OWN = (types.ModuleType, type, types.BuiltinFunctionType, types.FunctionType, type(np.stack))
 # By these a function finds what its code does not name.
 _HIDDEN = {"eval", "exec", "globals", "locals", "vars", "getattr", "open", "__import__"}
+# Methods that operators and conversions do not call.
+_NAMED = "new init post_init call repr str format eq ne hash setattr delattr getstate setstate "
+_NAMED += "getnewargs reduce reduce_ex copy deepcopy replace sizeof dir annotate annotate_func"
+_HARMLESS = {f"__{name}__" for name in _NAMED.split()}
 _SMALL = 1024  # bytes of an array
+# How something is read, and what was read.
+Read = tuple[Callable[[], Any], Any]
 
 
 class Surroundings:
     """Globals, closures and defaults of a function, and of the functions that it calls.
 
-    `known` is False where there is anything that could change without being rebound, such as an
-    object with attributes, a list or a large array.
+    Of modules and objects, the attributes that one of these functions names. `known` is False where
+    there is anything that could change without being rebound, such as a list, a large array, or an
+    object with operators.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.known = True
-        self._reads: list[tuple[Callable[[], Any], Any]] = []
-        self._arrays: list[tuple[Any, bytes]] = []
-        self._seen: set[int | tuple[type, str]] = set()
-        self._visit(function, frozenset())
+        # Of quantities and objects, and of modules, classes and functions; and arrays.
+        self.values: list[Read] = []
+        self._code: list[Read] = []
+        self.arrays: list[tuple[Array, bytes]] = []
+        self._names = {"__call__"}
+        self._holders: list[Any] = []  # of attributes
+        self._seen: set[tuple[int, str]] = set()
+        self._visit(function)
+        count = -1
+        while count < len(self._seen):
+            count = len(self._seen)
+            for holder in tuple(self._holders):
+                self._attributes(holder)
 
     def same(self) -> bool:
         """Whether it is known that nothing has changed."""
-        return (
-            self.known
-            and all(read() is value for read, value in self._reads)
-            and all(array.tobytes() == held for array, held in self._arrays)
-        )
+        return self.known and hold((*self.values, *self._code), self.arrays)
 
-    def _visit(self, value: Any, names: frozenset[str]) -> None:
-        if isinstance(value, _CONSTANT) or _trusted(value):
+    def _visit(self, value: Any) -> None:
+        if isinstance(value, _FIXED + _FIELDS) or _trusted(value) or not self._new(value):
             return
-        if isinstance(value, types.ModuleType):
-            for name in names & value.__dict__.keys():
-                self._watch(functools.partial(value.__dict__.get, name), names)
-            return
-        if _is_frozen(value):
-            self._members(type(value).__mro__, names | {"__call__"})
-        if id(value) in self._seen:
-            return
-        self._seen.add(id(value))
         if isinstance(value, types.FunctionType):
             self._function(value)
         elif isinstance(value, np.ndarray) and value.dtype != object and value.nbytes <= _SMALL:
-            self._arrays.append((value, value.tobytes()))
+            self.arrays.append((value, value.tobytes()))
+        elif isinstance(value, types.MethodType):
+            self._visit(value.__func__)
+            self._visit(value.__self__)
+        elif isinstance(value, functools.partial):
+            for part in (value.func, *value.args, *value.keywords.values()):
+                self._visit(part)
+        elif isinstance(value, types.ModuleType) or _is_plain(type(value)):
+            self._holders.append(value)
+            for part in value if isinstance(value, tuple | frozenset) else ():
+                self._visit(part)
         else:
-            parts = _parts(value)
-            self.known &= parts is not None
-            if isinstance(own := getattr(value, "__func__", None), types.FunctionType):
-                names |= _named(own.__code__)
-            for part in parts or ():
-                self._visit(part, names)
+            self.known = False
 
-    def _members(self, kinds: tuple[type, ...], names: frozenset[str]) -> None:
-        """The attributes of classes that are named, and that their functions name."""
-        for kind in kinds:
-            for name in names & vars(kind).keys():
-                if (kind, name) not in self._seen:
-                    self._seen.add((kind, name))
-                    self._watch(functools.partial(vars(kind).get, name), names)
-                    if isinstance(part := vars(kind)[name], types.FunctionType):
-                        self._members(kinds, _named(part.__code__))
+    def _attributes(self, holder: Any) -> None:
+        """The attributes of a module or an object that are named."""
+        own, kinds = getattr(holder, "__dict__", {}), type(holder).__mro__
+        for name in tuple(self._names):
+            places = [place for place in (own, *map(vars, kinds)) if name in place]
+            if not places or not self._new(holder, name):
+                continue
+            for place in places:
+                self._watch(functools.partial(place.get, name))
+            if isinstance(places[0][name], types.MemberDescriptorType):  # of a slot
+                self._watch(functools.partial(getattr, holder, name, None))
+            elif places[0] is not own and not isinstance(places[0][name], _OWN):
+                self._watch(functools.partial(own.get, name))  # which would come first
 
     def _function(self, function: types.FunctionType) -> None:
-        names = _named(function.__code__)
+        names = {name for part in _codes(function.__code__) for name in part.co_names}
+        self._names |= names
         self.known &= not names & _HIDDEN and vars(function).keys() <= {"__wrapped__"}
         for attribute in ("__code__", "__defaults__", "__kwdefaults__"):
             read = functools.partial(getattr, function, attribute)
-            self._reads.append((read, read()))
+            self._code.append((read, read()))
         for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()):
-            self._visit(value, names)
+            self._visit(value)
         for cell in function.__closure__ or ():
-            self._watch(functools.partial(getattr, cell, "cell_contents", None), names)
+            self._watch(functools.partial(getattr, cell, "cell_contents", None))
         for name in names:
             if name in function.__globals__:
-                self._watch(functools.partial(function.__globals__.get, name), names)
+                self._watch(functools.partial(function.__globals__.get, name))
             elif name in sys.modules and name in _imported(function.__code__):
-                self._visit(sys.modules[name], names)
+                self._visit(sys.modules[name])
 
-    def _watch(self, read: Callable[[], Any], names: frozenset[str]) -> None:
+    def _watch(self, read: Callable[[], Any]) -> None:
         value = read()
-        self._reads.append((read, value))
-        self._visit(value, names)
+        (self._code if isinstance(value, _OWN + _FIELDS) else self.values).append((read, value))
+        self._visit(value)
+
+    def _new(self, value: Any, name: str = "") -> bool:
+        count = len(self._seen)
+        self._seen.add((id(value), name))
+        return len(self._seen) > count
 
 
-def _parts(value: Any) -> tuple[Any, ...] | None:
-    """The parts of a value, which are always the same; None of one that may change."""
-    if isinstance(value, types.MethodType):
-        return value.__func__, value.__self__
-    if isinstance(value, functools.partial):
-        return value.func, *value.args, *value.keywords.values()
-    if isinstance(value, tuple | frozenset):
-        return tuple(value)
-    return tuple(getattr(value, f.name) for f in fields(value)) if _is_frozen(value) else None
+def hold(reads: Iterable[Read], arrays: Sequence[tuple[Array, bytes]]) -> bool:
+    """Whether what is read is what was read, and arrays are as they were."""
+    for read, value in reads:
+        if read() is not value:
+            return False
+    return not arrays or all(each.tobytes() == held for each, held in arrays)
 
 
-def _is_frozen(value: Any) -> bool:
-    return getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False)
+def _is_plain(kind: type) -> bool:
+    """Whether instances are what is read of them by name, or, of tuples, their elements."""
+    if kind in (tuple, frozenset, object):
+        return True
+    dunders = {name for name, each in vars(kind).items() if name[:2] == "__" and callable(each)}
+    known = type(kind) in (type, ABCMeta) and dunders <= _HARMLESS
+    return known and all(map(_is_plain, kind.__bases__))
 
 
 def _trusted(value: Any) -> bool:
@@ -122,10 +147,6 @@ def _trusted(value: Any) -> bool:
     name = getattr(value, "__name__" if isinstance(value, types.ModuleType) else "__module__", None)
     package = (name or "").partition(".")[0]
     return isinstance(value, _OWN) and package in ("numpy", "math", "builtins")
-
-
-def _named(code: types.CodeType) -> frozenset[str]:
-    return frozenset(name for part in _codes(code) for name in part.co_names)
 
 
 def _imported(code: types.CodeType) -> set[str]:

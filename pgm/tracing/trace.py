@@ -103,7 +103,7 @@ class Tracer:
         self.trace: Program | None = None
         # Shapes of batches at which it has been compared since the last plan was made.
         self.compared: set[tuple[int, ...]] = set()
-        self._surroundings: Surroundings | None = None
+        self.surroundings: Surroundings | None = None
         # Values, and points about them.
         self._drawn: tuple[list[bytes], list[Array]] | None = None
 
@@ -116,8 +116,8 @@ class Tracer:
         if self.reason is not None:
             return False
         self.compared, settled = set(), self.settled()
-        if self._surroundings is None or (self._surroundings.known and not settled):
-            self._surroundings = Surroundings(self.function)
+        if self.surroundings is None or (self.surroundings.known and not settled):
+            self.surroundings = Surroundings(self.function)
         places = [centre.tobytes() for centre in centres]
         if self._drawn is None or self._drawn[0] != places:
             self._drawn = places, around(centres)
@@ -143,10 +143,10 @@ class Tracer:
 
     def settled(self) -> bool:
         """Whether nothing that the function refers to can have changed since `confirm`."""
-        return self._surroundings is not None and self._surroundings.same()
+        return self.surroundings is not None and self.surroundings.same()
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_surroundings": None, "_drawn": None}
+        return self.__dict__ | {"surroundings": None, "_drawn": None}
 
     def _equal(self, found: Program, points: list[Array]) -> bool:
         with np.errstate(all="ignore"):

@@ -6,7 +6,7 @@ import random
 import sys
 import types
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pytest
@@ -68,6 +68,60 @@ class Plain:
         return x
 
 
+class Robot:
+    rate = 2.0
+
+    def __init__(self):
+        self.dt, self.log, self.wheel = 0.5, [], Loose(0.25)
+
+    def move(self, x):
+        return through(self, x) * self.rate
+
+    def record(self, x):
+        self.log.append(x)
+        return x
+
+    @property
+    def twice(self):
+        return 2.0 * self.dt
+
+    def doubled(self, x):
+        return self.twice * x
+
+
+class Slots:
+    __slots__ = ("dt",)
+
+    def __init__(self):
+        self.dt = 0.5
+
+    def __call__(self, x):
+        return self.dt * x
+
+
+class Pair(NamedTuple):
+    dt: float
+    gain: float
+
+    def times(self, x):
+        return self.dt * self.gain * x
+
+
+class Looked:
+    def __init__(self):
+        self.table = [1.0]
+
+    def __getitem__(self, k):
+        return self.table[k]
+
+
+def through(robot, x):
+    return robot.dt * robot.wheel.dt * x
+
+
+ROBOT, SLOTS, BOTH, LOOKED = Robot(), Slots(), Pair(0.5, 2.0), Looked()
+
+
 def inner(x, by=3.0):
     return stack([np.sin(x), math.pi * x]) * by
 
@@ -101,15 +155,23 @@ SETTLED = {
     "imports": imports,
     "array": lambda x: POINTS * x,
     "ufunc": np.sin,
+    "mutable": Loose(0.5),
+    "object": Plain().method,
+    "closed over": closes(0.5, Plain()),
+    "robot": ROBOT.move,
+    "robot, to a helper": lambda x: through(ROBOT, x),
+    "slots": SLOTS,
+    "named tuple": lambda x: BOTH.times(x),
 }
 UNKNOWN = {
     "list": lambda x: x * TABLE[0],
     "large array": lambda x: x * MANY[0],
-    "mutable": Loose(0.5),
-    "object": Plain().method,
+    "object with a list": ROBOT.record,
+    "property": ROBOT.doubled,
+    "operator": lambda x: LOOKED[0] * x,
     "frozen, that needs a list": Helped(0.5).never,
     "attribute of a function": told,
-    "closed over": closes(0.5, Plain()),
+    "closed over": closes(0.5, [1.0]),
     "generator": lambda x: random.random() * x,
     "a list of a module": lambda x: OWN.other[0] * x,
     "eval": lambda x: eval("SCALE") * x,
@@ -146,6 +208,15 @@ def test_what_may_change_unseen_is_not(name):
         ("models", motion.velocity.__globals__["planar"], "move"),
         ("module", OWN, "rate"),
         ("imports", OWN, "rate"),
+        ("robot", ROBOT, "dt"),
+        ("robot", ROBOT.wheel, "dt"),
+        ("robot", ROBOT, "rate"),
+        ("robot", Robot, "rate"),
+        ("robot, to a helper", ROBOT, "wheel"),
+        ("robot, to a helper", ROBOT.wheel, "dt"),
+        ("slots", SLOTS, "dt"),
+        ("named tuple", sys.modules[__name__], "BOTH"),
+        ("named tuple", Pair, "times"),
     ],
 )
 def test_a_change_is_seen(name, place, attribute, monkeypatch):

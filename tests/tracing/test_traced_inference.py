@@ -1,5 +1,7 @@
 """Inference with traced derivatives: as with those given, and as without where there is none."""
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -14,6 +16,9 @@ U = pgm.Variable("u", components=("v", "omega", "dt"))
 M = pgm.Variable("m", components=("east", "north"))
 Z = pgm.Variable("z", components=("range", "bearing"), angles=("bearing",))
 Y = pgm.Variable("y", ("a", "b"))
+NUMBA = pytest.mark.skipif(
+    find_spec("numba") is None, reason="sweeps are compiled by Numba, the extra fast"
+)
 MARKS = np.array([[7.0, 1.0], [-6.0, 8.0], [4.0, 12.0]])
 
 
@@ -135,20 +140,50 @@ def test_kinks_and_steps(function, at, due):
     assert_allclose(numerical, [[due]], atol=1e-7)
 
 
-def test_online_a_closure_may_change_between_steps():
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+def test_online_a_closure_may_change_between_steps(compiled):
     """A duration that the loop sets is that of each step, without a word about it."""
     dt = 0.5
 
     def move(x, u):
         return motion.Velocity(dt)(x, u[..., :2])
 
-    found, due = pgm.OnlineFilter(robot(move=move)), pgm.OnlineFilter(robot())
+    found, due = pgm.OnlineFilter(robot(move=move), compiled=compiled), pgm.OnlineFilter(robot())
     belief, known = found.initial(), due.initial()
-    for dt in (0.5, 0.5, 2.0, 0.1):
-        belief = found.predict(belief, {U: [1.0, 0.3, 0.0]})
+    for dt in (0.5, 0.5, 2.0, 0.1, 0.5):
+        belief = found.predict(belief, {U: np.array([1.0, 0.3, 0.0])})
         known = due.predict(known, {U: [1.0, 0.3, dt]})
         assert_allclose(belief[X].mean, known[X].mean, rtol=1e-12)
         assert_allclose(belief[X].cov, known[X].cov, rtol=1e-7, atol=1e-12)
+
+
+@NUMBA
+@pytest.mark.parametrize("kind", ["array", "list", "object", "default"])
+def test_compiled_steps_follow_what_may_change(kind):
+    """Of each kind of thing that a sensor refers to, the beliefs are those without machine code."""
+    shift, pair, place = np.zeros(2), [0.0, 0.0], Shifted()
+
+    def sight(x, m, by=np.zeros(2)):  # noqa: B008
+        off = {"array": shift, "list": np.stack(pair), "object": place.shift, "default": by}[kind]
+        return sensors.range_bearing(x, m) + off
+
+    (default,) = sight.__defaults__
+    model = robot(sight=sight)
+    found, due = pgm.OnlineFilter(model, compiled=True), pgm.OnlineFilter(model)
+    belief, known = found.initial(), due.initial()
+    seen = {Z: pgm.sightings(np.array([[6.0, 0.1]]), given={M: MARKS[:1]})}
+    for k, by in enumerate((0.0, 0.0, 0.3, 0.0)):
+        shift[0] = default[0] = pair[0] = by
+        place.shift = np.array([by, 0.0]) if k > 1 else place.shift
+        inputs = {U: np.array([1.0, 0.3, 0.5])}
+        belief = found.update(found.predict(belief, inputs), seen)
+        known = due.update(due.predict(known, inputs), seen)
+        assert_allclose(belief[X].mean, known[X].mean, rtol=1e-9)
+
+
+class Shifted:
+    def __init__(self):
+        self.shift = np.zeros(2)
 
 
 def test_a_compiled_graph_follows_a_closure():
@@ -279,10 +314,8 @@ def up_to_a_value(x):
 
 
 @pytest.mark.parametrize("move", [up_to_a_global, up_to_a_value])
-@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
 def test_a_change_that_no_drawn_point_shows_counts(move, compiled, monkeypatch):
-    if compiled:
-        pytest.importorskip("numba", reason="sweeps are compiled by Numba, the extra fast")
     x, z = pgm.variables("x z")
 
     def means(compiled, jacobian=None):

@@ -14,7 +14,7 @@ from pgm.compile import DynamicGraph, SliceLayout
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import Scope, listed, positions
+from pgm.factors.scope import Scope, as_scope, listed, positions
 from pgm.inference.associations import Found, Rejections
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.innovations import Innovations
@@ -172,6 +172,20 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
             step=variable.step,
         )
     return template, first
+
+
+def require_at_steps(layout: SliceLayout, variables: Sequence[Variable], last: int) -> Scope:
+    """The scope of a joint; refuses variables that are not hidden ones at steps, or none."""
+    if not variables:
+        raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
+    scope = as_scope(variables)
+    for variable in scope:
+        if variable.step is None:
+            raise EvidenceError(
+                f"a joint is of variables at steps; write {variable.name}.at(3)", variable=variable
+            )
+        located(layout, variable, last)
+    return scope
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,9 +11,9 @@ import numpy as np
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import EvidenceError, GraphError, NumericalError
+from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import Scope, as_scope, names
+from pgm.factors.scope import Scope, names
 from pgm.inference.associations import Found
 from pgm.inference.chain import adjoint, backward
 from pgm.inference.chain.backward import Beliefs, Reverse
@@ -21,7 +21,7 @@ from pgm.inference.chain.careful import Careful
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.innovations import Innovated
-from pgm.inference.chain.marginals import Marginals, joint_moments, located
+from pgm.inference.chain.marginals import Marginals, joint_moments, require_at_steps
 from pgm.inference.chain.messages import backward_messages, first_potential, potentials
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reweighting import Weights, evidence_kind
@@ -177,15 +177,7 @@ class ChainPosterior(Innovated, Posterior):
         NumericalError
             If windows of an iterated fixed lag were solved in twice the digits.
         """
-        if not variables:
-            raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
-        for variable in as_scope(variables):
-            if variable.step is None:
-                raise EvidenceError(
-                    f"a joint is of variables at steps; write {variable.name}.at(3)",
-                    variable=variable,
-                )
-            located(self.graph.layout, variable, self.graph.steps)
+        require_at_steps(self.graph.layout, variables, self.graph.steps)
         size = sum(variable.dimension for variable in variables)
         what = f"the joint of {len(variables)} variables, {size} components in all,"
         require_runs(size * size, self._planned.runs, what)

@@ -16,7 +16,6 @@ import numpy as np
 
 from pgm.cpds import CPD, ConditionalGaussian
 from pgm.cpds.mixture import UnidentifiedCPD
-from pgm.errors import EvidenceError
 from pgm.inference.grid.dependence import MEASURED, Reduced, blocks, centres, within
 from pgm.inference.grid.lattice import Window
 from pgm.inference.grid.measured import (
@@ -41,6 +40,7 @@ from pgm.inference.grid.values import (
     root_of,
     settled,
 )
+from pgm.inference.options import require_whole
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, wrap
 
 # Exponents below this are none: products of such numbers would be slow, denormal ones.
@@ -327,14 +327,7 @@ class DensitySensor(MeasuredSensor):
         """The CPD at a row, its measurement, NaN where not taken, and the observed parents."""
         step, known, cpd = int(self.reading.step[row]), self.known(row, run), self.reading.cpd
         taken = self.taken(row, run)
-        if not taken.all() and not cpd.partial:
-            raise EvidenceError(
-                f"{cpd!r}: a measurement at step {step} has components that are NaN, which the "
-                "density of such a CPD cannot leave out; give all of them, or none",
-                variable=cpd.child,
-                cpd=cpd,
-                step=step,
-            )
+        require_whole(cpd, taken, step)
         values = self.reading.values
         value = np.where(taken, values[row, run if values.shape[1] > 1 else 0], np.nan)
         cpd = settled(cpd, known, step, run)

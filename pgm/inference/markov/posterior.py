@@ -11,11 +11,11 @@ import numpy as np
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import EvidenceError, GraphError
+from pgm.errors import GraphError
 from pgm.factors import Table
 from pgm.factors.axes import discrete, sizes
-from pgm.factors.scope import Scope, as_scope
-from pgm.inference.chain.marginals import located
+from pgm.factors.scope import Scope
+from pgm.inference.chain.marginals import require_at_steps
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
 from pgm.inference.markov.marginals import Beliefs, StateMarginals, joint, pair, potential
@@ -136,16 +136,7 @@ class StatePosterior(Posterior):
         GraphError
             If the table, or one on the way, would not fit.
         """
-        if not variables:
-            raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
-        scope = discrete(as_scope(variables))
-        for variable in scope:
-            if variable.step is None:
-                raise EvidenceError(
-                    f"a joint is of variables at steps; write {variable.name}.at(3)",
-                    variable=variable,
-                )
-            located(self.graph.layout, variable, self.graph.steps)
+        scope = discrete(require_at_steps(self.graph.layout, variables, self.graph.steps))
         # Arrays on the way hold those of earlier slices, and the whole of the last one.
         end = max(variable.step or 0 for variable in scope)
         before = discrete(tuple(v for v in scope if v.step != end))

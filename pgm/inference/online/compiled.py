@@ -74,7 +74,8 @@ class CompiledSteps:
             ):
                 _, step, known, log_evidence, _, _ = core
                 found = _empty(self._shape)
-                if self._predict(kind.step, known, found, row) == 0.0:
+                moved = self._predict(kind.step, known, found, row)
+                if moved == 0.0 and (not kind.watched or kind.still()):
                     after: OnlineBelief = _new(OnlineBelief)
                     put_core(after, (self, step + 1, found, log_evidence, PREDICTED, kind.status))
                     return after
@@ -101,7 +102,7 @@ class CompiledSteps:
                     ):
                         found = _empty(self._shape)
                         density = self._update(kind.step, known, found, first, second)
-                        if density == density:
+                        if density == density and (not kind.watched or kind.still()):
                             after: OnlineBelief = _new(OnlineBelief)
                             total = log_evidence + density
                             put_core(after, (self, step, found, total, FILTERED, kind.status))
@@ -131,7 +132,7 @@ class CompiledSteps:
                 if len(self._known) >= _MOST:
                     self._known.clear()
                 kind = self._known[key] = self._laid(make, belief, values, rows)
-            if kind.step is not None:
+            if kind.step is not None and kind.still():
                 self._last[moves] = kind
                 if kind.first is None:
                     one = len(rows) == 1

@@ -87,9 +87,10 @@ class OnlineFilter(InCode, Immutable):
         same methods, and takes neither lineariser nor schedule, of which it has no use.
     compiled : bool or Compiled
         Whether steps are made in machine code, by Numba, for which functions have to be traced, as
-        they are at the first step of a kind, and then for good. Steps that are not plain (of many
-        runs, with a lag, a gate or iterations, in twice the digits) are made without, with equal
-        results. False unless said, since loading and compiling take the time of 10,000 steps.
+        they are at the first step of a kind. Steps that are not plain (of many runs, with a lag, a
+        gate or iterations, in twice the digits, or of functions that refer to a number that has
+        changed, or to what may change unseen) are made without, with equal results. False unless
+        said, since loading and compiling take the time of 10,000 steps.
 
     Raises
     ------

@@ -19,6 +19,7 @@ from pgm.inference.online.step_evidence import places
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.kernels.compiled import tables as t
+from pgm.tracing.surroundings import Read, hold
 from pgm.variables import Variable
 
 
@@ -43,6 +44,8 @@ class Layout:
         status: Status,
     ) -> None:
         self.status, self._where = status, places(values)
+        self._values: list[Read] = []
+        self._arrays: list[tuple[Array, bytes]] = []
         self._parts: list[list[int]] = []
         self._shifts: list[list[int]] = []
         if len(values) == 1 and len(shapes) == 1 + bool(plan.sensors):
@@ -51,6 +54,11 @@ class Layout:
         self._order = list(range(len(shapes))) if self.first is not None else starts
         with suppress(Uncompiled):
             self.step = self._table(plan)
+        self.watched = bool(self._values or self._arrays)
+
+    def still(self) -> bool:
+        """Whether quantities that functions refer to are what they were when it was laid out."""
+        return hold(self._values, self._arrays)
 
     def _table(self, plan: ChainPlan) -> Integers64:
         from pgm.kernels.compiled import sweeps as s
@@ -58,6 +66,12 @@ class Layout:
         chain, layout = Chain(plan), plan.layout
         chain.lay_out(False, False)
         self._rows = rows = chain.rows
+        templates = [each.template for each in plan.families if each.template is not None]
+        for around in (template.whole.surroundings for template in templates):
+            if around is None or not around.known:
+                raise Uncompiled("what a function refers to may change unseen")
+            self._values += around.values
+            self._arrays += around.arrays
         for link, row in zip(plan.transition, chain.links, strict=True):
             self._inputs(link.family, row, 1, None)
         for sensor, row in zip(plan.read, chain.sensors, strict=True):

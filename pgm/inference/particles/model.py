@@ -12,10 +12,10 @@ import numpy as np
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD
 from pgm.cpds.base import Known
 from pgm.cpds.mixture import UnidentifiedCPD, by_run, chosen, log_mixed
-from pgm.errors import EvidenceError, LinearisationError, ModelError
+from pgm.errors import LinearisationError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import distinct_labels
-from pgm.inference.options import require_density
+from pgm.inference.options import require_density, require_whole
 from pgm.inference.particles.laws import Drawing, GaussianLaw, Law, Some, States, by_pattern
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.networks import DynamicBayesianNetwork
@@ -131,7 +131,7 @@ class Sensor:
             # A density that is told by NaN what was not measured takes all runs at once.
             rows, patterns = np.where(taken, rows, np.nan), iter([(np.ones_like(taken[0]), None)])
         for pattern, which in patterns:
-            self._require_whole(pattern, some.step)
+            require_whole(self.reading.cpd, pattern, some.step)
             part = some if which is None else some.chosen(which)
             child = rows[:1].T if len(rows) == 1 or part.owner is None else rows[part.owner].T
             found = self.law.log_density(row, part, child, pattern)
@@ -165,17 +165,6 @@ class Sensor:
             chosen = np.ones(runs, dtype=bool) if which is None else which
             found[chosen] = np.broadcast_to(part.constant, runs)[chosen]
         return found
-
-    def _require_whole(self, taken: Mask, step: int) -> None:
-        cpd = self.reading.cpd
-        if not taken.all() and not cpd.partial:
-            raise EvidenceError(
-                f"{cpd!r}: a measurement at step {step} has components that are NaN, which the "
-                "density of such a CPD cannot leave out; give all of them, or none",
-                variable=cpd.child,
-                cpd=cpd,
-                step=step,
-            )
 
     def _require_density(self, found: Array, some: Some) -> None:
         total = found.sum()

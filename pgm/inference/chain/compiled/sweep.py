@@ -197,17 +197,17 @@ class Chain:
         read = plan.read
         links = np.zeros((len(plan.transition), t.COLUMNS), dtype=np.int64)
         sensors = np.zeros((len(read), t.COLUMNS), dtype=np.int64)
+        kept = keep and not stored
         for link, row in zip(plan.transition, links, strict=True):
             link_row(plan, link, rows, row, stored=stored)
+            if kept:
+                _keep(link.family, row, rows)
         for sensor, row in zip(read, sensors, strict=True):
             sensor_row(plan, sensor, rows, row, stored=stored)
-        if keep and not stored:
-            for link, row in zip(plan.transition, links, strict=True):
-                _keep(link.family, row, rows)
-            for sensor, row in zip(read, sensors, strict=True):
+            if kept:
                 _keep(sensor.family, row, rows)
-                if sensor.variable.angles:
-                    row[t.MOVED : t.MOVED + 4] = rows.told(sensor.moved, 1)
+            if kept and sensor.variable.angles:
+                row[t.MOVED : t.MOVED + 4] = rows.told(sensor.moved, 1)
         self.links, self.sensors = links, sensors
         self.fields[t.LINKS], self.fields[t.LINK_COUNT] = rows.at(links), len(links)
         self.fields[t.SENSORS], self.fields[t.SENSOR_COUNT] = rows.at(sensors), len(sensors)
