@@ -103,7 +103,7 @@ class Surroundings:
         for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()):
             self._visit(value)
         for cell in function.__closure__ or ():
-            self._watch(functools.partial(getattr, cell, "cell_contents", None))
+            self._watch(functools.partial(_held, cell))
         for name in names:
             if name in function.__globals__:
                 self._watch(functools.partial(function.__globals__.get, name))
@@ -147,6 +147,13 @@ def _trusted(value: Any) -> bool:
     name = getattr(value, "__name__" if isinstance(value, types.ModuleType) else "__module__", None)
     package = (name or "").partition(".")[0]
     return isinstance(value, _OWN) and package in ("numpy", "math", "builtins")
+
+
+def _held(cell: types.CellType) -> Any:
+    try:
+        return cell.cell_contents
+    except ValueError:  # of a variable that has no value yet
+        return None
 
 
 def _imported(code: types.CodeType) -> set[str]:

@@ -239,3 +239,10 @@ def test_a_closure_and_an_array_are_seen():
     assert found.same()
     dt = 0.25
     assert not found.same()
+
+
+def test_a_variable_without_a_value_is_seen_when_it_has_one():
+    found = Surroundings(lambda x: x if x.ndim else later)
+    assert found.same()
+    later = 1.0
+    assert not found.same()
