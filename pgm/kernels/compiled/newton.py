@@ -36,7 +36,7 @@ from pgm.kernels.compiled.memory import (
     ready,
 )
 from pgm.kernels.compiled.packs import where
-from pgm.kernels.compiled.tables import RUNS
+from pgm.kernels.compiled.tables import RUNS  # `opened` takes a literal, which t.RUNS is not
 
 # So many steps are linearised before they are eliminated.
 _AT_ONCE = 64

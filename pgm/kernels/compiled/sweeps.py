@@ -158,12 +158,8 @@ def joined(fields, row, run, known, spread, mean, cov, work):
             joint[i * wide + j] = spread[states[i] * own_wide + states[j]]
     for link in range(fields[t.LINK_COUNT]):
         cpd = past(places(fields[t.LINKS]), link * t.COLUMNS)
-        count, height, child, parents = (
-            cpd[t.SIZE],
-            cpd[t.HEIGHT],
-            cpd[t.CHILD],
-            places(cpd[t.PARENTS]),
-        )
+        count, height, child = cpd[t.SIZE], cpd[t.HEIGHT], cpd[t.CHILD]
+        parents = places(cpd[t.PARENTS])
         thick, tall = width(count, work), width(height, work)
         gather(parents, count, pair, joint, wide, x, block)
         ok = ok & linearise(cpd, row, run, x, block, matrix, value, noise, rest)
@@ -297,10 +293,8 @@ def _entry(stamp: int, lanes: int, back: bool) -> Any:
     @_kept
     def sweep(chain, first, last, memory):
         fields, beliefs = places(chain), opened(memory, lanes)
-        status, apart = (
-            places(fields[t.STATUS]),
-            (fields[t.WIDTH] + 1) * width(fields[t.WIDTH], beliefs),
-        )
+        status, size = places(fields[t.STATUS]), fields[t.WIDTH]
+        apart = (size + 1) * width(size, beliefs)
         work, final = past(beliefs, TOGETHER // lanes * apart), fields[t.LAST]
         for begin in range(first, last, TOGETHER):
             end = min(begin + TOGETHER, last)
