@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -31,6 +32,14 @@ def compiled(function: Callable[..., Any]) -> Any:
     kernel = _kernel(function)
     general = kernel.get_call_template
     kernel.get_call_template = lambda args, kws: general([types.unliteral(k) for k in args], kws)
+    return kernel
+
+
+def kept(function: Callable[..., Any], **options: Any) -> Any:
+    """A kernel that Python calls. Numba keeps it on disk, by what it closes over, where it can."""
+    kernel = njit(error_model="numpy", **options)(function)
+    with suppress(RuntimeError):  # no folder can be written to
+        kernel.enable_caching()
     return kernel
 
 

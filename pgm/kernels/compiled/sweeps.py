@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from pgm.kernels.compiled import tables as t
 from pgm.kernels.compiled.algebra import (
     add,
@@ -27,6 +25,7 @@ from pgm.kernels.compiled.memory import (
     STAMP,
     compiled,
     give,
+    kept,
     numbers,
     opened,
     past,
@@ -284,13 +283,9 @@ def _leave(status, run, ok):
         run += 1
 
 
-_kept: Any = njit(error_model="numpy", nogil=True, cache=True)
-
-
 def _entry(stamp: int, lanes: int, back: bool) -> Any:
-    """A sweep that Python calls. Numba keeps it on disk by what it closes over."""
+    """A sweep that Python calls, which closes over the stamp as well."""
 
-    @_kept
     def sweep(chain, first, last, memory):
         fields, beliefs = places(chain), opened(memory, lanes)
         status, size = places(fields[t.STATUS]), fields[t.WIDTH]
@@ -309,7 +304,7 @@ def _entry(stamp: int, lanes: int, back: bool) -> Any:
                         _leave(status, run, _step(fields, count, run, belief, work))
         return stamp
 
-    return sweep
+    return kept(sweep, nogil=True)
 
 
 # Sweep some runs of the chain at an address forward; reverse their transitions, and send the last
