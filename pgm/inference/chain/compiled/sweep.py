@@ -179,7 +179,10 @@ class Chain:
         fields[t.STATUS], fields[t.RUN_COUNT] = address(self.status), plan.runs
 
     def lay_out(self, stored: bool, keep: bool) -> None:
-        """The tables of CPDs; what is linearised is kept in the plan."""
+        """Lay out the tables of CPDs, `stored` as the plan has them linearised.
+
+        Others are linearised by the sweep, and to `keep` that puts it into the plan.
+        """
         plan, rows = self.plan, self.rows
         if not is_known(plan):
             raise Uncompiled("only the general kernels know a part of it")
@@ -234,6 +237,7 @@ class Chain:
 
 
 def _keep(family: Any, row: Integers64, rows: Rows) -> None:
+    """Tell where a CPD keeps how it is linearised."""
     if family.template is None:
         return
     row[t.MATRIX : t.MATRIX + 4] = rows.told(family.matrix, 2)
