@@ -174,7 +174,8 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
     if inputs:
         lead = np.broadcast_shapes(*(values.shape[:2] for values in inputs))
         wide = [np.broadcast_to(values, (*lead, values.shape[2])) for values in inputs]
-        joined = np.concatenate(wide, axis=-1) if len(wide) > 1 else np.ascontiguousarray(wide[0])
+        # Functions take components that lie next to each other; NumPy joins arrays as they lie.
+        joined = np.ascontiguousarray(np.concatenate(wide, axis=-1) if len(wide) > 1 else wide[0])
         table[t.INPUTS : t.INPUTS + 4] = rows.told(joined, 1)
     table[t.KIND] = t.TAYLOR
     if not family.hidden or type(rule) is Taylor:
