@@ -214,7 +214,7 @@ def compile(
         Whether sweeps along the chain of a dynamic network run in machine code, by Numba, with
         equal results to rounding. ``graph.compilation`` tells which CPDs can be; with one that
         cannot, all of it runs without. If not given, that is where Numba is installed and NumPy
-        would need about a second, which is 20,000 steps of one run, or 3,000 of a thousand: for
+        would need about a second, which is 20,000 steps of one run, or 3,400 of a thousand: for
         less, loading takes longer than it saves.
 
     Examples

@@ -152,16 +152,6 @@ class DynamicGraph(ClusterGraph, ABC):
     def __init__(self, model: DynamicBayesianNetwork, steps: int, compiled: Choice = None) -> None:
         self._set(model=model, steps=steps, layout=SliceLayout(model, compiled))
 
-    @property
-    def compilation(self) -> Compilation:
-        """Of each CPD, whether sweeps in machine code know it, or why not."""
-        layout, model = self.layout, self.model
-        scopes = [(model.prior, layout.states), (model.transition, layout.pair)]
-        scopes.append((model.observation, layout.slice))
-        places = {cpd: layout.place(cpd, scope) for cpds, scope in scopes for cpd in cpds}
-        templates = {cpd: place.template for cpd, place in places.items()}
-        return Compilation(self._title, templates, model.observation)
-
     # A graph of slices is no graph of a network without time, whatever else it has in common.
     @property
     def network(self) -> DynamicBayesianNetwork:  # type: ignore[override]
@@ -284,6 +274,16 @@ class _Sepsets(InCode, Mapping[Edge, Scope]):
 
 class SliceGraph(DynamicGraph):
     """The chain of clusters 0..T of a dynamic network, with all states at t between t and t+1."""
+
+    @property
+    def compilation(self) -> Compilation:
+        """Of each CPD, whether sweeps in machine code know it, or why not."""
+        layout, model = self.layout, self.model
+        scopes = [(model.prior, layout.states), (model.transition, layout.pair)]
+        scopes.append((model.observation, layout.slice))
+        places = {cpd: layout.place(cpd, scope) for cpds, scope in scopes for cpd in cpds}
+        templates = {cpd: place.template for cpd, place in places.items()}
+        return Compilation(self._title, templates, model.observation)
 
     def within(self, steps: int) -> range:
         """The clusters 0..steps."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TypeVar
 
 from pgm.display.shown import Shown, titled
-from pgm.display.summary import Listing, Summary
+from pgm.display.summary import TITLE, Listing, Summary
 
 Key = TypeVar("Key")
 
@@ -34,4 +34,4 @@ class Told(Shown, Mapping[Key, str]):
 
     def _summary(self) -> Summary:
         rows = [(titled(key), words) for key, words in self._found.items()]
-        return Summary(self._title, [Listing(("", ""), rows, names=2), *self._more])
+        return Summary(self._title, [Listing(("", ""), rows, 2, TITLE), *self._more])

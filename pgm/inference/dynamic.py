@@ -243,8 +243,9 @@ def smooth(
         filter's. On the chain the later ones, of all steps at once, are solved for in about
         2 log₂ T rounds, as on a balanced tree, where that is faster (from 64 steps on, up to 200
         numbers, the components of a slice times the runs) and costs no digits (no noise-free or
-        grouped measurements, none that shrink a variance more than 4·10⁶ times); else step by step.
-        `Balanced()` saves the filter's sweep, and starts from dead reckoning.
+        grouped measurements, none that shrink a variance more than 4·10⁶ times); else, and in
+        machine code, along the chain. `Balanced()` saves the filter's sweep, and starts from dead
+        reckoning.
     keep, executor, belief, compiled, progress
         As of `filter`.
 

@@ -31,8 +31,8 @@ class Source(NamedTuple):
     """Whose function it is, for messages and for programs that handle an error.
 
     `timed` says whether the step is one in time; `first_run` is None in a trial call. Of one that
-    is `live` other calls lie between those for its plan and this one: whatever it refers to may
-    have changed, so that its trace is compared with it each time.
+    is `live` other calls lie between those for its plan and this one: its trace is used only where
+    nothing that it refers to can have changed.
     """
 
     cpd: Any = None
@@ -199,9 +199,9 @@ class BoundFunction(NamedTuple):
         self, x: Array, std: Array | None, arguments: list[Array], shape: tuple[int, ...]
     ) -> tuple[Array, Array] | None:
         """The value, (..., d), and the missing derivatives, (..., d, n), by the trace."""
-        program = self.template.program
-        if program is None or self.template.tracer is None:
-            return None
+        program, tracer = self.template.program, self.template.tracer
+        if program is None or tracer is None or (self.source.live and not tracer.settled()):
+            return None  # where a value is as it was, a derivative need not be
         if shape:
             value, slope = program.batch(arguments, shape)
             value, slope = components_last(value, 1), components_last(slope, 2)
@@ -212,8 +212,7 @@ class BoundFunction(NamedTuple):
                 finite = isfinite(value.sum() + slope.sum())
         else:
             value, slope, finite = program.single(arguments)
-        tracer = self.template.tracer
-        unsure = shape not in tracer.compared or (self.source.live and not tracer.settled())
+        unsure = shape not in tracer.compared
         if unsure or not finite:
             # Warnings and errors are the function's own.
             due = self._value(x, arguments, shape)

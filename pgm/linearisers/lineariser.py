@@ -16,13 +16,7 @@ from pgm.display import InCode
 from pgm.errors import LinearisationError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.arrays import is_symmetric, symmetrised
-from pgm.kernels.arrays import (
-    Array,
-    block_diagonal,
-    components_first,
-    components_last,
-    times,
-)
+from pgm.kernels.arrays import Array, block_diagonal, components_first, components_last, times
 from pgm.linearisers.function import BoundFunction, sealed
 from pgm.linearisers.template import FunctionTemplate
 

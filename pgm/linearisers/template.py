@@ -128,12 +128,12 @@ class FunctionTemplate:
 
     @cached_property
     def compiled(self) -> dict[bool, Any]:
-        """The functions in machine code, or why not: of packs of runs, and of one."""
+        """By whether it is of packs of runs, the function in machine code, or why there is none."""
         return {}
 
     @cached_property
     def whole(self) -> Tracer:
-        """Of the function's value, followed by the derivatives that were given."""
+        """The tracer of the value followed by the derivatives that were given, for machine code."""
         given = tuple(by for _, _, _, by in self.derivatives if by is not None)
         more = self.height * (self.size - len(self.missing))
         widths = [parent.dimension for parent in self.given]

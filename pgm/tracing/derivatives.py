@@ -54,6 +54,7 @@ def _zero(value: Any) -> bool:
 
 
 def _extreme(beyond: str, a: Any, b: Any, by_a: Any, by_b: Any) -> Any:
+    """The derivative of whichever lies beyond the other, or the mean of both where they tie."""
     if _zero(by_a):
         a, b, by_a, by_b = b, a, by_b, by_a
     lesser, larger = scalar(beyond, b, a), scalar(beyond, a, b)

@@ -65,11 +65,6 @@ class Program:
         return [(a, i) for a, width in enumerate(self.widths) for i in range(width)]
 
     @property
-    def observed(self) -> list[Column]:
-        """The components of observed arguments, in the order in which they are stacked."""
-        return [component for component in self._components if component not in self.columns]
-
-    @property
     def batch_source(self) -> str:
         """Code of a function of arguments (*batch, width) each.
 
@@ -97,7 +92,8 @@ class Program:
         runs, whose observed components lie `apart` from each other.
         """
         inputs = {column: f"x[{k}]" for k, column in enumerate(self.columns)}
-        inputs |= {each: f"take(u, {k}, apart, x)" for k, each in enumerate(self.observed)}
+        observed = (each for each in self._components if each not in inputs)
+        inputs |= {each: f"take(u, {k}, apart, x)" for k, each in enumerate(observed)}
         cells = [f"value[{i}]" for i in range(len(self.value))]
         cells += [f"slope[{s}]" for s in range(len(self.slope))]
         return self._printed("def pointer(x, u, apart, value, slope):", inputs, cells, MACHINE)

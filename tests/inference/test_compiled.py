@@ -69,6 +69,33 @@ def test_runs_of_all_kinds(name, rule):
     assert_posterior(*found)
 
 
+@pytest.mark.parametrize("lead", [(), (3,), (9,)])
+@pytest.mark.parametrize("shared", [None, 0, 1])
+def test_functions_of_several_inputs(lead, shared):
+    """Inputs of each run, and those that all runs share, lie otherwise in memory."""
+    s, v = (pgm.Variable(name, components=("a", "b")) for name in "sv")
+    w, y = pgm.variables("w y")
+
+    def move(s, v, w):
+        return s + v * np.sin(w) + 0.1 * np.cos(s)
+
+    def seen(s, v, w):
+        return s[..., :1] * w + v[..., 1:]
+
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(s, [0.0, 1.0], 1.0)],
+        [pgm.NonlinearGaussianCPD(s, (s.previous, v, w), move, 0.1)],
+        [pgm.NonlinearGaussianCPD(y, (s, v, w), seen, 0.1)],
+    )
+    rng = np.random.default_rng(5)
+    evidence = {
+        each: rng.normal(size=(*(() if shared == k else lead), 12, each.dimension))
+        for k, each in enumerate((v, w, y))
+    }
+    for options in ({}, {"lineariser": pgm.Unscented()}, {"iterations": 4}):
+        assert_posterior(*both(pgm.smooth, model, evidence, **options))
+
+
 @pytest.mark.parametrize("runs", [1, 9])
 @pytest.mark.parametrize("shape", [np.eye(2), np.diag([1.0, 1e5]), [[1.0, 0.999], [0.999, 1.0]]])
 @pytest.mark.parametrize("variance", [1e-4, 1e-6, 1e-7, 1e-8])

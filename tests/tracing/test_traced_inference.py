@@ -157,6 +157,21 @@ def test_online_a_closure_may_change_between_steps(compiled):
         assert_allclose(belief[X].cov, known[X].cov, rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+def test_online_a_slope_may_change_where_the_value_does_not(compiled):
+    """A gain counts at the mean 0, too, where a function's value does not show it."""
+    (s,) = pgm.variables("s")
+    shared, number = [1.0], 1.0
+    for gain in (lambda: shared[0], lambda: number):  # noqa: B023
+        move = pgm.NonlinearGaussianCPD(s, s.previous, lambda s, g=gain: g() * np.sin(s), 0.1)
+        model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(s, 0.0, 1.0)], [move], [])
+        robot = pgm.OnlineFilter(model, compiled=compiled)
+        for number in (1.0, 3.0, 3.0, 1.0):
+            shared[0] = number
+            belief = robot.predict(robot.initial())
+            assert_allclose(belief[s].cov, [[number**2 + 0.1]], rtol=1e-7)
+
+
 @NUMBA
 @pytest.mark.parametrize("kind", ["array", "list", "object", "default"])
 def test_compiled_steps_follow_what_may_change(kind):

@@ -15,16 +15,7 @@ from pgm.inference import sweep as loops
 from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels import moments, roots
-from pgm.kernels.arrays import (
-    Array,
-    Index,
-    apply,
-    block,
-    room,
-    sandwich,
-    symmetric,
-    transpose,
-)
+from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich, symmetric, transpose
 from pgm.kernels.elements import (
     Moments,
     compose_conditionals,

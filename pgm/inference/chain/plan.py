@@ -24,12 +24,7 @@ from pgm.factors.scope import Scope
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
 from pgm.inference.options import require_plain
-from pgm.kernels.arrays import (
-    Array,
-    Index,
-    Integers,
-    cut,
-)
+from pgm.kernels.arrays import Array, Index, Integers, cut
 from pgm.linearisers import Lineariser
 
 

@@ -15,7 +15,7 @@ from pgm.inference.chain import backward, careful, cost, forward, newton, parall
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
 from pgm.inference.chain.compiled import sweep as compiled
-from pgm.inference.chain.compiled.table import Uncompiled
+from pgm.inference.chain.compiled.table import Uncompiled, is_known
 from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.moments import on_chart, turns_far
 from pgm.inference.chain.newton import Means
@@ -115,7 +115,7 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         found = _compiled(plan, schedule, first)
         if found is not None:
             return found
-    machine = machine and compiled.is_known(plan)
+    machine = machine and is_known(plan)
     rounds = _is_long(plan) and schedule.iterations > 1 and not machine
     chain = Chain(plan, _in_rounds if rounds else swept)
     if isinstance(first, Smoothed):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,21 +12,16 @@ from pgm.evidence import Sightings
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.online.beliefs import OnlineBelief, is_plain, put_core
 from pgm.inference.online.layout import Layout
-from pgm.inference.online.step_evidence import numbers
+from pgm.inference.online.step_evidence import ARRAY, FLOAT, MOST, Values, numbers
 from pgm.inference.status import FILTERED, PREDICTED, Status
 from pgm.kernels.arrays import Array
-from pgm.variables import Variable
 
-Values = Mapping[Variable, Any]
 Make = Callable[[OnlineBelief, Any], ChainPlan]
 General = Callable[[OnlineBelief, Any], OnlineBelief]
 
-_ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)
 _NO_ROWS = np.empty((0, 0))
 # After the name of a sensor with sightings, before those of the parents given with them.
 _SIGHTED = object()
-# Kinds of input that are kept.
-_MOST = 64
 _new, _empty = object.__new__, np.empty
 
 
@@ -68,8 +63,8 @@ class CompiledSteps:
             ((variable, row),) = inputs.items()
             if (
                 variable is kind.first
-                and type(row) is _ARRAY
-                and row.dtype is _FLOAT
+                and type(row) is ARRAY
+                and row.dtype is FLOAT
                 and row.ndim == 1
             ):
                 _, step, known, log_evidence, _, _ = core
@@ -93,11 +88,11 @@ class CompiledSteps:
                     ((parent, second),) = given.items()
                     if (
                         parent is kind.second
-                        and type(first) is _ARRAY
-                        and first.dtype is _FLOAT
+                        and type(first) is ARRAY
+                        and first.dtype is FLOAT
                         and first.ndim == 2
-                        and type(second) is _ARRAY
-                        and second.dtype is _FLOAT
+                        and type(second) is ARRAY
+                        and second.dtype is FLOAT
                         and second.ndim == 2
                     ):
                         found = _empty(self._shape)
@@ -129,7 +124,7 @@ class CompiledSteps:
             key = make, *names, *(row.shape for row in rows)
             kind = self._known.get(key)
             if kind is None:
-                if len(self._known) >= _MOST:
+                if len(self._known) >= MOST:
                     self._known.clear()
                 kind = self._known[key] = self._laid(make, belief, values, rows)
             if kind.step is not None and kind.still():

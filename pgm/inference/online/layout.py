@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from itertools import accumulate
 from math import prod
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +13,7 @@ from pgm.inference.chain.compiled.sweep import Chain
 from pgm.inference.chain.compiled.table import Integers64, Uncompiled
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.family import Family
-from pgm.inference.online.step_evidence import places
+from pgm.inference.online.step_evidence import Values, places
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.kernels.compiled import tables as t
@@ -39,13 +37,14 @@ class Layout:
     def __init__(
         self,
         plan: ChainPlan,
-        values: Mapping[Variable, Any],
+        values: Values,
         shapes: list[tuple[int, ...]],
         status: Status,
     ) -> None:
         self.status, self._where = status, places(values)
         self._values: list[Read] = []
         self._arrays: list[tuple[Array, bytes]] = []
+        # As of `kernels.compiled.online`.
         self._parts: list[list[int]] = []
         self._shifts: list[list[int]] = []
         if len(values) == 1 and len(shapes) == 1 + bool(plan.sensors):

@@ -126,7 +126,7 @@ def _single(variable: Variable, value: Any) -> Any:
     return as_indices(variable, value)[..., None]
 
 
-_ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)
+ARRAY, FLOAT = np.ndarray, np.dtype(np.float64)
 _SIGHTED, _GIVEN = -1, -2
 # What tells values of one kind from those of another: of what, how many rows, how wide. Variables
 # are told by identity, which is quicker than by value; whoever keeps a key has to keep them.
@@ -179,8 +179,8 @@ def _view(value: Any, axes: int) -> Array | None:
 
 def numbers(value: Any, axes: int) -> Array | None:
     """Numbers with so many axes; None where they are odd."""
-    if type(value) is not _ARRAY or value.dtype is not _FLOAT:
-        value = _numbers(value) if isinstance(value, _ARRAY | list | tuple) else None
+    if type(value) is not ARRAY or value.dtype is not FLOAT:
+        value = _numbers(value) if isinstance(value, ARRAY | list | tuple) else None
     return None if value is None or value.ndim != axes else value
 
 
@@ -203,7 +203,7 @@ def places(values: Mapping[Variable, Any]) -> dict[tuple[Variable | None, Variab
 
 
 # Kinds of input that a filter keeps layouts for.
-_MOST = 64
+MOST = 64
 Values = Mapping[Variable, Any]
 
 
@@ -301,7 +301,7 @@ class Layouts:
                 _local(sensor.family, sensor.variable, len(sensor.values), where)
                 for sensor in plan.sensors
             ]
-        if len(self._known) >= _MOST:
+        if len(self._known) >= MOST:
             self._known.clear()
         chain = MomentChain(plan, self._schedule, keep=False)
         layout = self._known[key] = _Layout(plan, chain, locals_, dict(values))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -13,15 +14,7 @@ from numba import config, njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from pgm.kernels.compiled.packs import (
-    NUMBERS,
-    ROW_PACK,
-    RUN_PACK,
-    Packs,
-    bits,
-    opposite,
-    splat,
-)
+from pgm.kernels.compiled.packs import NUMBERS, ROW_PACK, RUN_PACK, Packs, bits, opposite, splat
 from pgm.kernels.compiled.tables import RUNS
 
 # Of the text of all kernels: code on disk is of this text, or is not loaded.
@@ -42,6 +35,14 @@ def compiled(function: Callable[..., Any]) -> Any:
     return kernel
 
 
+def kept(function: Callable[..., Any], **options: Any) -> Any:
+    """A kernel that Python calls. Numba keeps it on disk, by what it closes over, where it can."""
+    kernel = njit(error_model="numpy", **options)(function)
+    with suppress(RuntimeError):  # no folder can be written to
+        kernel.enable_caching()
+    return kernel
+
+
 @compiled
 def some(truth):
     """Whether one of a pack of truths is."""
@@ -54,8 +55,8 @@ def every(truth):
     return bits(opposite(truth)) == 0
 
 
-def ready(kernel: Any, signature: str) -> Any:
-    """A kernel, compiled for a signature or loaded from the disk.
+def ready(kernel: Any, signature: str) -> None:
+    """Compile a kernel for a signature, or load it from the disk.
 
     LLVM's second level makes of these short loops what the third does, in three quarters of the
     time, and without vectorised loops, which are for long ones.
@@ -68,7 +69,6 @@ def ready(kernel: Any, signature: str) -> Any:
                 kernel.compile(signature)
             finally:
                 config.OPT, config.LOOP_VECTORIZE = before
-    return kernel
 
 
 def _seen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -20,8 +20,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from pgm.kernels.compiled import factors as f
 from pgm.kernels.compiled import tables as t
 from pgm.kernels.compiled.algebra import add, clear, copy, padded, product
@@ -29,6 +27,7 @@ from pgm.kernels.compiled.memory import (
     STAMP,
     by_row,
     compiled,
+    kept,
     numbers,
     opened,
     past,
@@ -36,7 +35,7 @@ from pgm.kernels.compiled.memory import (
     ready,
 )
 from pgm.kernels.compiled.packs import where
-from pgm.kernels.compiled.tables import RUNS
+from pgm.kernels.compiled.tables import RUNS  # `opened` takes a literal, which t.RUNS is not
 
 # So many steps are linearised before they are eliminated.
 _AT_ONCE = 64
@@ -186,9 +185,8 @@ def _forward(fields, run, reference, equations, work):
 
 
 def _entry(stamp: int) -> Any:
-    """The step that Python calls. Numba keeps it on disk by what it closes over: the stamp."""
+    """The step that Python calls, which closes over the stamp."""
 
-    @njit(error_model="numpy", nogil=True, cache=True)
     def newton(chain, first, last, memory):
         fields, known = places(chain), numbers(memory)
         status, width = places(fields[t.STATUS]), fields[t.WIDTH]
@@ -211,7 +209,7 @@ def _entry(stamp: int) -> Any:
                     variance[here] = known[row + i]
         return stamp
 
-    return newton
+    return kept(newton, nogil=True)
 
 
 # A step of some runs of the chain at an address; the last argument is that of `room`.

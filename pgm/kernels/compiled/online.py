@@ -11,12 +11,11 @@ from math import isfinite, nan
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from pgm.kernels.compiled import tables as t
 from pgm.kernels.compiled.algebra import copy, least_open, padded
 from pgm.kernels.compiled.measurements import once
-from pgm.kernels.compiled.memory import STAMP, compiled, numbers, past, places, ready
+from pgm.kernels.compiled.memory import STAMP, compiled, kept, numbers, past, places, ready
 from pgm.kernels.compiled.sweeps import joined, moved
 
 (CHAIN, MEMORY, PACKED, PARTS, PART_COUNT, SHIFTS, SHIFT_COUNT, STEP) = range(8)
@@ -111,26 +110,23 @@ def _through(kernel: Any) -> Any:
 
 
 _moved_on, _taken_in = _through(_predicted), _through(_updated)
-_kept: Any = njit(error_model="numpy", cache=True, _nrt=False)
 
 
 def _entries(stamp: int) -> tuple[Any, Any]:
-    """The steps that Python calls; of the stamp as those of `sweeps`."""
+    """The steps that Python calls, which close over the stamp."""
 
-    @_kept
     def predict(step, before, after, given):
         row = given[np.newaxis, :]
         if stamp < 0 or not _fill(step, row, row):
             return nan
         return _moved_on(step, numbers(before.ctypes.data), numbers(after.ctypes.data))
 
-    @_kept
     def update(step, before, after, first, second):
         if stamp < 0 or not _fill(step, first, second):
             return nan
         return _taken_in(step, numbers(before.ctypes.data), numbers(after.ctypes.data))
 
-    return predict, update
+    return kept(predict, _nrt=False), kept(update, _nrt=False)
 
 
 predict, update = _entries(STAMP)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from pgm.kernels.compiled import tables as t
 from pgm.kernels.compiled.algebra import (
     add,
@@ -27,6 +25,7 @@ from pgm.kernels.compiled.memory import (
     STAMP,
     compiled,
     give,
+    kept,
     numbers,
     opened,
     past,
@@ -158,12 +157,8 @@ def joined(fields, row, run, known, spread, mean, cov, work):
             joint[i * wide + j] = spread[states[i] * own_wide + states[j]]
     for link in range(fields[t.LINK_COUNT]):
         cpd = past(places(fields[t.LINKS]), link * t.COLUMNS)
-        count, height, child, parents = (
-            cpd[t.SIZE],
-            cpd[t.HEIGHT],
-            cpd[t.CHILD],
-            places(cpd[t.PARENTS]),
-        )
+        count, height, child = cpd[t.SIZE], cpd[t.HEIGHT], cpd[t.CHILD]
+        parents = places(cpd[t.PARENTS])
         thick, tall = width(count, work), width(height, work)
         gather(parents, count, pair, joint, wide, x, block)
         ok = ok & linearise(cpd, row, run, x, block, matrix, value, noise, rest)
@@ -288,19 +283,13 @@ def _leave(status, run, ok):
         run += 1
 
 
-_kept: Any = njit(error_model="numpy", nogil=True, cache=True)
-
-
 def _entry(stamp: int, lanes: int, back: bool) -> Any:
-    """A sweep that Python calls. Numba keeps it on disk by what it closes over."""
+    """A sweep that Python calls, which closes over the stamp as well."""
 
-    @_kept
     def sweep(chain, first, last, memory):
         fields, beliefs = places(chain), opened(memory, lanes)
-        status, apart = (
-            places(fields[t.STATUS]),
-            (fields[t.WIDTH] + 1) * width(fields[t.WIDTH], beliefs),
-        )
+        status, size = places(fields[t.STATUS]), fields[t.WIDTH]
+        apart = (size + 1) * width(size, beliefs)
         work, final = past(beliefs, TOGETHER // lanes * apart), fields[t.LAST]
         for begin in range(first, last, TOGETHER):
             end = min(begin + TOGETHER, last)
@@ -315,7 +304,7 @@ def _entry(stamp: int, lanes: int, back: bool) -> Any:
                         _leave(status, run, _step(fields, count, run, belief, work))
         return stamp
 
-    return sweep
+    return kept(sweep, nogil=True)
 
 
 # Sweep some runs of the chain at an address forward; reverse their transitions, and send the last

@@ -13,12 +13,12 @@ from pgm.tracing.compiled import compiled as machine_code
 
 
 class Functions(NamedTuple):
-    """A CPD's function, by itself and with its derivative: ``f(x, u, apart, value, slope)``.
+    """The addresses of a CPD's function, by itself and with its derivative.
 
-    Both take the stacked hidden parents and the stacked others; rows of the derivative of one run
-    are padded with zeros to whole fours, as kernels have them. `kept` keeps both in memory; they
-    may be one, where the function by itself is hardly called.
-    `trace` is of the function together with the derivatives that were given.
+    Both are called as ``f(x, u, apart, value, slope)``, with the stacked hidden parents x and the
+    stacked others u; rows of the derivative of one run are padded with zeros to whole fours, as
+    kernels have them. `kept` keeps both in memory; they may be one, where the function by itself is
+    hardly called. `trace` is of the function together with the derivatives that were given.
     """
 
     value: int
@@ -53,6 +53,7 @@ def compiled(
 
 
 def _program(template: FunctionTemplate, trace: Program, per_row: int) -> Program:
+    """The value and the whole derivative: given parts from the trace, and its own of the rest."""
     height, size = template.height, template.size
     alone = replace(trace, value=trace.value[:height]).by(template.missing_columns)
     slope = np.full((height, size + -size % per_row), None)

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.inference.chain.compiled.sweep import Chain
-from pgm.inference.chain.compiled.table import (
-    Integers64,
-    Rows,
-    Uncompiled,
-    address,
-    at_least,
-)
+from pgm.inference.chain.compiled.table import Integers64, Rows, Uncompiled, address, at_least
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.newton import Means, precision
 from pgm.inference.chain.plan import ChainPlan

@@ -15,14 +15,14 @@ from pgm.inference.chain.compiled.table import (
     Rows,
     Uncompiled,
     address,
+    is_known,
     link_row,
-    require_compiled,
     sensor_row,
 )
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.options import LevenbergMarquardt
-from pgm.inference.schedule import Filtering
+from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.compiled import tables as t
 from pgm.kernels.moments import Conditional
@@ -58,15 +58,6 @@ def is_used(plan: ChainPlan) -> bool:
     return choice is not False
 
 
-def is_known(plan: ChainPlan) -> bool:
-    """Whether a plan can be swept in machine code as it is linearised."""
-    try:
-        require_compiled(plan)
-    except Uncompiled:
-        return False
-    return True
-
-
 def forward(
     plan: ChainPlan,
     schedule: Filtering | None,
@@ -92,12 +83,9 @@ def forward(
         return None
     from pgm.kernels.compiled import sweeps as s
 
-    iterations, damping = 1, 0.0
-    if schedule is not None:
-        asked = schedule.damping
-        if schedule.gate is not None or isinstance(asked, LevenbergMarquardt):
-            return None
-        iterations, damping = schedule.iterations, asked
+    asked = schedule or ONCE
+    if asked.gate is not None or isinstance(asked.damping, LevenbergMarquardt):
+        return None
     try:
         chain = Chain(plan)
         chain.lay_out(schedule is None, keep)
@@ -115,16 +103,16 @@ def forward(
     closest = np.full((plan.layout.slice_size + 2, plan.runs), np.inf)
     closest[0], closest[-1] = 1.0, 0.0
     chain.fields[t.CLOSEST] = address(closest)
-    record = np.zeros((iterations + 1, plan.runs if iterations > 1 else 0))
-    if iterations > 1 and schedule is not None:
-        settings = np.array([schedule.tolerance, damping])
-        chain.fields[t.ITERATIONS] = iterations
+    record = np.zeros((asked.iterations + 1, plan.runs if asked.iterations > 1 else 0))
+    if asked.iterations > 1:
+        settings = np.array([asked.tolerance, asked.damping])
+        chain.fields[t.ITERATIONS] = asked.iterations
         chain.fields[t.SETTINGS] = chain.rows.at(settings)
         chain.fields[t.RESIDUALS] = address(record)
     left = chain.run((s.forward, s.forward_together))
-    longest = int(record[-2].max(initial=0.0)) if iterations > 1 else 0
+    longest = int(record[-2].max(initial=0.0))
     converged = np.full(plan.runs, plan.linear)
-    if iterations > 1 and not plan.linear:
+    if asked.iterations > 1 and not plan.linear:
         converged = record[-1] == 0.0
     found = float(closest[0].min(initial=1.0)), bool(closest[-1].any())
     return Swept(left, list(record[:longest]), converged, *found)
@@ -191,9 +179,13 @@ class Chain:
         fields[t.STATUS], fields[t.RUN_COUNT] = address(self.status), plan.runs
 
     def lay_out(self, stored: bool, keep: bool) -> None:
-        """The tables of CPDs; what is linearised is kept in the plan."""
+        """Lay out the tables of CPDs, `stored` as the plan has them linearised.
+
+        Others are linearised by the sweep, and to `keep` that puts it into the plan.
+        """
         plan, rows = self.plan, self.rows
-        require_compiled(plan)
+        if not is_known(plan):
+            raise Uncompiled("only the general kernels know a part of it")
         read = plan.read
         links = np.zeros((len(plan.transition), t.COLUMNS), dtype=np.int64)
         sensors = np.zeros((len(read), t.COLUMNS), dtype=np.int64)
@@ -245,6 +237,7 @@ class Chain:
 
 
 def _keep(family: Any, row: Integers64, rows: Rows) -> None:
+    """Tell where a CPD keeps how it is linearised."""
     if family.template is None:
         return
     row[t.MATRIX : t.MATRIX + 4] = rows.told(family.matrix, 2)

@@ -81,19 +81,13 @@ def bits(mask: Sequence[int] | Integers64) -> int:
     return sum(1 << int(k) for k in mask)
 
 
-def require_compiled(plan: ChainPlan) -> None:
-    """Refuse a plan with anything in it that only the general kernels know."""
+def is_known(plan: ChainPlan) -> bool:
+    """Whether machine code knows all of a plan, but for functions that are not linearised yet."""
     for sensor in plan.read:
-        if sensor.robust:
-            raise Uncompiled(f"{sensor.family.cpd!r} is of robust noise")
-        if sensor.gated is not None:
-            raise Uncompiled(f"{sensor.family.cpd!r} has a gate")
-        if sensor.exact:
-            raise Uncompiled(f"{sensor.family.cpd!r} has singular noise")
-        if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
-            raise Uncompiled(f"{sensor.family.cpd!r} is grouped")
-    if any(f.cpd.child.dimension > _MOST or f.shape[3] > _MOST for f in plan.families):
-        raise Uncompiled("its variables are large")
+        several = sensor.grouped and max(np.diff(sensor.bounds)) > 1
+        if sensor.robust or sensor.gated is not None or sensor.exact or several:
+            return False
+    return all(max(f.cpd.child.dimension, f.shape[3]) <= _MOST for f in plan.families)
 
 
 def link_row(plan: ChainPlan, link: Link, rows: Rows, table: Integers64, *, stored: bool) -> None:
@@ -180,7 +174,8 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
     if inputs:
         lead = np.broadcast_shapes(*(values.shape[:2] for values in inputs))
         wide = [np.broadcast_to(values, (*lead, values.shape[2])) for values in inputs]
-        joined = np.concatenate(wide, axis=-1) if len(wide) > 1 else np.ascontiguousarray(wide[0])
+        # Functions take components that lie next to each other; NumPy joins arrays as they lie.
+        joined = np.ascontiguousarray(np.concatenate(wide, axis=-1) if len(wide) > 1 else wide[0])
         table[t.INPUTS : t.INPUTS + 4] = rows.told(joined, 1)
     table[t.KIND] = t.TAYLOR
     if not family.hidden or type(rule) is Taylor:
