@@ -71,12 +71,13 @@ def _check(cpd: NonlinearGaussianCPD, centres: list[Array]) -> None:
         f"{v!r} = {each[point].round(4).tolist()}"
         for v, each in zip(cpd.given, points, strict=True)
     )
-    of = "differences of the function" if bare.numerical else "the function's trace"
+    of, why = "the function's trace", ": derivatives of traced functions are exact"
+    if bare.numerical:
+        of, why = "differences of the function", ""
     raise ModelError(
         f"{cpd!r}: the Jacobian by {parent!r} is wrong in row {row} ({names[0]}), column {place} "
         f"({names[1]}): it gives {given[(*point, row, column)]:.6g}, {of} "
-        f"{due[(*point, row, column)]:.6g}, at {at}; mend that entry, or leave this Jacobian out: "
-        "derivatives of traced functions are exact",
+        f"{due[(*point, row, column)]:.6g}, at {at}; mend that entry, or leave this Jacobian out{why}",
         variable=parent,
         cpd=cpd,
     )
