@@ -77,7 +77,8 @@ def _check(cpd: NonlinearGaussianCPD, centres: list[Array]) -> None:
     raise ModelError(
         f"{cpd!r}: the Jacobian by {parent!r} is wrong in row {row} ({names[0]}), column {place} "
         f"({names[1]}): it gives {given[(*point, row, column)]:.6g}, {of} "
-        f"{due[(*point, row, column)]:.6g}, at {at}; mend that entry, or leave this Jacobian out{why}",
+        f"{due[(*point, row, column)]:.6g}, at {at}; mend that entry, or leave this "
+        f"Jacobian out{why}",
         variable=parent,
         cpd=cpd,
     )
