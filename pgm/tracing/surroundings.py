@@ -16,23 +16,13 @@ from pgm.kernels.arrays import Array
 
 # What classes have for slots and for the fields of named tuples.
 _FIELDS = (types.MemberDescriptorType, type(vars(namedtuple("_Pair", "a b"))["a"]))
-_FIXED: tuple[type, ...] = (
-    bool,
-    int,
-    float,
-    complex,
-    str,
-    bytes,
-    types.NoneType,
-    slice,
-    types.EllipsisType,
-)
-_FIXED += (np.generic, np.dtype, np.ufunc, *_FIELDS)
+_FIXED: tuple[type, ...] = (bool, int, float, complex, str, bytes, types.NoneType, slice)
+_FIXED += (types.EllipsisType, np.generic, np.dtype, np.ufunc, *_FIELDS)
 _OWN = (types.ModuleType, type, types.BuiltinFunctionType, types.FunctionType, type(np.stack))
 # By these a function finds what its code does not name, or what is not there yet.
 _HIDDEN = {"eval", "exec", "globals", "locals", "vars", "getattr", "hasattr", "open"}
 _HIDDEN |= {"AttributeError", "NameError", "Exception", "MATCH_CLASS"}
-_HIDDEN |= {f"__{name}__" for name in ("import", "globals", "class", "getattribute")}
+_HIDDEN |= {"__import__", "__globals__", "__class__", "__getattribute__", "__annotations__"}
 # By these it calls methods that its code does not name.
 _CALLS = {"==": "__eq__", "!=": "__eq__", "CONTAINS_OP": "__eq__", "hash": "__hash__"}
 _CALLS |= {"type": "__init__", "str": "__str__", "repr": "__repr__"}
