@@ -73,9 +73,9 @@ class Surroundings:
             self._function(value)
         elif type(value) is np.ndarray and value.dtype.kind in "biufc" and value.nbytes <= _SMALL:
             self.arrays.append((value, _content(value)))
-        elif isinstance(value, types.MethodType):
-            self._visit(value.__func__)
-            self._visit(value.__self__)
+        elif type(value) in (types.MethodType, property, staticmethod):
+            for part in ("__func__", "__self__", "fget"):
+                self._visit(getattr(value, part, None))
         elif type(value) is functools.partial and not vars(value):
             for part in (value.func, *value.args, *value.keywords.values()):
                 self._visit(part)

@@ -85,6 +85,13 @@ class Robot:
     def twice(self):
         return 2.0 * self.dt
 
+    @staticmethod
+    def scaled(x):
+        return SCALE * x
+
+    def static(self, x):
+        return self.scaled(x)
+
     def doubled(self, x):
         return self.twice * x
 
@@ -159,6 +166,8 @@ SETTLED = {
     "closed over": closes(0.5, Plain()),
     "robot": ROBOT.move,
     "robot, to a helper": lambda x: through(ROBOT, x),
+    "property": ROBOT.doubled,
+    "static method": ROBOT.static,
     "slots": SLOTS,
     "named tuple": lambda x: BOTH.times(x),
 }
@@ -166,7 +175,6 @@ UNKNOWN = {
     "list": lambda x: x * TABLE[0],
     "large array": lambda x: x * MANY[0],
     "object with a list": ROBOT.record,
-    "property": ROBOT.doubled,
     "imports": imports,
     "operator": lambda x: LOOKED[0] * x,
     "frozen, that needs a list": Helped(0.5).never,
@@ -213,6 +221,9 @@ def test_what_may_change_unseen_is_not(name):
         ("robot", Robot, "rate"),
         ("robot, to a helper", ROBOT, "wheel"),
         ("robot, to a helper", ROBOT.wheel, "dt"),
+        ("property", ROBOT, "dt"),
+        ("property", Robot, "twice"),
+        ("static method", sys.modules[__name__], "SCALE"),
         ("slots", SLOTS, "dt"),
         ("named tuple", sys.modules[__name__], "BOTH"),
         ("named tuple", Pair, "times"),
