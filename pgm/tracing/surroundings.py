@@ -73,8 +73,8 @@ class Surroundings:
             self._function(value)
         elif type(value) is np.ndarray and value.dtype.kind in "biufc" and value.nbytes <= _SMALL:
             self.arrays.append((value, _content(value)))
-        elif type(value) in (types.MethodType, property, staticmethod):
-            for part in ("__func__", "__self__", "fget"):
+        elif type(value) in (types.MethodType, property, functools.cached_property, staticmethod):
+            for part in ("__func__", "__self__", "fget", "func"):
                 self._visit(getattr(value, part, None))
         elif type(value) is functools.partial and not vars(value):
             for part in (value.func, *value.args, *value.keywords.values()):

@@ -92,6 +92,13 @@ class Robot:
     def static(self, x):
         return self.scaled(x)
 
+    @functools.cached_property
+    def thrice(self):
+        return 3.0 * SCALE * self.dt
+
+    def tripled(self, x):
+        return self.thrice * x
+
     def doubled(self, x):
         return self.twice * x
 
@@ -167,6 +174,7 @@ SETTLED = {
     "robot": ROBOT.move,
     "robot, to a helper": lambda x: through(ROBOT, x),
     "property": ROBOT.doubled,
+    "cached property": ROBOT.tripled,
     "static method": ROBOT.static,
     "slots": SLOTS,
     "named tuple": lambda x: BOTH.times(x),
@@ -223,6 +231,8 @@ def test_what_may_change_unseen_is_not(name):
         ("robot, to a helper", ROBOT.wheel, "dt"),
         ("property", ROBOT, "dt"),
         ("property", Robot, "twice"),
+        ("cached property", sys.modules[__name__], "SCALE"),
+        ("cached property", Robot, "thrice"),
         ("static method", sys.modules[__name__], "SCALE"),
         ("slots", SLOTS, "dt"),
         ("named tuple", sys.modules[__name__], "BOTH"),
