@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dis
 import functools
-import sys
 import types
 from abc import ABCMeta
 from collections import namedtuple
@@ -15,13 +14,18 @@ import numpy as np
 
 from pgm.kernels.arrays import Array
 
-_FIXED: tuple[type, ...] = (bool, int, float, complex, str, bytes, types.NoneType, slice)
-_FIXED += (types.EllipsisType, np.generic, np.dtype, np.ufunc)
 # What classes have for slots and for the fields of named tuples.
 _FIELDS = (types.MemberDescriptorType, type(vars(namedtuple("_Pair", "a b"))["a"]))
+_FIXED: tuple[type, ...] = (bool, int, float, complex, str, bytes, types.NoneType, slice)
+_FIXED += (types.EllipsisType, np.generic, np.dtype, np.ufunc, *_FIELDS)
 _OWN = (types.ModuleType, type, types.BuiltinFunctionType, types.FunctionType, type(np.stack))
-# By these a function finds what its code does not name.
-_HIDDEN = {"eval", "exec", "globals", "locals", "vars", "getattr", "open", "__import__"}
+# By these a function finds what its code does not name, or what is not there yet.
+_HIDDEN = {"eval", "exec", "globals", "locals", "vars", "getattr", "hasattr", "open"}
+_HIDDEN |= {"AttributeError", "NameError", "Exception", "MATCH_CLASS"}
+_HIDDEN |= {"__import__", "__globals__", "__class__", "__getattribute__", "__annotations__"}
+# By these it calls methods that its code does not name.
+_CALLS = {"==": "__eq__", "!=": "__eq__", "CONTAINS_OP": "__eq__", "hash": "__hash__"}
+_CALLS |= {"type": "__init__", "str": "__str__", "repr": "__repr__"}
 # Methods that operators and conversions do not call.
 _NAMED = "new init post_init call repr str format eq ne hash setattr delattr getstate setstate "
 _NAMED += "getnewargs reduce reduce_ex copy deepcopy replace sizeof dir annotate annotate_func"
@@ -44,36 +48,42 @@ class Surroundings:
         # Of quantities and objects, and of modules, classes and functions; and arrays.
         self.values: list[Read] = []
         self._code: list[Read] = []
-        self.arrays: list[tuple[Array, bytes]] = []
-        self._names = {"__call__"}
+        self.arrays: list[tuple[Array, Any]] = []
+        self._names = {"__call__", "__getattr__"}
         self._holders: list[Any] = []  # of attributes
         self._seen: set[tuple[int, str]] = set()
-        self._visit(function)
         count = -1
-        while count < len(self._seen):
-            count = len(self._seen)
-            for holder in tuple(self._holders):
-                self._attributes(holder)
+        try:
+            self._visit(function)
+            while self.known and count < len(self._seen):
+                count = len(self._seen)
+                for holder in tuple(self._holders):
+                    self._attributes(holder)
+        except Exception:  # an object may refuse to be looked at; functions may lie deep
+            self.known = False
 
     def same(self) -> bool:
         """Whether it is known that nothing has changed."""
         return self.known and hold((*self.values, *self._code), self.arrays)
 
     def _visit(self, value: Any) -> None:
-        if isinstance(value, _FIXED + _FIELDS) or _trusted(value) or not self._new(value):
+        if not self.known or _fixed(value) or _trusted(value) or not self._new(value):
             return
         if isinstance(value, types.FunctionType):
             self._function(value)
-        elif isinstance(value, np.ndarray) and value.dtype != object and value.nbytes <= _SMALL:
-            self.arrays.append((value, value.tobytes()))
-        elif isinstance(value, types.MethodType):
-            self._visit(value.__func__)
-            self._visit(value.__self__)
-        elif isinstance(value, functools.partial):
+        elif type(value) is np.ndarray and value.dtype.kind in "biufc" and value.nbytes <= _SMALL:
+            self.arrays.append((value, _content(value)))
+        elif type(value) in (types.MethodType, property, functools.cached_property, staticmethod):
+            for part in ("__func__", "__self__", "fget", "func"):
+                self._visit(getattr(value, part, None))
+        elif type(value) is functools.partial and not vars(value):
             for part in (value.func, *value.args, *value.keywords.values()):
                 self._visit(part)
         elif isinstance(value, types.ModuleType) or _is_plain(type(value)):
             self._holders.append(value)
+            for name in () if isinstance(value, types.ModuleType) else ("__class__", "__dict__"):
+                read = functools.partial(getattr, value, name, None)
+                self.values.append((read, read()))
             for part in value if isinstance(value, tuple | frozenset) else ():
                 self._visit(part)
         else:
@@ -81,38 +91,43 @@ class Surroundings:
 
     def _attributes(self, holder: Any) -> None:
         """The attributes of a module or an object that are named."""
-        own, kinds = getattr(holder, "__dict__", {}), type(holder).__mro__
+        own = getattr(holder, "__dict__", {})
+        kinds = [kind for kind in type(holder).__mro__ if not _packaged(kind.__module__)]
+        places = [own, *map(vars, kinds)]
         for name in tuple(self._names):
-            places = [place for place in (own, *map(vars, kinds)) if name in place]
-            if not places or not self._new(holder, name):
+            found = [k for k, place in enumerate(places) if name in place]
+            if not found or not self._new(holder, name):
                 continue
-            for place in places:
-                self._watch(functools.partial(place.get, name))
-            if isinstance(places[0][name], types.MemberDescriptorType):  # of a slot
-                self._watch(functools.partial(getattr, holder, name, None))
-            elif places[0] is not own and not isinstance(places[0][name], _OWN):
-                self._watch(functools.partial(own.get, name))  # which would come first
+            first = places[found[0]][name]
+            shared = found[0] or isinstance(holder, types.ModuleType)
+            kept = self._code if shared and isinstance(first, _OWN + _FIELDS) else self.values
+            for place in places[: found[0] + 1]:
+                self._watch(functools.partial(place.get, name), kept)
+            if not found[0]:  # a class may have a property, which comes before what an object has
+                self._visit(places[found[:2][-1]][name])
+            if isinstance(first, types.MemberDescriptorType):  # of a slot
+                self._watch(functools.partial(getattr, holder, name, None), self.values)
 
     def _function(self, function: types.FunctionType) -> None:
-        names = {name for part in _codes(function.__code__) for name in part.co_names}
+        names, known = _named(function.__code__)
         self._names |= names
-        self.known &= not names & _HIDDEN and vars(function).keys() <= {"__wrapped__"}
+        self.known &= known and vars(function).keys() <= {"__wrapped__"}
         for attribute in ("__code__", "__defaults__", "__kwdefaults__"):
             read = functools.partial(getattr, function, attribute)
             self._code.append((read, read()))
         for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()):
             self._visit(value)
         for cell in function.__closure__ or ():
-            self._watch(functools.partial(_held, cell))
+            self._watch(functools.partial(_held, cell), self.values)
         for name in names:
             if name in function.__globals__:
                 self._watch(functools.partial(function.__globals__.get, name))
-            elif name in sys.modules and name in _imported(function.__code__):
-                self._visit(sys.modules[name])
 
-    def _watch(self, read: Callable[[], Any]) -> None:
+    def _watch(self, read: Callable[[], Any], kept: list[Read] | None = None) -> None:
         value = read()
-        (self._code if isinstance(value, _OWN + _FIELDS) else self.values).append((read, value))
+        if kept is None:
+            kept = self._code if isinstance(value, _OWN) else self.values
+        kept.append((read, value))
         self._visit(value)
 
     def _new(self, value: Any, name: str = "") -> bool:
@@ -121,12 +136,22 @@ class Surroundings:
         return len(self._seen) > count
 
 
-def hold(reads: Iterable[Read], arrays: Sequence[tuple[Array, bytes]]) -> bool:
+def hold(reads: Iterable[Read], arrays: Sequence[tuple[Array, Any]]) -> bool:
     """Whether what is read is what was read, and arrays are as they were."""
     for read, value in reads:
         if read() is not value:
             return False
-    return not arrays or all(each.tobytes() == held for each, held in arrays)
+    return not arrays or all(_content(each) == held for each, held in arrays)
+
+
+def _content(array: Array) -> tuple[Any, ...]:
+    return array.tobytes(), array.shape, array.dtype
+
+
+def _fixed(value: Any) -> bool:
+    """Whether a value is a number or the like, not of a class that adds to it."""
+    kind = type(value)
+    return issubclass(kind, _FIXED) and kind is not np.void and _packaged(kind.__module__)
 
 
 def _is_plain(kind: type) -> bool:
@@ -140,13 +165,19 @@ def _is_plain(kind: type) -> bool:
 
 def _trusted(value: Any) -> bool:
     """Whether a module, a class or a function is NumPy's or Python's own."""
-    if isinstance(value, types.BuiltinFunctionType) and not isinstance(
-        value.__self__, types.ModuleType
+    if not issubclass(type(value), _OWN):
+        return False
+    if isinstance(value, types.FunctionType):  # whose __module__ may be of one that it wraps
+        return _packaged(value.__globals__.get("__name__"))
+    if isinstance(value, types.BuiltinFunctionType) and (
+        not isinstance(value.__self__, types.ModuleType) or value.__name__ in _HIDDEN
     ):
-        return False  # a method, of an object that may change
-    name = getattr(value, "__name__" if isinstance(value, types.ModuleType) else "__module__", None)
-    package = (name or "").partition(".")[0]
-    return isinstance(value, _OWN) and package in ("numpy", "math", "builtins")
+        return False  # a method, of an object that may change, or what looks for anything
+    return _packaged(value.__name__ if isinstance(value, types.ModuleType) else value.__module__)
+
+
+def _packaged(name: str | None) -> bool:
+    return (name or "").partition(".")[0] in ("numpy", "math", "builtins", "_collections")
 
 
 def _held(cell: types.CellType) -> Any:
@@ -156,9 +187,16 @@ def _held(cell: types.CellType) -> Any:
         return None
 
 
-def _imported(code: types.CodeType) -> set[str]:
-    steps = (step for part in _codes(code) for step in dis.get_instructions(part))
-    return {step.argval for step in steps if step.opname == "IMPORT_NAME"}
+@functools.lru_cache(maxsize=1024)
+def _named(code: types.CodeType) -> tuple[set[str], bool]:
+    """The names in code, of what it calls too, and whether it finds nothing in other ways."""
+    steps = [step for part in _codes(code) for step in dis.get_instructions(part)]
+    words = {word for step in steps for word in (step.opname, step.argval)}
+    names = {name for part in _codes(code) for name in part.co_names}
+    names |= {called for word, called in _CALLS.items() if word in words}
+    found = all(_packaged(step.argval) for step in steps if step.opname == "IMPORT_NAME")
+    hidden = words & _HIDDEN - {"__class__" if code.co_name == "__eq__" else ""}  # of data classes
+    return names, found and not hidden
 
 
 def _codes(code: types.CodeType) -> Iterator[types.CodeType]:

@@ -115,9 +115,9 @@ class Tracer:
         """
         if self.reason is not None:
             return False
-        self.compared, settled = set(), self.settled()
-        if self.surroundings is None or (self.surroundings.known and not settled):
-            self.surroundings = Surroundings(self.function)
+        self.compared, settled, held = set(), self.settled(), self.surroundings
+        if held is None or (held.known and not settled):
+            held = Surroundings(self.function)
         places = [centre.tobytes() for centre in centres]
         if self._drawn is None or self._drawn[0] != places:
             self._drawn = places, around(centres)
@@ -131,7 +131,8 @@ class Tracer:
             if repr(found) == repr(self.trace):
                 found = self.trace  # what was made of it is still good
         if isinstance(found, Program) and self._equal(found, self._drawn[1]):
-            self.trace = found
+            # Last, since other threads trust a trace by it.
+            self.trace, self.surroundings = found, held
             return True
         self.trace, self.reason = None, found if isinstance(found, str) else _DIFFERS
         return False

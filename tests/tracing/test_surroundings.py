@@ -85,6 +85,20 @@ class Robot:
     def twice(self):
         return 2.0 * self.dt
 
+    @staticmethod
+    def scaled(x):
+        return SCALE * x
+
+    def static(self, x):
+        return self.scaled(x)
+
+    @functools.cached_property
+    def thrice(self):
+        return 3.0 * SCALE * self.dt
+
+    def tripled(self, x):
+        return self.thrice * x
+
     def doubled(self, x):
         return self.twice * x
 
@@ -152,7 +166,6 @@ SETTLED = {
     "helped method": Helped(0.5)._by,
     "partial": functools.partial(inner, by=2.0),
     "module": lambda x: OWN.rate * x,
-    "imports": imports,
     "array": lambda x: POINTS * x,
     "ufunc": np.sin,
     "mutable": Loose(0.5),
@@ -160,6 +173,9 @@ SETTLED = {
     "closed over": closes(0.5, Plain()),
     "robot": ROBOT.move,
     "robot, to a helper": lambda x: through(ROBOT, x),
+    "property": ROBOT.doubled,
+    "cached property": ROBOT.tripled,
+    "static method": ROBOT.static,
     "slots": SLOTS,
     "named tuple": lambda x: BOTH.times(x),
 }
@@ -167,7 +183,7 @@ UNKNOWN = {
     "list": lambda x: x * TABLE[0],
     "large array": lambda x: x * MANY[0],
     "object with a list": ROBOT.record,
-    "property": ROBOT.doubled,
+    "imports": imports,
     "operator": lambda x: LOOKED[0] * x,
     "frozen, that needs a list": Helped(0.5).never,
     "attribute of a function": told,
@@ -207,13 +223,17 @@ def test_what_may_change_unseen_is_not(name):
         ("closure", inner, "__defaults__"),
         ("models", motion.velocity.__globals__["planar"], "move"),
         ("module", OWN, "rate"),
-        ("imports", OWN, "rate"),
         ("robot", ROBOT, "dt"),
         ("robot", ROBOT.wheel, "dt"),
         ("robot", ROBOT, "rate"),
         ("robot", Robot, "rate"),
         ("robot, to a helper", ROBOT, "wheel"),
         ("robot, to a helper", ROBOT.wheel, "dt"),
+        ("property", ROBOT, "dt"),
+        ("property", Robot, "twice"),
+        ("cached property", sys.modules[__name__], "SCALE"),
+        ("cached property", Robot, "thrice"),
+        ("static method", sys.modules[__name__], "SCALE"),
         ("slots", SLOTS, "dt"),
         ("named tuple", sys.modules[__name__], "BOTH"),
         ("named tuple", Pair, "times"),

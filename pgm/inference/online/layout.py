@@ -43,7 +43,7 @@ class Layout:
     ) -> None:
         self.status, self._where = status, places(values)
         self._values: list[Read] = []
-        self._arrays: list[tuple[Array, bytes]] = []
+        self._arrays: list[tuple[Array, tuple[object, ...]]] = []
         # As of `kernels.compiled.online`.
         self._parts: list[list[int]] = []
         self._shifts: list[list[int]] = []
