@@ -95,17 +95,19 @@ class Surroundings:
         kinds = [kind for kind in type(holder).__mro__ if not _packaged(kind.__module__)]
         places = [own, *map(vars, kinds)]
         for name in tuple(self._names):
-            found = [k for k, place in enumerate(places) if name in place]
-            if not found or not self._new(holder, name):
+            having = [place for place in places if name in place]
+            if not having or not self._new(holder, name):
                 continue
-            first = places[found[0]][name]
-            shared = found[0] or isinstance(holder, types.ModuleType)
-            kept = self._code if shared and isinstance(first, _OWN + _FIELDS) else self.values
-            for place in places[: found[0] + 1]:
+            value = having[0][name]
+            shared = having[0] is not own or isinstance(holder, types.ModuleType)
+            kept = self._code if shared and isinstance(value, _OWN + _FIELDS) else self.values
+            for place in places:  # one in a nearer place would come first
                 self._watch(functools.partial(place.get, name), kept)
-            if not found[0]:  # a class may have a property, which comes before what an object has
-                self._visit(places[found[:2][-1]][name])
-            if isinstance(first, types.MemberDescriptorType):  # of a slot
+                if place is having[0]:
+                    break
+            for place in having[1:2] if having[0] is own else ():
+                self._visit(place[name])  # which may be a property, which comes before all
+            if isinstance(value, types.MemberDescriptorType):  # of a slot
                 self._watch(functools.partial(getattr, holder, name, None), self.values)
 
     def _function(self, function: types.FunctionType) -> None:
