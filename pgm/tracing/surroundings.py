@@ -83,7 +83,7 @@ class Surroundings:
             self._holders.append(value)
             for name in () if isinstance(value, types.ModuleType) else ("__class__", "__dict__"):
                 read = functools.partial(getattr, value, name, None)
-                self.values.append((read, read()))
+                self._code.append((read, read()))
             for part in value if isinstance(value, tuple | frozenset) else ():
                 self._visit(part)
         else:
