@@ -79,27 +79,30 @@ class Surroundings:
         elif type(value) is functools.partial and not vars(value):
             for part in (value.func, *value.args, *value.keywords.values()):
                 self._visit(part)
-        elif isinstance(value, types.ModuleType) or _is_plain(type(value)):
+        elif isinstance(value, types.ModuleType) or _is_plain(_class(value)):
             self._holders.append(value)
-            for name in () if isinstance(value, types.ModuleType) else ("__class__", "__dict__"):
-                read = functools.partial(getattr, value, name, None)
-                self._code.append((read, read()))
+            if isinstance(value, type):  # the function may make one
+                self._names |= {"__new__", "__init__", "__post_init__"}
+            elif not isinstance(value, types.ModuleType):
+                for name in ("__class__", "__dict__"):
+                    read = functools.partial(getattr, value, name, None)
+                    self._code.append((read, read()))
             for part in value if isinstance(value, tuple | frozenset) else ():
                 self._visit(part)
         else:
             self.known = False
 
     def _attributes(self, holder: Any) -> None:
-        """The attributes of a module or an object that are named."""
-        own = getattr(holder, "__dict__", {})
-        kinds = [kind for kind in type(holder).__mro__ if not _packaged(kind.__module__)]
-        places = [own, *map(vars, kinds)]
+        """The attributes of a module, a class or an object that are named."""
+        kinds = [vars(kind) for kind in _class(holder).__mro__ if not _packaged(kind.__module__)]
+        own = kinds.pop(0) if isinstance(holder, type) else getattr(holder, "__dict__", {})
+        places = [own, *kinds]
         for name in tuple(self._names):
             having = [place for place in places if name in place]
             if not having or not self._new(holder, name):
                 continue
             value = having[0][name]
-            shared = having[0] is not own or isinstance(holder, types.ModuleType)
+            shared = having[0] is not own or isinstance(holder, types.ModuleType | type)
             kept = self._code if shared and isinstance(value, _OWN + _FIELDS) else self.values
             for place in places:  # one in a nearer place would come first
                 self._watch(functools.partial(place.get, name), kept)
@@ -154,6 +157,10 @@ def _fixed(value: Any) -> bool:
     """Whether a value is a number or the like, not of a class that adds to it."""
     kind = type(value)
     return issubclass(kind, _FIXED) and kind is not np.void and _packaged(kind.__module__)
+
+
+def _class(value: Any) -> type:
+    return value if isinstance(value, type) else type(value)
 
 
 def _is_plain(kind: type) -> bool:

@@ -121,6 +121,22 @@ class Pair(NamedTuple):
         return self.dt * self.gain * x
 
 
+class Config:
+    dt, log = 0.5, [1.0]
+
+
+class Nearer(Config):
+    pass
+
+
+class Made:
+    def __init__(self):
+        self.dt = Nearer.dt
+
+    def times(self, x):
+        return self.dt * x
+
+
 class Looked:
     def __init__(self):
         self.table = [1.0]
@@ -178,6 +194,9 @@ SETTLED = {
     "static method": ROBOT.static,
     "slots": SLOTS,
     "named tuple": lambda x: BOTH.times(x),
+    "class": lambda x: Loose(1.0)(x),
+    "constant of a class": lambda x: Config.dt * x,
+    "made anew": lambda x: Made().times(x),
 }
 UNKNOWN = {
     "list": lambda x: x * TABLE[0],
@@ -191,7 +210,7 @@ UNKNOWN = {
     "generator": lambda x: random.random() * x,
     "a list of a module": lambda x: OWN.other[0] * x,
     "eval": lambda x: eval("SCALE") * x,
-    "class": lambda x: Loose(1.0)(x),
+    "a list of a class": lambda x: Config.log[0] * x,
 }
 
 
@@ -237,6 +256,13 @@ def test_what_may_change_unseen_is_not(name):
         ("slots", SLOTS, "dt"),
         ("named tuple", sys.modules[__name__], "BOTH"),
         ("named tuple", Pair, "times"),
+        ("class", Loose, "__call__"),
+        ("class", Loose.__init__, "__defaults__"),
+        ("constant of a class", Config, "dt"),
+        ("made anew", Nearer, "dt"),
+        ("made anew", Config, "dt"),
+        ("made anew", Made, "__init__"),
+        ("made anew", Made, "times"),
     ],
 )
 def test_a_change_is_seen(name, place, attribute, monkeypatch):
