@@ -206,6 +206,24 @@ def test_graphs_ask_for_joints_and_messages():
     assert_belief(found, due.mean, due.cov, 1e-9)
 
 
+@pytest.mark.parametrize("stays", [True, False])
+def test_work_is_compiled_by_default_where_it_is_long_and_machine_code_stays(stays, monkeypatch):
+    from numba.core.caching import NullCache
+
+    from pgm.examples import walk, z
+    from pgm.inference.chain.compiled import sweep
+    from pgm.kernels.compiled import sweeps
+
+    used, run = [], sweep.Chain.run
+    monkeypatch.setattr(sweep.Chain, "run", lambda *given: used.append(1) or run(*given))
+    if not stays:
+        monkeypatch.setattr(sweeps.forward, "_cache", NullCache())
+    monkeypatch.setattr(sweep, "_LONG", 12 * 201)
+    for steps, due in ((11, False), (12, stays)):
+        pgm.filter(walk, {z: np.ones((steps, 1))})
+        assert bool(used) is due
+
+
 def test_a_graph_travels_after_its_functions_were_compiled():
     graph, evidence = pgm.compile(MODELS["plain"], 8, compiled=True), recording("plain")
     due = pgm.infer(graph, evidence)

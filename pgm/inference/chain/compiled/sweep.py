@@ -54,8 +54,15 @@ def is_used(plan: ChainPlan) -> bool:
     choice = plan.layout.compiled
     if choice is None:
         repays = plan.steps * (_STEP + plan.runs) >= _LONG
-        return repays and find_spec("numba") is not None
+        return repays and find_spec("numba") is not None and _stays()
     return choice is not False
+
+
+def _stays() -> bool:
+    """Whether machine code is kept on disk; to compile it in each process saves no time."""
+    from pgm.kernels.compiled.sweeps import forward  # here, since Numba is slow to import
+
+    return forward._cache.cache_path is not None
 
 
 def forward(
