@@ -7,7 +7,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import LogFormatter, StrMethodFormatter
 
 Curves = Mapping[str, Mapping[str, Mapping[int, float]]]
 Line = tuple[str, str, str, str]  # label, colour, marker, dashes
@@ -49,7 +49,7 @@ def _lines(ax: Axes, curves: Curves, lines: Mapping[tuple[str, str], Line]) -> N
     ax.grid(which="major", alpha=0.3)
     # Plain numbers, 60 and not 6 × 10¹, at as few of a decade as leave room.
     for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_formatter(LogFormatter())
+        axis.set_major_formatter(StrMethodFormatter("{x:,g}"))
         axis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.4)))
     if ax.lines:
         ax.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
