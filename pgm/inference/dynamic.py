@@ -40,7 +40,7 @@ class _Options(TypedDict, total=False):
 
 
 class _SmootherOptions(_Options, total=False):
-    """And of `smooth`."""
+    """Options of `smooth`, likewise."""
 
     start: Start | None
     lag: int | None
