@@ -28,6 +28,7 @@ from pgm.kernels.arrays import (
     transpose,
 )
 from pgm.linearisers import Lineariser
+from pgm.tracing import Judge
 from pgm.variables import Variable
 
 # The unit of a variable is at least this share of its value: small parts of it are still digits.
@@ -160,6 +161,8 @@ class Model:
         lineariser: Lineariser,
         start: Array | None,
         predictive: Predictive = prior_predictive,
+        *,
+        judge: Judge,
     ) -> Model:
         """Bind evidence, and linearise at the prior predictive moments or a start, (runs, size)."""
         for group in layout.groups:
@@ -173,7 +176,7 @@ class Model:
         taken = [_taken(group, bound) for group in layout.groups]
         for family in families:
             family.probe({})
-            family.confirm({})
+            family.trace({}, judge)
         alike = all(mask is None or mask.shape[1] == 1 for mask in taken)
         shared = alike and all(
             family.exact and family.own_noise.shape[1] == 1 for family in families

@@ -10,6 +10,7 @@ import numpy as np
 
 from pgm.compile import compile
 from pgm.compile.machine import Choice, as_choice
+from pgm.cpds import NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence
@@ -160,6 +161,9 @@ class OnlineFilter(InCode, Immutable):
         found = object.__new__(cls)
         found._set(model=model, lineariser=lineariser, schedule=schedule, watch=watch is True)
         found._set(compiled=bool(as_choice(compiled, "OnlineFilter(...)")))
+        for cpd in (*model.transition, *model.observation):
+            if isinstance(cpd, NonlinearGaussianCPD):
+                cpd._renew()
         if found.compiled:
             found._compile()
         return found
@@ -209,6 +213,24 @@ class OnlineFilter(InCode, Immutable):
             plans, ends = (self._ahead, self._seen), (_DONE, _LINEARISED)
             steps = CompiledSteps(self._graph.layout, *plans, self.predict, self.update, *ends)
             self._set(_steps=steps, predict=steps.predict, update=steps.update)
+
+    def renewed(self) -> OnlineFilter:
+        """The same filter, which reads its functions anew, with what they refer to.
+
+        A belief of this filter goes on with it.
+
+        Examples
+        --------
+        >>> from pgm.examples import walk
+        >>> robot = pgm.OnlineFilter(walk)
+        >>> belief = robot.initial()
+        >>> robot = robot.renewed()
+        >>> robot.predict(belief).step
+        1
+        """
+        make, arguments = self.__reduce__()
+        found: OnlineFilter = make(*arguments)
+        return found
 
     def initial(self) -> OnlineBelief:
         """The prior, at step 0; runs are those of the model."""
