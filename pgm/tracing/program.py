@@ -36,7 +36,7 @@ class Program:
     slope : tuple of (int or None)
         d n of them, row by row; None is zero.
     cast : bool
-        Whether the function made floats of traced numbers, of which no trace shows all that it does.
+        Whether the function made floats of traced numbers: by them it may decide unseen.
     """
 
     graph: Recorder

@@ -305,7 +305,7 @@ def test_a_function_that_draws_has_no_trace_for_more_and_more_calls():
     assert "draws at random" in move.derivatives.reason
     for _ in range(64):
         pgm.filter(model, {}, steps=1)
-    first, calls = calls, 0
+    calls = 0
     for _ in range(32):
         pgm.filter(model, {}, steps=1)
     assert calls <= 32 * 3  # value, differences, and one comparison now and then

@@ -88,10 +88,10 @@ class OnlineFilter(InCode, Immutable):
         same methods, and takes neither lineariser nor schedule, of which it has no use.
     compiled : bool or Compiled
         Whether steps are made in machine code, by Numba, for which functions have to be traced, as
-        they are at the first step of a kind. Steps that are not plain (of many runs, with a lag, a
-        gate, a watch or iterations, in twice the digits, with noise that depends on inputs, or of
-        functions that refer to a number that has changed, or to what may change unseen) are made
-        without, with equal results. One run has one thread. False unless said, since loading and
+        they are when the filter is made (see `renewed`). Steps that are not plain (of many runs,
+        with a lag, a gate, a watch or iterations, in twice the digits, with noise that depends on
+        inputs, or of functions that make floats of their input) are made without, with equal
+        results. One run has one thread. False unless said, since loading and
         compiling take the time of 10,000 steps.
 
     Raises

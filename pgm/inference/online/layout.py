@@ -20,7 +20,6 @@ from pgm.kernels.compiled import tables as t
 from pgm.tracing import Judge
 from pgm.variables import Variable
 
-
 # Steps that are made both ways.
 TRIALS = 5
 
@@ -31,8 +30,8 @@ class Layout:
     `step` is its table, which holds while the layout is kept; None where it is not for a kernel.
     `first` and `second` are the variables whose arrays a kernel takes as they come: an input alone,
     or a sensor and the parent given with its sightings; others come in one row. `status` is that
-    of a belief after the step. The `judge` is of the functions' traces, and so many steps are made in
-    the general way, too, before machine code is trusted: `trials`.
+    of a belief after the step. The `judge` is of the functions' traces; `trials` is how many more
+    steps are made in the general way, too, before machine code is trusted.
     """
 
     step: Integers64 | None = None
