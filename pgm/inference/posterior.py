@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from importlib import import_module
 from typing import Any, ClassVar, TypeVar, overload
 
 import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile import DynamicGraph
-from pgm.display import NoArray, Shown
+from pgm.display import NoArray, Shown, Viewed
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.factors.listing import run_names
@@ -113,17 +112,6 @@ def _at_all_steps(values: Any, axis: int, steps: int | None) -> Array:
     before = [(0, 0)] * values.ndim
     before[axis] = (1, 0)
     return np.pad(values, before, constant_values=np.nan)
-
-
-class Viewed:
-    """Base of results that a notebook shows as a page of their graph, beliefs and messages."""
-
-    __slots__ = ()
-
-    def _repr_html_(self) -> str:
-        # The viewer stands above this layer, which must not import it: found by its name.
-        shown: str = import_module("pgm.viewer").html(self)
-        return shown
 
 
 class Posterior(Labelled, Viewed, Shown, NoArray, ABC):

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from pgm.compile import DynamicGraph
 from pgm.cpds.mixture import UnidentifiedCPD
-from pgm.display import NoArray, Shown, Summary
+from pgm.display import NoArray, Shown, Summary, Viewed
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import Scope, as_scope, listed
@@ -27,7 +27,7 @@ from pgm.inference.grid.status import GridStatus, Refinement
 from pgm.inference.grid.value import Grid
 from pgm.inference.grid.values import at_a_time, known_at
 from pgm.inference.markov.chain import StateChain, kind_of, require_chain
-from pgm.inference.posterior import Labelled, Viewed, require_variable
+from pgm.inference.posterior import Labelled, require_variable
 from pgm.inference.schedule import Schedule
 from pgm.inference.status import FILTERED, SMOOTHED, Kind
 from pgm.inference.summaries import over_time
