@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.inference.gaussian.layout import Layout, Stack
 from pgm.inference.gaussian.model import Frame, Model, indefinite_noise
-from pgm.kernels import roots
+from pgm.kernels import roots, solving
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent, transpose
 from pgm.kernels.rows import NEGLIGIBLE, largest_first
 
@@ -315,12 +315,12 @@ def _factor(model: Model, groups: list[int]) -> _Factor:
     own, residual, size = (
         np.take_along_axis(part / deviation, order, axis=-2) for part in (matrix, residual, size)
     )
-    matrix = roots.solve_lower(lower, own)
-    right = -roots.solve_lower(lower, residual)
+    matrix = solving.solve_lower(lower, own)
+    right = -solving.solve_lower(lower, residual)
     fixed = roots.determined(lower)
     height = lower.shape[-1]
     dimension = height - fixed.sum(axis=-1) - given.missing.T
-    log_scale = -0.5 * (dimension * LOG_2PI + roots.log_determinant(lower))
+    log_scale = -0.5 * (dimension * LOG_2PI + solving.log_determinant(lower))
     log_scale = log_scale - np.log(deviation).sum(axis=(-2, -1))
     log_scale = np.broadcast_to(log_scale[..., None], (*log_scale.shape, right.shape[-1]))
     if not fixed.any():
@@ -330,7 +330,7 @@ def _factor(model: Model, groups: list[int]) -> _Factor:
     exact = np.where(given.known[:, None], 0.0, matrix)
     length = np.sqrt(np.einsum("...ij,...ij->...i", exact, exact))
     # A row without variables left is evidence that is met or not, in units of its own size.
-    weights = np.abs(roots.solve_lower(lower, np.broadcast_to(np.eye(height), lower.shape)))
+    weights = np.abs(solving.solve_lower(lower, np.broadcast_to(np.eye(height), lower.shape)))
     summands = np.sqrt(np.einsum("...ij,...ij->...i", own, own))
     nothing = fixed & (length <= roots.NEGLIGIBLE * apply(weights, summands))
     numbers = weights @ size

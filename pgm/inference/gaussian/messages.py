@@ -21,7 +21,7 @@ from pgm.inference.gaussian.beliefs import (
 from pgm.inference.gaussian.layout import Rounds, Stack
 from pgm.inference.gaussian.model import Model, contradiction
 from pgm.inference.loopy import LOST, Directed
-from pgm.kernels import moments, rows
+from pgm.kernels import moments, row_messages
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.rows import Eliminated, Rows, eliminate
 
@@ -188,7 +188,7 @@ class RowMessages:
                 self.buffer.messages(members, stack.kept)
                 for members in (stack.members, stack.members ^ 1)
             )
-            change[stack.members] = rows.change(old, done.rest, against)
+            change[stack.members] = row_messages.change(old, done.rest, against)
         return change[round.messages]
 
     def accept(self, round: RowRound, active: Mask) -> None:
@@ -199,13 +199,13 @@ class RowMessages:
         """
         for stack, new in self._proposed:
             old = self.buffer.messages(stack.members, stack.kept)
-            mixed = rows.damped(old, new, self.damping) if self.damping else new
-            mixed = rows.steady(old, mixed)
+            mixed = row_messages.damped(old, new, self.damping) if self.damping else new
+            mixed = row_messages.steady(old, mixed)
             going = active
             if mixed.matrix.shape[0] == 1:
                 going = active | (np.abs(mixed.right).max(axis=(0, 1, 2), initial=0.0) < LOST)
             if not going.all():
-                mixed = rows.choose(going, mixed, old)
+                mixed = row_messages.choose(going, mixed, old)
             self.buffer.store(stack, mixed, None)
 
     def relinearise(self, active: Mask) -> Array | None:
@@ -235,7 +235,7 @@ class RowMessages:
         size = int(self.buffer.rounds.sizes[message])
         one = self.buffer.messages(np.array([message]), size)
         log_scale = self.buffer.log_scale[:, len(self.places.sizes) + message]
-        return rows.first(one), log_scale
+        return row_messages.first(one), log_scale
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
         """A cluster's factor times all messages to it, (V, k, n), and its log-scale, (V, N)."""
@@ -248,7 +248,7 @@ class RowMessages:
     def _product(self, stack: Stack) -> tuple[Rows, Array]:
         factor = self.buffer.factor(stack)
         # Columns of the stack are in the order of elimination: here, all, in the scope's.
-        return rows.first(factor), self.buffer.log_scale[:, stack.logs].sum(axis=2)[:, 0]
+        return row_messages.first(factor), self.buffer.log_scale[:, stack.logs].sum(axis=2)[:, 0]
 
     def beliefs(self) -> tuple[Beliefs, Array]:
         """The moments of all clusters, and ln of their integrals, (V, clusters, N)."""
@@ -269,7 +269,7 @@ class RowMessages:
         layout = self.buffer.rounds.layout
         for size, members in self.buffer.rounds.by_size:
             there, back = (self.buffer.messages(members[k::2], size) for k in (0, 1))
-            done = eliminate(rows.product(there, back), size)
+            done = eliminate(row_messages.product(there, back), size)
             edges = (members[::2] // 2).tolist()
             places = np.array([layout.components(layout.sepsets[edge]) for edge in edges])
             unit = np.log(self.buffer.model.frame.scale[places]).sum(axis=1)

@@ -17,16 +17,8 @@ from pgm.evidence.static import BoundValues
 from pgm.factors.scope import names
 from pgm.inference.family import Family
 from pgm.inference.gaussian.layout import Group, Layout
-from pgm.kernels.arrays import (
-    Array,
-    Integers,
-    Mask,
-    apply,
-    deviation,
-    nearest_branch,
-    sandwich,
-    transpose,
-)
+from pgm.kernels.angles import nearest_branch
+from pgm.kernels.arrays import Array, Integers, Mask, apply, deviation, sandwich, transpose
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 

@@ -22,8 +22,8 @@ from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
 from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, Integers, apply, frozen, inner, quiet, transpose
-from pgm.kernels.roots import regression
 from pgm.kernels.rows import Rows
+from pgm.kernels.solving import regression
 from pgm.variables import Variable
 
 

@@ -26,7 +26,8 @@ from pgm.inference.grid.values import (
     require_noise,
     settled,
 )
-from pgm.kernels.arrays import LOG_2PI, TURN, Array, Integers
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import LOG_2PI, Array, Integers
 from pgm.kernels.lattice import Span
 from pgm.resources import require_memory
 from pgm.variables import Variable

@@ -41,7 +41,8 @@ from pgm.inference.grid.values import (
     settled,
 )
 from pgm.inference.options import require_whole
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, wrap
+from pgm.kernels.angles import wrap
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 
 # Exponents below this are none: products of such numbers would be slow, denormal ones.
 _LEAST = -600.0

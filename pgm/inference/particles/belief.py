@@ -16,7 +16,8 @@ from pgm.inference.grid.belief import PointMassBelief, closed
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.model import Part
 from pgm.inference.summaries import moments_of, spread
-from pgm.kernels.arrays import TURN, Array, Integers, wrap
+from pgm.kernels.angles import TURN, wrap
+from pgm.kernels.arrays import Array, Integers
 
 
 class ParticleBelief(PointMassBelief):

@@ -36,8 +36,9 @@ from pgm.inference.particles.cloud import BLOCK
 from pgm.inference.particles.laws import Drawing, Some, States
 from pgm.inference.particles.model import ParticleModel, Sensor
 from pgm.inference.schedule import Filtering
-from pgm.kernels import roots
-from pgm.kernels.arrays import TURN, Array, quiet
+from pgm.kernels import roots, semidefinite, solving
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, quiet
 from pgm.kernels.resampling import indices, systematic
 from pgm.kernels.tables import log_sum
 from pgm.linearisers import Lineariser
@@ -69,11 +70,11 @@ class Guide:
         before, after = self._moments(row, some)
         lower = roots.root(before.cov)
         free = ~roots.determined(lower)
-        mean = roots.whiten(lower, after.mean - before.mean)
+        mean = solving.whiten(lower, after.mean - before.mean)
         cov = _whitened(lower, after.cov)
         # A direction that the measurements say nothing of is as it was.
         cov += ~free[..., None] * np.eye(cov.shape[-1])
-        spread = roots.root(roots.semidefinite(cov, _ROUNDING))
+        spread = roots.root(semidefinite.semidefinite(cov, _ROUNDING))
         pivots = np.diagonal(spread, axis1=-2, axis2=-1)
         if not (np.isfinite(mean).all() and (pivots > 0.0).all()):
             raise NumericalError(
@@ -172,8 +173,8 @@ def require_guidable(model: DynamicBayesianNetwork) -> None:
 def _whitened(lower: Array, cov: Array) -> Array:
     """A⁻¹ P A⁻ᵀ, zero in determined components."""
     free = ~roots.determined(lower)
-    half = roots.solve_lower(lower, cov) * free[..., None]
-    found: Array = roots.solve_lower(lower, half.swapaxes(-1, -2)) * free[..., None]
+    half = solving.solve_lower(lower, cov) * free[..., None]
+    found: Array = solving.solve_lower(lower, half.swapaxes(-1, -2)) * free[..., None]
     return 0.5 * (found + found.swapaxes(-1, -2))
 
 
