@@ -16,9 +16,9 @@ from pgm.errors import ModelError, NumericalError
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.sensor import Sensor
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.family import Family
 from pgm.inference.iteration import Point
-from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Filtering, Smoothing
 from pgm.kernels import roots, solving, tridiagonal
 from pgm.kernels.angles import difference

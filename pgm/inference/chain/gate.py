@@ -20,7 +20,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Reading
 from pgm.inference.chain.sensor import GateRecord
 from pgm.inference.chain.vector import Measured
-from pgm.inference.options import gate_of
+from pgm.inference.gates import gate_of
 from pgm.kernels import mahalanobis
 from pgm.kernels.arrays import Array, Integers, Mask, within
 from pgm.networks import DynamicBayesianNetwork

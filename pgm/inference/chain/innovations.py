@@ -13,13 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.display import NoArray, Shown, Summary, number, stacked
-from pgm.inference.associations import Found, Rejections, RejectionsBySensor
+from pgm.inference.associations import Found
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import stacks
 from pgm.inference.lost import Lost, Read
 from pgm.inference.posterior import EachSensor
+from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.kernels import roots, solving
 from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, quiet, sandwich
 from pgm.variables import Variable

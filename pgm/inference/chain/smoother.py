@@ -22,8 +22,8 @@ from pgm.inference.chain.newton import Means
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reweighting import reweigh, settled
 from pgm.inference.chain.sensor import linearise_grouped
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.iteration import Anchor, Point, iterate
-from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Smoothing
 from pgm.inference.status import Status
 from pgm.kernels import moments

@@ -2,16 +2,8 @@
 
 The linearised CPDs are conditionals of a dense joint (`dense`), taken to all digits, so that only
 the rounding of a lineariser is lost: of F μ + b the last places of its summands. Where these go, to
-first order, says how many digits of a posterior mean they leave.
-
-Whether float64 keeps digits enough is told by how far apart the deviations of a tree lie. Rows are
-divided by their noise and multiplied by the prior's deviations: the size a of their entries is by
-how much a CPD or measurement is sharper than the prior. A factorisation moves each row by some
-10⁻¹⁶ a, and a mean by as many of its deviations, times its distance from the prior's mean in
-deviations of the prior. A covariance pushed down the tree keeps what is small to 10⁻¹⁶ of the
-prior's, 10⁻¹⁶ a² of itself. What relations without noise put into rows counts as they do, and the
-reciprocals of what they are divided by; where it is not certain how many of them are independent,
-no digits are. Residuals, being differences, are compared with the noise, or else the prior.
+first order, says how many digits of a posterior mean they leave. Residuals, being differences, are
+compared with the noise, or else the prior.
 """
 
 from __future__ import annotations
@@ -23,10 +15,12 @@ import numpy as np
 
 from pgm.inference.family import Family
 from pgm.inference.gaussian.beliefs import Beliefs
-from pgm.inference.gaussian.dense import Conditional, Conditionals, Joint, Root
+from pgm.inference.gaussian.conditionals import Conditional, Conditionals, Root
+from pgm.inference.gaussian.dense import Joint
 from pgm.inference.gaussian.layout import Layout
-from pgm.inference.gaussian.messages import Buffer
-from pgm.inference.gaussian.model import SHARE, Frame, Model, contradiction
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.prior import SHARE, Frame
+from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.tree import TreePlan
 from pgm.kernels import decimals, slopes
 from pgm.kernels.arrays import Array, Integers, apply, deviation, variances
@@ -251,26 +245,3 @@ def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
         share = share * (np.abs(mean - frame.mean) / frame.scale).max(axis=-1, initial=1.0)
     digits = np.minimum(-np.log10(np.maximum(share, 1e-300)), ALL_DIGITS)
     return np.broadcast_to(digits, (model.runs,)).copy()
-
-
-# What float64 holds; a sum of many roundings takes a digit of it.
-_DIGITS, _OF_SUMS = 15.6, 14.6
-# Digits, counted from the deviations, that answers have where nothing is said.
-SAFE_DIGITS = 6.6
-# Units whose squares are in range.
-_RANGE = 1e-140, 1e140
-
-
-def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
-    """The digits, counted from the deviations."""
-    frame = buffer.model.frame
-    total = beliefs.cov.sum() + log_evidence.sum() + frame.mean.sum()
-    scale = frame.scale
-    if scale.size and not (_RANGE[0] < scale.min() and scale.max() < _RANGE[1]):
-        return 0.0
-    far = float(np.abs(beliefs.mean).max(initial=1.0))
-    if not np.isfinite(total + far + buffer.largest + buffer.coarse):
-        return 0.0
-    moved = max(buffer.largest * far, buffer.coarse, 1.0)
-    spread = max(buffer.largest, 1.0) ** 2
-    return float(min(_OF_SUMS - np.log10(moved), _DIGITS - np.log10(spread)))

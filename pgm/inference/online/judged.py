@@ -15,8 +15,8 @@ from pgm.inference.chain.innovations import by_step
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.sensor import GateRecord
 from pgm.inference.chain.vector import vector
+from pgm.inference.gates import gate_of
 from pgm.inference.lost import PageTest, Read
-from pgm.inference.options import gate_of
 from pgm.kernels import mahalanobis
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
