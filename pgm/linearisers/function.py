@@ -205,12 +205,12 @@ class BoundFunction(NamedTuple):
     ) -> tuple[Array, Array] | None:
         """The value, (..., d), and the missing derivatives, (..., d, n), by the trace."""
         answers = self.source.answers
-        used = self.template.program if answers is None else answers
-        if used is None or (answers is not None and answers.fault is not None):
+        program = self.template.program if answers is None else answers.program
+        if program is None or (answers is not None and answers.fault is not None):
             return None
         if shape:
             if answers is None:
-                value, slope = used.batch(arguments, shape)
+                value, slope = program.batch(arguments, shape)
             else:
                 value, slope = answers.batch(arguments, shape, std)
             value, slope = components_last(value, 1), components_last(slope, 2)
@@ -220,7 +220,7 @@ class BoundFunction(NamedTuple):
             with quiet():
                 finite = isfinite(value.sum() + slope.sum())
         elif answers is None:
-            value, slope, finite = used.single(arguments)
+            value, slope, finite = program.single(arguments)
         else:
             value, slope, finite = answers.single(arguments, cov)
         if answers is None or not finite:

@@ -17,7 +17,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from pgm.errors import PgmError
-from pgm.kernels.arrays import Array, Integers, components_last, difference, quiet
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Integers, components_last, quiet
 from pgm.kernels.slopes import jacobian, steps
 from pgm.tracing.program import Column
 from pgm.tracing.trace import Tracer
@@ -98,7 +99,8 @@ class Answers:
         self._asked: list[list[float]] = []
         self._told: list[tuple[float, ...]] = []
         self._covs: list[Array | None] = []
-        self._parts: list[_Points] = []
+        # Of batches: shape, arguments, value, derivative, deviations; and how many points they have.
+        self._batches: list[tuple[tuple[int, ...], list[Array], Array, Array, Array | None]] = []
         self._count = 0
         self._chosen: list[_Points] = []
 
@@ -132,16 +134,11 @@ class Answers:
         """
         value, slope = self.program.batch(arguments, shape)
         if self._open and self.fault is None:
-            count, width = math.prod(shape), len(self._places)
-            spread = np.full((count, width), np.nan)
-            if std is not None:
-                own = std[..., self._places]
-                own = own.reshape(*own.shape[:-1], *(1,) * (len(shape) + 1 - own.ndim), width)
-                spread = np.broadcast_to(own, (*shape, width)).reshape(count, width)
-            flat = np.concatenate([each.reshape(count, each.shape[-1]) for each in arguments], -1)
-            told = components_last(value, 1).reshape(count, -1)
-            slopes = components_last(slope, 2).reshape(count, len(value), width)
-            self._keep(_Points(flat, told, slopes, spread))
+            kept = [argument.copy() for argument in arguments]  # of scratch memory, maybe
+            self._batches.append((shape, kept, value.copy(), slope.copy(), std))
+            self._count += math.prod(shape)
+            if self._count >= _BATCH:
+                self._look_back()
         return value, slope
 
     def sample(self, points: Integers) -> Integers:
@@ -181,23 +178,40 @@ class Answers:
             self._hold_slopes(self._choice(_Points.joined(self._chosen)))
         self._chosen = []
 
-    def _keep(self, points: _Points) -> None:
-        self._parts.append(points)
-        self._count += len(points.arguments)
-        if self._count >= _BATCH:
-            self._look_back()
-
     def _look_back(self) -> None:
         """Judge what has been kept since this was done last."""
+        parts = [self._flat(*batch) for batch in self._batches] if self.fault is None else []
         if self._asked:
             told, height = np.array(self._told, dtype=float), len(self.program.value)
             slope = told[:, height:].reshape(len(told), height, -1)
             std = np.array([self._deviations(cov) for cov in self._covs])
-            self._parts.append(_Points(np.array(self._asked), told[:, :height], slope, std))
+            parts.append(_Points(np.array(self._asked), told[:, :height], slope, std))
             self._asked, self._told, self._covs = [], [], []
-        parts, self._parts, self._count = self._parts, [], 0
+        self._batches, self._count = [], 0
         if parts and self.fault is None:
             self._look(_Points.joined(parts))
+
+    def _flat(
+        self,
+        shape: tuple[int, ...],
+        arguments: list[Array],
+        value: Array,
+        slope: Array,
+        std: Array | None,
+    ) -> _Points:
+        """A batch as points, one after another."""
+        count, width = math.prod(shape), len(self._places)
+        spread = np.full((count, width), np.nan)
+        if std is not None:
+            own = std[..., self._places]
+            own = own.reshape(*own.shape[:-1], *(1,) * (len(shape) + 1 - own.ndim), width)
+            spread = np.broadcast_to(own, (*shape, width)).reshape(count, width)
+        return _Points(
+            np.concatenate([each.reshape(count, each.shape[-1]) for each in arguments], axis=-1),
+            components_last(value, 1).reshape(count, -1),
+            components_last(slope, 2).reshape(count, len(value), width),
+            spread,
+        )
 
     def _deviations(self, cov: Array | None) -> Array:
         if cov is None:
