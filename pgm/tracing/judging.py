@@ -99,7 +99,7 @@ class Answers:
         self._asked: list[list[float]] = []
         self._told: list[tuple[float, ...]] = []
         self._covs: list[Array | None] = []
-        # Of batches: shape, arguments, value, derivative, deviations; and how many points they have.
+        # Of batches: shape, arguments, value, derivative, deviations; how many points they have.
         self._batches: list[tuple[tuple[int, ...], list[Array], Array, Array, Array | None]] = []
         self._count = 0
         self._chosen: list[_Points] = []

@@ -55,7 +55,7 @@ class Model:
         start: Array | None,
         predictive: Predictive = prior_predictive,
         *,
-        judge: Judge,
+        judge: Judge | None = None,
     ) -> Model:
         """Bind evidence, and linearise at the prior predictive moments or a start, (runs, size)."""
         for group in layout.groups:

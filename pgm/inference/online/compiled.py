@@ -145,18 +145,9 @@ class CompiledSteps:
                     if not kind.trials:
                         self._last[moves] = kind
                         return after
-                    return self._tried(kind, after, general(belief, values))
+                    due = general(belief, values)
+                    return after if _tried(kind, found, due) else self.adopted(due)
         return self.adopted(general(belief, values))
-
-    def _tried(self, kind: Layout, found: OnlineBelief, due: OnlineBelief) -> OnlineBelief:
-        """A belief made the general way, beside which that of machine code is looked at."""
-        std = np.sqrt(np.maximum(due.cov.diagonal(), 0.0))
-        close = np.abs(found.mean - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
-        alike = np.abs(found.cov - due.cov) <= _CLOSE * np.outer(std, std)
-        kind.trials -= 1
-        if not (close.all() and alike.all()):
-            kind.step = None
-        return self.adopted(due)
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _laid(self, make: Make, belief: OnlineBelief, values: Values, rows: list[Array]) -> Layout:
@@ -175,6 +166,18 @@ class CompiledSteps:
                 break
             made.step = None
         return made
+
+
+def _tried(kind: Layout, found: Array, due: OnlineBelief) -> bool:
+    """Whether moments of machine code, mean and covariance, are those made the general way."""
+    std = np.sqrt(np.maximum(due.cov.diagonal(), 0.0))
+    close = np.abs(found[0] - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
+    alike = np.abs(found[1:] - due.cov) <= _CLOSE * np.outer(std, std)
+    kind.trials -= 1
+    if not (close.all() and alike.all()):
+        kind.step = None
+        return False
+    return True
 
 
 def _given(values: Values) -> tuple[list[Any], list[Array]] | None:

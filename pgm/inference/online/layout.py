@@ -66,8 +66,9 @@ class Layout:
             family.judge = self.judge
         chain.lay_out(False, False)
         self._rows = rows = chain.rows
-        if any(family.compiled and family.compiled.trace.cast for family in plan.families):
-            raise Uncompiled("a function makes floats of its input, by which it may decide")
+        for family in plan.families:
+            if family.compiled is not None and family.compiled.trace.cast:
+                _require_followed(family)
         for link, row in zip(plan.transition, chain.links, strict=True):
             self._inputs(link.family, row, 1, None)
         for sensor, row in zip(plan.read, chain.sensors, strict=True):
@@ -110,3 +111,19 @@ class Layout:
         rows = 1 if shared else count
         told = self._rows.at(target), target.strides[0] // 8, count, missing
         self._parts.append([self._order[place], rows, width, *told])
+
+
+def _require_followed(family: Family) -> None:
+    """Refuse a function that makes floats of its input: later steps may decide otherwise by them.
+
+    Jacobians may, which mostly write them into np.zeros and return it.
+    """
+    assert family.template is not None
+    assert family.template.tracer is not None
+    alone = family.template.tracer.traced()
+    if isinstance(alone, str) or alone.cast:
+        raise Uncompiled(
+            f"{family.cpd!r}: its function makes floats of its input, by which it may decide "
+            "otherwise in a later step: np.asarray(x) without a dtype, np.zeros_like in place of "
+            "np.zeros"
+        )
