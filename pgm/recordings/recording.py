@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Hashable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -14,13 +15,13 @@ from pgm.display import TITLE, Listing, NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
+from pgm.io.dropped import Dropped
 from pgm.io.poses import Poses
 from pgm.io.stamped import SAME
 from pgm.io.timeline import Timeline, joined
 from pgm.kernels import rigid
 from pgm.kernels.arrays import Array
 from pgm.recordings import checks, handing, mending, motion, reference, summaries
-from pgm.recordings.mending import Dropped
 from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
 from pgm.variables import Variable
@@ -116,6 +117,7 @@ class Recording(Shown, NoArray, Immutable):
     ) -> None:
         told = list(dropped)
         if isinstance(truth, Poses):
+            told += [dataclasses.replace(each, stream="truth") for each in truth.dropped]
             truth = Stream(truth.times, truth.planar, POSE)
         streams: dict[str, Stream | None] = {}
         for key, given, mend in (

@@ -12,8 +12,8 @@ import numpy as np
 from pgm.boundary import as_tuple
 from pgm.errors import EvidenceError, FileError
 from pgm.factors.scope import listed
+from pgm.io.dropped import Dropped
 from pgm.io.sources import Origin
-from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files, messages
 from pgm.recordings.recording import Recording
 from pgm.recordings.scans import Scans

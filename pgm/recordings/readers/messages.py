@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from pgm.errors import EvidenceError
+from pgm.io.dropped import BACKWARDS, Dropped
 from pgm.io.sources import Origin
 from pgm.kernels import rigid
 from pgm.kernels.arrays import Array
 from pgm.recordings import mending
-from pgm.recordings.mending import Dropped
 from pgm.recordings.motion import PLANAR, PLANAR_SPEEDS
 from pgm.recordings.recording import POSE
 from pgm.recordings.scans import Scans
@@ -155,7 +155,7 @@ def _scans(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     stamps = _stamps(topic, rows)
     told = []
     if (back := np.flatnonzero(np.diff(stamps) < 0.0) + 1).size:
-        told.append(Dropped(topic, mending.BACKWARDS, back, kept=True))
+        told.append(Dropped(topic, BACKWARDS, back, kept=True))
     order = np.argsort(stamps, kind="stable")
     return Scans(stamps[order], ranges[order], start + step * np.arange(count), most), told
 

@@ -14,10 +14,10 @@ import numpy as np
 from pgm.boundary import as_tuple, is_whole
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
+from pgm.io.dropped import Dropped
 from pgm.io.sources import Origin, Source, number
 from pgm.kernels.arrays import Array
 from pgm.recordings import motion
-from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files
 from pgm.recordings.recording import Recording
 from pgm.recordings.stream import Stream
