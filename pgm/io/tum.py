@@ -272,7 +272,8 @@ def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIM
     # A length that is one but for rounding is left as it is, so that numbers stay what they were.
     length[np.abs(length - 1.0) < ROUNDING] = 1.0
     table[:, 4:] /= length[:, None]
-    names, cov = (), None
+    names: tuple[str, ...] = ()
+    cov = None
     if covariance is not None:
         names, cov = read_covariances(covariance, table[:, 0], limit)
     order, told = _in_order(table[:, 0])

@@ -309,6 +309,7 @@ class Recording(Shown, NoArray, Immutable):
         velocities: Variable | None = None,
         sensors: Mapping[Variable, str] | None = None,
         landmark: Variable | None = None,
+        variances: Mapping[Variable, Variable] | None = None,
         tolerance: float | None = None,
     ) -> Timeline:
         """Evidence of a network: the streams handed to `pgm.timeline` under its variables.
@@ -327,6 +328,10 @@ class Recording(Shown, NoArray, Immutable):
         landmark : Variable, optional
             The observed parent of the sensors whose rows have subjects: the place of each, which
             they must have (`located`).
+        variances : mapping of Variable to Variable, optional
+            Of sensors, the observed parent that the variances of each reading are evidence of,
+            whose components are called like the sensor's: with ``variances={z: r}`` and
+            ``cov=pgm.noise(lambda r: r, given=r, diagonal=True)`` a reading is as sure as its row.
         tolerance : float, optional
             As of `pgm.timeline`.
 
@@ -334,6 +339,7 @@ class Recording(Shown, NoArray, Immutable):
         named = as_mapping(sensors, "sensors=")
         for variable in named:
             handing.require_variable(variable, "sensors=")
+        spread = handing.require_variances(variances, named)
         if times is None:
             axis = self.stamps(*named.values(), tolerance=tolerance or 0.0)
         else:
@@ -345,6 +351,7 @@ class Recording(Shown, NoArray, Immutable):
             velocities=velocities,
             sensors=named,
             landmark=landmark,
+            variances=spread,
             tolerance=tolerance,
         )
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from pgm.errors import EvidenceError, FileError
 from pgm.recordings import read_bag
-from pgm.recordings.readers.messages import local
+from pgm.recordings.earth import local
 
 rosbags = pytest.importorskip("rosbags")
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
@@ -258,7 +258,8 @@ def test_messages_that_are_no_measurements(tmp_path):
 
 def test_metres_of_latitudes_and_longitudes():
     here = np.radians([[48.0, 9.0], [48.0, 9.001], [48.001, 9.0], [-89.9, 0.0]])
-    found = local(here, np.array([500.0, 500.0, 510.0, 0.0]))
+    heights = np.array([500.0, 500.0, 510.0, 0.0])
+    found = local(here, heights, np.append(here[0], heights[0]))
     # Radii of curvature in the prime vertical and the meridian.
     a, e2, sin = 6378137.0, 6.69437999014e-3, np.sin(here[0, 0])
     prime = a / np.sqrt(1 - e2 * sin**2)
