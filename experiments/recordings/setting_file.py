@@ -264,6 +264,7 @@ def _csv(table: TomlTable) -> Reader:
         "begin": table.number("begin", "a number of seconds", _finite, None),
         "wheelbase": table.number("wheelbase", "a positive number of metres", _positive, None),
         "delimiter": table.text("delimiter", "a letter", ","),
+        "decimal": table.text("decimal", "a letter", "."),
     }
     table.done()
     return lambda path: recordings.read_csv(path, columns, **options)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,12 +15,11 @@ from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.io import degrees
 from pgm.io.dropped import Dropped
-from pgm.io.networks.cursor import shown
-from pgm.io.sources import Content, Origin, Source, number
+from pgm.io.sources import Source
 from pgm.io.stamped import as_stamps
 from pgm.kernels.arrays import TURN, Array
 from pgm.recordings import earth, motion
-from pgm.recordings.readers import files
+from pgm.recordings.readers import cells, files
 from pgm.recordings.readers.units import ANGLE, RATE, STAMP, quantity, size_of
 from pgm.recordings.recording import Recording
 from pgm.recordings.stream import Stream
@@ -40,7 +37,6 @@ _SPREAD = {
 }
 # Angles that go on beyond a turn where they are not wrapped.
 _UNBOUNDED = ("heading", "yaw")
-_DECIMAL = re.compile(r"[+-]?[0-9]+,[0-9]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +46,6 @@ class _Column:
     name: str | int
     size: float
     told: bool
-
-
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """The cells of a file: comments above the first line, lines with their numbers, decimals."""
-
-    comments: Sequence[Sequence[str]]
-    rows: Sequence[tuple[int, Sequence[str]]]
-    origin: Origin
-    delimiter: str
-    decimal: str
 
 
 def read_csv(
@@ -128,15 +113,15 @@ def read_csv(
     numbered = {is_whole(each.name) for part in asked.values() for each in part.values()}
     if len(numbered) > 1:
         raise EvidenceError("columns are all named or all numbered")
-    table = _table(files.content(path), delimiter, decimal)
+    table = cells.cells_of(files.content(path), delimiter, decimal)
     header: Sequence[str] = ()
     if numbered == {False}:
         wanted = {str(each.name) for part in asked.values() for each in part.values()}
-        header, table = _named(table, wanted)
+        header, table = cells.named(table, wanted)
     streams: dict[str, Stream] = {}
     empty = np.ones(len(table.rows), dtype=bool)
     for part, wanted_of in asked.items():
-        places = {name: _place(each.name, header, table) for name, each in wanted_of.items()}
+        places = {name: cells.place(each.name, header, table) for name, each in wanted_of.items()}
         with files.told_of(table.origin):
             streams[part], filled = _stream(part, wanted_of, places, table, begin)
         if part in _MOTION and wheelbase is not None:
@@ -158,7 +143,7 @@ def _stream(
     part: str,
     columns: Mapping[str, _Column],
     places: Mapping[str, int],
-    table: _Table,
+    table: cells.Cells,
     begin: float | None,
 ) -> tuple[Stream, list[int]]:
     """A stream, and the rows of the table that it has its rows from."""
@@ -166,19 +151,19 @@ def _stream(
     spreads = {name: VARIANCE + _SPREAD.get(name, name) for name in names}
     last, missing = max(places.values()), part not in _MOTION
     filled, stamps, values, variances, subjects = [], [], [], [], []
-    for row, (line, cells) in enumerate(table.rows):
-        if len(cells) <= last:
+    for row, (line, row_cells) in enumerate(table.rows):
+        if len(row_cells) <= last:
             raise table.origin.fault(
-                f"it has {len(cells)} cells, where column {last}, counted from 0, was due", line
+                f"it has {len(row_cells)} cells, where column {last}, counted from 0, was due", line
             )
-        words = {name: cells[at].strip() for name, at in places.items()}
+        words = {name: row_cells[at].strip() for name, at in places.items()}
         if missing:
             words |= {name: "" for name in names if words[name].lower() == "nan"}
         if not any(words[name] for name in (*names, *([SUBJECT] if SUBJECT in words else []))):
             continue
         filled.append(row)
         found = {
-            name: _cell(word, columns[name].size, line, table, missing and name in names)
+            name: cells.number_in(word, columns[name].size, line, table, missing and name in names)
             for name, word in words.items()
             if name != SUBJECT
         }
@@ -186,17 +171,19 @@ def _stream(
         values.append([found[name] for name in names])
         variances.append([found.get(spreads[name], math.nan) for name in names])
         subjects.append(_identity(words.get(SUBJECT, "")))
+    when = _stamps(part, columns[STAMP], stamps)
+    table_of = np.array(values).reshape(-1, len(names))
+    for name, given in zip(names, table_of.T, strict=True):
+        _require_radians(part, name, columns[name], when, given)
     told = set(spreads.values()) & set(places)
     stream = Stream(
-        _stamps(part, columns[STAMP], stamps),
-        np.array(values).reshape(-1, len(names)),
+        when,
+        table_of,
         names,
         subject=subjects if SUBJECT in places else None,
-        variances=_variances(variances, len(names)) if told else None,
+        variances=np.array(variances).reshape(-1, len(names)) if told else None,
         begin=begin if part == "odometry" else None,
     )
-    for name in names:
-        _require_radians(part, name, columns[name], stream)
     return stream, filled
 
 
@@ -209,15 +196,15 @@ def _stamps(part: str, column: _Column, stamps: Sequence[float]) -> Array:
         raise EvidenceError(f"{error}{hint}") from error
 
 
-def _require_radians(part: str, name: str, column: _Column, stream: Stream) -> None:
+def _require_radians(part: str, name: str, column: _Column, stamps: Array, values: Array) -> None:
     """Refuse angles and turn rates without a unit that can hardly be radians."""
-    due, values = quantity(part, name), stream[name]
+    due = quantity(part, name)
     if column.told or due not in (ANGLE, RATE):
         return
     if due == RATE:
         odd = degrees.too_fast(values)
     elif name in _UNBOUNDED:
-        odd = degrees.seem_headings_in_degrees(stream.stamps, values)
+        odd = degrees.seem_headings_in_degrees(stamps, values)
     else:
         odd = degrees.beyond_a_turn(values)
     if odd:
@@ -243,81 +230,9 @@ def _driven(part: str, stream: Stream, wheelbase: float) -> Stream:
     return Stream(stream.stamps, values, names, begin=stream.begin)
 
 
-def _variances(rows: Sequence[Sequence[float]], width: int) -> Array:
-    return np.array(rows).reshape(-1, width)
-
-
-def _cell(word: str, size: float, line: int, table: _Table, missing: bool) -> float:
-    if not word and missing:
-        return math.nan
-    if not word:
-        raise table.origin.fault("an empty cell, where a number was due", line)
-    if table.decimal == "." and _DECIMAL.fullmatch(word):
-        raise table.origin.fault(f"{word!r} is no number; decimal=',' reads it as one", line)
-    return number(word.replace(table.decimal, "."), line, table.origin) * size
-
-
 def _identity(word: str) -> int | str | None:
     """A landmark's number or name; None where there is none."""
     return int(word) if _WHOLE.fullmatch(word) else word or None
-
-
-def _table(held: Content, delimiter: str, decimal: str) -> _Table:
-    """The cells of each line that has any, with its number from 1; comments at the top apart."""
-    reader = csv.reader(io.StringIO(held.text(), newline=""), delimiter=delimiter)
-    comments: list[Sequence[str]] = []
-    rows: list[tuple[int, Sequence[str]]] = []
-    try:
-        for cells in reader:
-            if cells and cells[0].lstrip().startswith("#"):
-                if not rows:
-                    comments.append(cells)
-            elif any(map(str.strip, cells)):
-                rows.append((reader.line_num, cells))
-    except csv.Error as error:
-        raise held.origin.fault(f"it is no table of values: {error}", reader.line_num) from None
-    if not rows:
-        raise held.origin.fault("it has no lines of values; is it another file, or cut?")
-    return _Table(comments, rows, held.origin, delimiter, decimal)
-
-
-def _named(table: _Table, wanted: set[str]) -> tuple[Sequence[str], _Table]:
-    """The names of the columns, of the first line or of a comment above it, and the lines below."""
-    (line, first), *rest = table.rows
-    names = [name.strip() for name in first]
-    for cells in reversed(table.comments):
-        told = [name.strip() for name in cells]
-        bare = [told[0].lstrip("#").strip(), *told[1:]]
-        for header in (told, bare):
-            if wanted <= set(header) and not wanted <= set(names):
-                return header, table
-    if len(names) == 1 and (apart := [mark for mark in ";\t|," if mark in names[0]]):
-        raise table.origin.fault(
-            f"its names are one cell, {shown(names[0])}; delimiter={apart[0]!r} divides it", line
-        )
-    for row, cells in rest:
-        if any(map(str.strip, cells[len(first) :])):
-            raise table.origin.fault(
-                f"it has {len(cells)} cells, where {len(first)} columns have names; is there a "
-                "comma within numbers? Then delimiter= and decimal= are to differ",
-                row,
-            )
-    return names, replace(table, rows=rest)
-
-
-def _place(column: str | int, header: Sequence[str], table: _Table) -> int:
-    """The place of a column that is named or numbered."""
-    if not isinstance(column, str):
-        return column
-    if header.count(column) != 1:
-        found = "no column" if column not in header else "several columns"
-        above = "".join(
-            f"; a comment above has {listed([name.strip() for name in cells])}"
-            for cells in table.comments[-1:]
-            if len(cells) > 1
-        )
-        raise table.origin.fault(f"it has {found} {column!r}; they are {listed(header)}{above}")
-    return header.index(column)
 
 
 def _asked(part: str, given: Any) -> dict[str, _Column]:
