@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.kernels.arrays import TURN, Array
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array
 
 # A wrapped angle is less than a turn, up to the decimals that it was printed with.
 _WRAPPED = 1.01 * TURN

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order
 
-from pgm.kernels import rigid
+from pgm.kernels import rigid, twists
 from pgm.kernels.arrays import Array, Mask
 from pgm.recordings.pose_graph import Edges
 
@@ -26,7 +26,7 @@ def poses(edges: Edges, count: int, root: int) -> tuple[Array, Mask]:
     pairs, row = np.unique(np.sort(ends, axis=1), axis=0, return_index=True)
     joined = coo_array((row + 1, (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
     order, parents = breadth_first_order(joined, root, directed=False)
-    back, _ = rigid.inverse(edges.motions)
+    back, _ = twists.inverse(edges.motions)
     found = np.zeros((count, 3))
     edge_of = dict(zip(map(tuple, pairs.tolist()), row.tolist(), strict=True))
     for child in order[1:].tolist():

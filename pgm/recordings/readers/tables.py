@@ -17,7 +17,8 @@ from pgm.io import degrees
 from pgm.io.dropped import Dropped
 from pgm.io.sources import Source
 from pgm.io.stamped import as_stamps
-from pgm.kernels.arrays import TURN, Array
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array
 from pgm.recordings import earth, motion
 from pgm.recordings.readers import cells, files
 from pgm.recordings.readers.units import ANGLE, RATE, STAMP, quantity, size_of
