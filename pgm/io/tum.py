@@ -261,7 +261,8 @@ def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIM
         as_stamps("t", table[:, 0])
     except EvidenceError as error:
         raise origin.fault(str(error)) from error
-    length = np.linalg.norm(table[:, 4:], axis=1)
+    with np.errstate(over="ignore"):  # an infinite length is refused below
+        length = np.linalg.norm(table[:, 4:], axis=1)
     if (far := np.abs(length - 1.0) > UNIT).any():
         row = int(far.argmax())
         raise origin.fault(

@@ -179,6 +179,7 @@ GOOD = "0.0 1 2 0 0 0 0 1\n"
         (GOOD + "inf 1 2 0 0 0 0 1\n", 2, "'inf' is not finite"),
         ("1403715524907143168 1 2 0 0 0 0 1\n", None, "seem to be nanoseconds"),
         (GOOD + "1.0 1 2 0 0 0 0 0\n", 2, "have the length 0, and were to be a unit"),
+        (GOOD + "1.0 1 2 0 0 0 0 1e300\n", 2, "have the length inf"),
         (GOOD + "1.0 1 2 0 0 0 1 1\n", 2, r"have the length 1.41421.*w last"),
     ],
 )

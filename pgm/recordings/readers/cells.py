@@ -60,7 +60,7 @@ def named(table: Cells, wanted: set[str]) -> tuple[Sequence[str], Cells]:
     best = max(headers, key=lambda header: len(wanted & set(header)))
     if best is not names:
         return best, table
-    if len(names) == 1 and (apart := [mark for mark in ";\t|," if mark in names[0]]):
+    if len(names) == 1 and (apart := [mark for mark in ";\t|, " if mark in names[0]]):
         raise table.origin.fault(
             f"its names are one cell, {shown(names[0])}; delimiter={apart[0]!r} divides it", line
         )
