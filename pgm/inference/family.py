@@ -27,7 +27,7 @@ from pgm.kernels.arrays import (
     times,
     vacant,
 )
-from pgm.kernels.elements import by_rows
+from pgm.kernels.prefixes import by_rows
 from pgm.linearisers import (
     ArrayLineariser,
     BoundFunction,

@@ -16,7 +16,8 @@ from pgm.inference.status import FILTERED, SMOOTHED
 from pgm.kernels import canonical
 from pgm.kernels.arrays import block
 from pgm.kernels.canonical import Canonical
-from pgm.kernels.elements import Element, compose, take
+from pgm.kernels.elements import Element, compose
+from pgm.kernels.prefixes import take
 
 
 @dataclass(frozen=True, eq=False, repr=False)

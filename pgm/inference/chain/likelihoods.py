@@ -30,7 +30,9 @@ from pgm.kernels.arrays import (
     sandwich,
     transpose,
 )
-from pgm.kernels.elements import Belief, Likelihood, Moments, condition, gather
+from pgm.kernels.elements import Belief, Likelihood, condition
+from pgm.kernels.prefixes import gather
+from pgm.kernels.segment_maps import Moments
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,9 @@ from pgm.inference.chain.vector import stacks
 from pgm.kernels import canonical, elements, moments, solving
 from pgm.kernels.arrays import LOG_2PI, Array, apply, block, inner, sandwich, transpose
 from pgm.kernels.canonical import Canonical
-from pgm.kernels.elements import Element, levels, prefixes, take
+from pgm.kernels.elements import Element
 from pgm.kernels.moments import Conditional
+from pgm.kernels.prefixes import levels, prefixes, take
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:

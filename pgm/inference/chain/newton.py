@@ -18,7 +18,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.iteration import Point
 from pgm.kernels import normal_density, roots, tridiagonal
 from pgm.kernels.arrays import Array, apply, block, multiply, transpose
-from pgm.kernels.elements import in_chunks
+from pgm.kernels.prefixes import in_chunks
 from pgm.kernels.tridiagonal import Tridiagonal
 
 

@@ -21,23 +21,10 @@ from pgm.inference.iteration import Anchor
 from pgm.inference.schedule import ONCE
 from pgm.kernels import elements, moments
 from pgm.kernels.arrays import Array, apply, deviation, room
-from pgm.kernels.elements import (
-    Belief,
-    Element,
-    Likelihood,
-    Map,
-    Moments,
-    Value,
-    after,
-    gather,
-    in_chunks,
-    levels,
-    prefixes,
-    push_moments,
-    send,
-    take,
-)
+from pgm.kernels.elements import Belief, Element, Likelihood
 from pgm.kernels.moments import Conditional
+from pgm.kernels.prefixes import gather, in_chunks, levels, prefixes, take
+from pgm.kernels.segment_maps import Map, Moments, Value, after, push_moments, send
 
 # Beliefs this many deviations from the reference leave too few digits: they are solved for again.
 _FAR = 1e4

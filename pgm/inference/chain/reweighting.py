@@ -11,7 +11,7 @@ from pgm.inference.chain.weights import shown
 from pgm.inference.iteration import Point
 from pgm.inference.posterior import EachSensor
 from pgm.kernels.arrays import Array, Mask, block
-from pgm.kernels.elements import gather
+from pgm.kernels.prefixes import gather
 
 
 def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:

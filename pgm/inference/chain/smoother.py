@@ -37,7 +37,7 @@ from pgm.kernels.arrays import (
     deviation,
     variances,
 )
-from pgm.kernels.elements import gather
+from pgm.kernels.prefixes import gather
 from pgm.progress import counted
 
 

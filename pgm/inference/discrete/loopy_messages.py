@@ -12,9 +12,10 @@ from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import sizes
 from pgm.inference import limits
+from pgm.inference.discrete.entered_evidence import enter_everywhere
 from pgm.inference.discrete.impossible import contradicted
 from pgm.inference.discrete.loopy_plan import Group, LoopyPlan, Outlet
-from pgm.inference.discrete.storage import Storage, enter_everywhere
+from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.tables import exp, log_sum
 from pgm.variables import Discrete

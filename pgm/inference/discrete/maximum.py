@@ -22,7 +22,7 @@ from pgm.immutable import Immutable
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.place import steps
-from pgm.inference.discrete.storage import Distinct, some_runs, tree_pieces
+from pgm.inference.discrete.run_pieces import Distinct, some_runs, tree_pieces
 from pgm.inference.discrete.tree_passes import collect, enter
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs

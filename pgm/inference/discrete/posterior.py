@@ -13,10 +13,11 @@ from pgm.factors import Table
 from pgm.factors.axes import States, discrete, sizes
 from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference import limits
+from pgm.inference.discrete.entered_evidence import axes_left, entered, put_in
 from pgm.inference.discrete.first_beliefs import FirstBeliefs
 from pgm.inference.discrete.joints import holder, joint
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs
-from pgm.inference.discrete.storage import axes_left, entered, put_in, sepset_between
+from pgm.inference.discrete.storage import sepset_between
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status

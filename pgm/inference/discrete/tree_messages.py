@@ -3,11 +3,8 @@
 from collections.abc import Iterable
 
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.storage import (
-    Storage,
-    enter_everywhere,
-    sepset_between,
-)
+from pgm.inference.discrete.entered_evidence import enter_everywhere
+from pgm.inference.discrete.storage import Storage, sepset_between
 from pgm.kernels.arrays import Array
 from pgm.kernels.tables import log_sum
 

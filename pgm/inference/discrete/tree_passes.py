@@ -7,9 +7,7 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.storage import (
-    multiply,
-)
+from pgm.inference.discrete.entered_evidence import multiply
 from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array
 from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp

@@ -54,6 +54,9 @@ class Uneven(NamedTuple):
     step: int
 
 
+EVEN = Uneven(0.0, None, 0)
+
+
 @dataclass(frozen=True, eq=False)
 class Dense:
     """Weights from each cell to each along some axes, for each cell of those depended on.

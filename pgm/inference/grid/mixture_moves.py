@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgm.inference.grid.densities import Dense, Uneven
+from pgm.inference.grid.densities import EVEN, Dense, Uneven
 from pgm.inference.grid.groups import Members
 from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.moves import Operator, Split
-from pgm.inference.grid.wide_prior import EVEN
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.lattice import Span
 

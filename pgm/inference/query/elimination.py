@@ -13,8 +13,9 @@ from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States
 from pgm.factors.scope import in_run, listed, names
+from pgm.inference.discrete.entered_evidence import one_hot
 from pgm.inference.discrete.impossible import ADVICE
-from pgm.inference.discrete.storage import one_hot, some_runs
+from pgm.inference.discrete.run_pieces import some_runs
 from pgm.inference.query.plan import EliminationPlan, Step
 from pgm.kernels.arrays import Array
 from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
