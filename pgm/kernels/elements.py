@@ -91,6 +91,7 @@ def _meet(cov: Array, precision: Array) -> tuple[Array, Array]:
 
 
 def _gram(a: Array) -> Array:
+    """The Gram matrix AᵀA, which is semidefinite whatever rounding does to A."""
     return multiply(transpose(a), a)
 
 

@@ -96,10 +96,15 @@ def prefixes(
 
 
 def _rows(parts: Any, steps: slice) -> Any:
+    """Some steps of a stack, each component a row of steps in memory; None stays None."""
     return _made(parts, [None if part is None else by_rows(part[steps]) for part in parts])
 
 
 def _merge(first: Any, second: Any, steps: int, here: slice, there: slice) -> Any:
+    """Two stacks as one of so many steps: the first at the places `here`, the second at `there`.
+
+    A part that either leaves out (None) is left out.
+    """
     merged = []
     for a, b in zip(first, second, strict=True):
         both = None
@@ -111,4 +116,5 @@ def _merge(first: Any, second: Any, steps: int, here: slice, there: slice) -> An
 
 
 def _made(like: Any, parts: Sequence[Any]) -> Any:
+    """Parts as a named tuple of the same kind."""
     return type(like)(*parts)

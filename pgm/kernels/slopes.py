@@ -37,6 +37,7 @@ def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: M
 
 @lru_cache(maxsize=64)
 def _stencil(size: int) -> Array:
+    """The steps of each component, (4n, n): one forward and back, two forward and back."""
     offsets = np.eye(size)[:, None, :] * np.array([1.0, -1.0, 2.0, -2.0])[:, None]
     stencil: Array = offsets.reshape(4 * size, size)
     stencil.flags.writeable = False

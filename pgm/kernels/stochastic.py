@@ -293,6 +293,10 @@ class Product(Transition):
 
 
 def _along(matrix: Any, values: Array, axis: int) -> Array:
+    """A matrix (k, n), dense or sparse, times an array along one of its axes, of length n.
+
+    Dense products leave the array as it lies in memory; a sparse matrix needs the axis first.
+    """
     if values.ndim == 1:
         product: Array = matrix.dot(values)
         return product

@@ -119,6 +119,7 @@ def divide(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
 
 
 def _quotient(a: Array, b: Array) -> Array:
+    """The quotients a / b, zero where b is: 0 / 0 is what an impossible state leaves."""
     zeros = np.zeros(np.broadcast_shapes(a.shape, b.shape))
     return np.divide(a, b, out=zeros, where=b > 0.0)
 
@@ -139,6 +140,11 @@ def _combined(
 
 
 def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
+    """The mask of tables whose products or quotients are right as computed in plain numbers.
+
+    A table whose largest entry is well above the smallest float has its digits; else the entries
+    that are zero must be so since a factor is, not by underflow.
+    """
     top = largest(result, axes)
     held = (top > SAFE) & (top < np.inf)
     if not held.all():
@@ -148,6 +154,7 @@ def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
 
 
 def _instead(plain: Array, held: Mask, values: Array, log_scale: Array) -> tuple[Array, Array]:
+    """Tables: plain ones, of log-scale zero, where those are right; scaled ones elsewhere."""
     kept = _per_table(held, plain.ndim - held.ndim)
     return np.where(kept, plain, values), np.where(held, 0.0, log_scale)
 
@@ -192,15 +199,18 @@ def _span(axes: int) -> tuple[int, ...]:
 
 
 def _per_table(stacked: Stacked, axes: int) -> Stacked:
+    """Numbers (...), one for each table, with `axes` axes of length one for its entries."""
     return stacked.reshape(stacked.shape + (1,) * axes)
 
 
 def _exponents(values: Array) -> tuple[Array, Array]:
+    """The mantissas and powers of two of values; of zero the power of the smallest number."""
     mantissa, power = np.frexp(values)
     return mantissa, np.where(values > 0.0, power, NOWHERE)
 
 
 def _assemble(mantissa: Array, power: Array, axes: int) -> tuple[Array, Array]:
+    """Tables from mantissas and powers of two, with their largest power put into the log-scale."""
     top = power.max(axis=_span(axes))
     values: Array = np.ldexp(mantissa, power - _per_table(top, axes))
     return values, np.where(top > NOWHERE // 2, top * LOG_2, 0.0)

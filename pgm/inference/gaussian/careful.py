@@ -115,6 +115,13 @@ def solve(plan: TreePlan, model: Model) -> Solution:
 
 
 def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: Decimal) -> Solution:
+    """Solve with so many decimals: condition the prior's joint on one observed CPD after another.
+
+    A column besides the means, for each component of a nonlinear CPD, carries the rounding of that
+    component's linearisation through the same operations: its last entries say how far a posterior
+    mean moves with it. A number below the share `nothing` of the summands it is made of counts as
+    zero.
+    """
     layout = plan.layout
     sides = model.runs if model.shared else 1
     rounding = [None if f.exact else _rounding(model, g) for g, f in enumerate(model.families)]
