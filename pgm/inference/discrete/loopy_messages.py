@@ -73,12 +73,14 @@ class TableMessages:
         return products.reshape(-1, self.runs)
 
     def _normalised(self, messages: Array, outlet: Outlet) -> Array:
+        """Logarithms of messages, (messages, columns, runs), less those of their sums."""
         total = log_sum(messages, 1)
         self._require_possible(total, outlet.senders)
         normalised: Array = messages - total[:, None]
         return normalised
 
     def _require_possible(self, totals: Array, clusters: Integers) -> None:
+        """Refuse logarithms of sums, (clusters, runs), that are −∞: the evidence is impossible."""
         empty = totals == -np.inf
         if empty.any():
             found = [self.storage.graph.clusters[k] for k in clusters.tolist()]
@@ -124,6 +126,7 @@ class TableMessages:
 
 
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
+    """Refuse a graph and evidence whose tables and products of messages would not fit memory."""
     # A cluster's table is multiplied by the messages of all neighbours but each in turn: where
     # these meet it is laid out for all clusters, the products are made for some at once.
     products = [size * max(1, len(graph.neighbours(k))) for k, size in enumerate(graph.sizes)]
@@ -162,6 +165,7 @@ class LoopyBeliefs:
 
     @cached_property
     def _marginals(self) -> Array:
+        """The marginals of all variables, one after the other, (entries, runs)."""
         return self.storage.marginals.read(self._tables)
 
     def marginal(self, variable: Discrete) -> Array:

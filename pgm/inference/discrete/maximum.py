@@ -323,6 +323,7 @@ def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
 
 
 def _decode(plan: TreePlan, entry: Integers) -> Integers:
+    """The states of all variables, (variables, runs), at entries of their homes' tables."""
     homes = plan.storage.homes
     scopes = {home: plan.storage.places[home].scope for home in homes.values()}
     strides = np.array([steps(scopes[home], 1)[variable] for variable, home in homes.items()])

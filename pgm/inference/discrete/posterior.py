@@ -53,6 +53,7 @@ class DiscretePosterior(Posterior):
         return self._table((wanted,), self._beliefs.marginal(wanted))
 
     def _require_hidden(self, variable: Variable) -> Discrete:
+        """Refuse a variable that is not of the network, or observed in all runs."""
         require_variable(variable)
         if variable not in self.graph.network._places or not isinstance(variable, Discrete):
             raise EvidenceError(
@@ -67,6 +68,7 @@ class DiscretePosterior(Posterior):
         return variable
 
     def _is_observed(self, variable: Variable) -> bool:
+        """Whether a variable is observed in all runs."""
         state = self._beliefs.evidence.states.get(discrete((variable,))[0])
         return state is not None and bool(np.min(state) >= 0)
 
@@ -93,6 +95,7 @@ class DiscretePosterior(Posterior):
         return self._table(scope, self._beliefs.read(lambda t: joint(storage, t, scope)))
 
     def _require_room(self, scope: States, what: str) -> None:
+        """Refuse a result over some variables that would not fit for all runs."""
         runs = self._beliefs.evidence.runs
         if runs > 1:
             limits.require_runs(math.prod(sizes(scope)), runs, what)

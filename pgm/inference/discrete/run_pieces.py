@@ -29,6 +29,7 @@ def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[Bou
 
 
 def _of_one(evidence: BoundStates) -> BoundStates:
+    """The evidence of a single run, without variables that are not observed in it."""
     known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
     observed = {v: state for v, state in known.items() if state >= 0}
     return BoundStates(evidence.lead, observed, evidence.weights)

@@ -65,6 +65,7 @@ class TreeBeliefs:
 
     @cached_property
     def _marginals(self) -> Array:
+        """The marginals of all variables one after the other, (entries, distinct runs), read-only."""
         given = self._read(self.plan.marginals.read) if self._given is None else self._given
         # Tables of parts of it are handed out as they are.
         given.flags.writeable = False
@@ -79,6 +80,7 @@ class TreeBeliefs:
         return self._distinct.spread(self._read(reader))
 
     def _read(self, reader: Callable[[Array], Array]) -> Array:
+        """The results of a function of the calibrated tables for all distinct runs, in pieces."""
         found = _Gathered(self._distinct.evidence.runs)
         if self._kept is not None:
             for done, runs in self._kept:
@@ -100,6 +102,7 @@ class TreeBeliefs:
 
     @cached_property
     def _whole(self) -> TreeMessages:
+        """The messages by their definition, of all distinct runs."""
         return TreeMessages(self.storage, self._distinct.evidence)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
@@ -130,6 +133,7 @@ class _Gathered:
         self.done = 0
 
     def add(self, values: Array, runs: int) -> None:
+        """Add the values of the next runs, (..., runs)."""
         if runs == self.runs:
             self.whole = values
             return

@@ -34,6 +34,10 @@ class TreeMessages:
         return self._messages[source, target]
 
     def _sent(self, i: int, j: int, inputs: Iterable[tuple[int, int]]) -> Array:
+        """The logarithm of the message from cluster i to j: Σ potential of i · messages to i.
+
+        The edges `inputs` are those of the other neighbours of i.
+        """
         scope, graph = self.storage.scopes[i], self.storage.graph
         total = self.storage.table(self.potentials, i)
         for edge in inputs:

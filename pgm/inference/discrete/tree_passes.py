@@ -202,6 +202,7 @@ def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
 
 
 def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Calibrated:
+    """Both passes over a tree in one semiring; only the first, where the evidence is impossible."""
     entry = enter(plan, evidence, semiring)
     done = collect(plan, entry, semiring)
     tables, log_tops = entry.tables, semiring.logs(done.tops)

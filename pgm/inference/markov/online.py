@@ -180,6 +180,7 @@ class OnlineTables(InCode, Immutable):
         )
 
     def _check(self, belief: OnlineStates) -> None:
+        """Refuse a belief of another filter, or one that is not the newest."""
         mine = isinstance(belief, OnlineStates) and belief._plan.model is self.model
         if not mine or belief.kind.lag > 0 or belief._lag != self.lag:
             raise ModelError(

@@ -177,8 +177,10 @@ class _Window:
         return chain.posterior(0, message)
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
+        """See `Slices`."""
         return self.held[step].weights, 0.0
 
     def backward(self, step: int, message: Array) -> Array:
+        """See `Behind`."""
         ahead = self.ahead[step - 1].within(self.semiring)
         return ahead.backward(ahead.first, message)  # whose only row is of its own step

@@ -38,6 +38,10 @@ def solved(slices: TableSlices) -> StateChain:
 
 
 def _in_numbers(slices: TableSlices) -> StateChain | None:
+    """The forward sweep in plain numbers; None where these may have lost a state to underflow.
+
+    Impossible evidence is refused only where no number was so small.
+    """
     with np.errstate(under="ignore"):
         if slices.single and slices.steps:
             direct = DirectChain(slices).run()

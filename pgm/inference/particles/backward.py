@@ -91,7 +91,7 @@ class Backward:
         return Cloud(states, uniform(self._counts), self._starts)
 
     def _last(self, step: int, about: int) -> Integers:
-        """The places of the particles that trajectories begin with, drawn by their filtered weights."""
+        """The places of the last particles of trajectories, drawn by their filtered weights."""
         cloud, generators = self.clouds[step], self._generators(step, about)
         draw, found = RESAMPLERS[self.particles.resampling], []
         for run, generator in enumerate(generators):

@@ -41,6 +41,7 @@ def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
 
 
 def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) -> Array:
+    """The table that is left once all steps of a plan are done, (sizes..., runs or 1)."""
     tables = Tables(plan, evidence, semiring)
     for step in plan.steps:
         tables.do(step)
@@ -92,6 +93,7 @@ class Tables:
         return plan.scopes[factor], self.semiring.entries(table)
 
     def _reduced(self, cpd: TableCPD, unknown: Sequence[Discrete], scope: Sequence[int]) -> Array:
+        """A CPD's table at the states of the known variables, (hidden sizes..., runs or 1)."""
         states = self.evidence.states
         index: list[int | slice] = []
         left: list[Discrete] = []
@@ -115,6 +117,7 @@ class Tables:
         return reduced
 
     def _weights(self, variable: Discrete) -> Array:
+        """The weights of evidence for the states of a variable not known in all runs, (states, runs)."""
         soft = self.evidence.weights.get(variable)
         if soft is not None:
             return soft.T
