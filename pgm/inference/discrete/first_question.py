@@ -166,7 +166,7 @@ class _Tree:
         return Answer(self._distribute(tables), log_evidence)
 
     def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
-        """Messages towards the roots: each cluster's table times those from below, and ln p(evidence).
+        """Messages towards the roots: tables times all messages from below, and ln p(evidence).
 
         Tables are matrices (variables of its own, variables shared with its parent), whose rows a
         message sums; `shapes` are those of the messages as factors of the parent.

@@ -65,7 +65,7 @@ class TreeBeliefs:
 
     @cached_property
     def _marginals(self) -> Array:
-        """The marginals of all variables one after the other, (entries, distinct runs), read-only."""
+        """The marginals of all variables one after the other, (entries, distinct runs)."""
         given = self._read(self.plan.marginals.read) if self._given is None else self._given
         # Tables of parts of it are handed out as they are.
         given.flags.writeable = False

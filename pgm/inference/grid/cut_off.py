@@ -72,6 +72,7 @@ class Tails:
         return float(self._share.max(initial=0.0, where=self._open))
 
     def _at(self, marginals: list[Array]) -> Array:
+        """The shares (axes, 2) of the marginals in the last cells in use at either end."""
         return np.array(
             [
                 each[cells] / max(float(each.sum()), 1e-300)

@@ -92,6 +92,7 @@ class DensitySensor(MeasuredSensor):
         return found
 
     def _axes(self, cpd: CPD) -> list[int]:
+        """The axes of a CPD's parents."""
         of = self.lattice.of
         return sorted(k for parent in cpd.parents if parent in of for k in of[parent])
 

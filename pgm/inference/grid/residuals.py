@@ -69,6 +69,7 @@ Residuals = Term | Joint | Level
 
 
 def _some(array: Array, first: slice) -> Array:
+    """Some of the first axis of an array that broadcasts along it."""
     return array if len(array) == 1 else array[first]
 
 

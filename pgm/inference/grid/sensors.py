@@ -130,9 +130,12 @@ class GridSensor(MeasuredSensor):
         return found.reshape(*mesh[0].shape, -1)
 
     def _middle(self) -> Array:
+        """The centre of the lattice, (1, axes)."""
         return self.lattice.points([np.array([cells // 2]) for cells in self.lattice.shape])
 
     def _depended(self, some: Integers, known: Known, step: int, run: int) -> set[int]:
+        """The axes that any component depends on, tested at some cells with a measurement."""
+
         def values(before: Array, after: Array) -> Array:
             return self.values(before, known, step, run)
 
@@ -140,6 +143,7 @@ class GridSensor(MeasuredSensor):
         return set().union(*self.shape.depended.before)
 
     def _differ(self, one: Array, other: Array) -> Mask:
+        """Whether values (n, d) differ by more than rounding, angles the shorter way round."""
         gap = one - other
         for k in np.flatnonzero(self.angles):
             gap[:, k] = wrap(gap[:, k])
@@ -169,6 +173,10 @@ class GridSensor(MeasuredSensor):
         return shape.turning
 
     def _adds_everywhere(self, turning: frozenset[int], values: Callable[[Array], Array]) -> bool:
+        """Whether at every centre f(others, turning) = f(others, ·) + f(·, turning) − f(·, ·).
+
+        The dots are the middle of the lattice; `turning` are the axes that are circles.
+        """
         others = set(range(len(self.lattice.axes))) - turning
         one, other = (Reduced(self.lattice, axes, values) for axes in (others, turning))
         middle = values(self._middle())
@@ -182,6 +190,7 @@ class GridSensor(MeasuredSensor):
     def _adds(
         self, cells: Integers, turning: frozenset[int], values: Callable[[Array], Array]
     ) -> bool:
+        """Whether at some cells the function is that sum; see `_adds_everywhere`."""
         middle = np.array(self.lattice.shape) // 2
         turned = np.array([k in turning for k in range(len(middle))])
         each = [cells, np.where(turned, middle, cells), np.where(turned, cells, middle)]

@@ -187,6 +187,7 @@ class GridSlices:
             self._note(cut=Cut(bound(log_density, best), step))
 
     def _note(self, **found: Any) -> None:
+        """Keep what the cells serve worse than before."""
         self.worst = self.worst.of(Worst(**found))
 
     def forward(self, step: int, belief: Array) -> Array:

@@ -176,7 +176,7 @@ class Weights:
         return single[..., None] if self.batch else single
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:
-        """The columns p(z | parents) of the function of inputs at a row, and the places of runs' own."""
+        """The function's columns p(z | parents) at a row, and the places of each run's own."""
         tables = self.called.at(row)
         places = [self.reading.inputs[v][row, :, 0] for v in self.observed]
         return self._laid(tables, 1), [np.arange(len(tables)), *places]

@@ -117,7 +117,7 @@ class Tables:
         return reduced
 
     def _weights(self, variable: Discrete) -> Array:
-        """The weights of evidence for the states of a variable not known in all runs, (states, runs)."""
+        """The weights (states, runs) of evidence for a variable not known in all runs."""
         soft = self.evidence.weights.get(variable)
         if soft is not None:
             return soft.T
