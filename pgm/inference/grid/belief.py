@@ -196,7 +196,7 @@ class GridBelief(PointMassBelief):
         )
 
     def _mean(self) -> Array:
-        """The means (..., axes); angles count as differences from the direction of their mean vector."""
+        """The means (..., axes), of angles about the direction of their mean vector."""
         each = [
             axis.reference + about + offset
             for axis, (about, _, offset) in zip(self._parts, self._moments, strict=True)
