@@ -13,7 +13,8 @@ import numpy as np
 from pgm.cpds import AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, dimension
-from pgm.inference.rows import At, Rows, failure, own_noise, require_finite
+from pgm.inference.linearisation_failures import failure, require_finite
+from pgm.inference.rows import At, Rows, own_noise
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,

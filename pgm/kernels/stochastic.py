@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pgm.kernels.arrays import Array, Integers, unravelled
-from pgm.kernels.tables import Semiring
+from pgm.kernels.semirings import Semiring
 
 # Entries that a step with logarithms spreads out at a time.
 _CHUNK = 2**22

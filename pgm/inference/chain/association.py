@@ -29,7 +29,7 @@ from pgm.inference.chain.vector import vector
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels import mahalanobis, roots, solving
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
-from pgm.kernels.tables import log_sum
+from pgm.kernels.semirings import log_sum
 from pgm.linearisers import Lineariser
 from pgm.progress import counted
 from pgm.variables import Variable

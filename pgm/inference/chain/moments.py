@@ -11,7 +11,8 @@ from pgm.inference.chain.iterated_update import MomentUpdate, iterated
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading, Room
 from pgm.inference.iteration import Anchor
-from pgm.inference.rows import At, require_finite
+from pgm.inference.linearisation_failures import require_finite
+from pgm.inference.rows import At
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN

@@ -14,7 +14,8 @@ from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import Measured, Vector, vector
 from pgm.inference.chain.weights import Weights, by_sighting, own_blocks, scale
 from pgm.inference.iteration import Anchor
-from pgm.inference.rows import At, require_finite
+from pgm.inference.linearisation_failures import require_finite
+from pgm.inference.rows import At
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import (

@@ -9,7 +9,7 @@ from pgm.factors.axes import States
 from pgm.inference.discrete.place import by_state
 from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.tables import LOG_SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
 
 
 def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: Semiring) -> None:

@@ -17,7 +17,7 @@ from pgm.inference.discrete.impossible import contradicted
 from pgm.inference.discrete.loopy_plan import Group, LoopyPlan, Outlet
 from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.kernels.tables import exp, log_sum
+from pgm.kernels.semirings import exp, log_sum
 from pgm.variables import Discrete
 
 

@@ -34,7 +34,7 @@ from pgm.inference.parts.workers import Workers
 from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.kernels.tables import MAX_PRODUCT
+from pgm.kernels.semirings import MAX_PRODUCT
 from pgm.progress import Progress, counted, reporting
 from pgm.variables import Discrete, Variable
 

@@ -23,7 +23,7 @@ from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
 from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, frozen
-from pgm.kernels.tables import exp
+from pgm.kernels.semirings import exp
 from pgm.variables import Discrete, Variable
 
 

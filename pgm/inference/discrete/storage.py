@@ -16,7 +16,7 @@ from pgm.factors.axes import States, discrete, spread
 from pgm.inference.discrete.place import LARGE, Place, View, by_state
 from pgm.inference.discrete.sums import Marginals
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import LOG_SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
 

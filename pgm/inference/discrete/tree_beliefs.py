@@ -18,7 +18,7 @@ from pgm.inference.discrete.tree_passes import Calibrated, calibrate
 from pgm.inference.discrete.tree_plan import TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import exp
+from pgm.kernels.semirings import exp
 from pgm.variables import Discrete
 
 

@@ -6,7 +6,7 @@ from pgm.evidence.static import BoundStates
 from pgm.inference.discrete.entered_evidence import enter_everywhere
 from pgm.inference.discrete.storage import Storage, sepset_between
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import log_sum
+from pgm.kernels.semirings import log_sum
 
 
 class TreeMessages:

@@ -10,7 +10,7 @@ from pgm.evidence.static import BoundStates
 from pgm.inference.discrete.entered_evidence import multiply
 from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp
 
 
 @dataclass(frozen=True, eq=False)

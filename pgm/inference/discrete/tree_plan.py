@@ -29,7 +29,7 @@ from pgm.inference.discrete.storage import Storage, sepset_between
 from pgm.inference.discrete.sums import Marginals, Sum, summed
 from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.tables import SUM_PRODUCT
+from pgm.kernels.semirings import SUM_PRODUCT
 from pgm.variables import Discrete
 
 # Entries of this matrix, at the most.

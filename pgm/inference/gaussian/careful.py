@@ -22,7 +22,7 @@ from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.prior import SHARE, Frame
 from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.tree import TreePlan
-from pgm.kernels import decimals, slopes
+from pgm.kernels import decimals, differences
 from pgm.kernels.arrays import Array, Integers, apply, deviation, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
 from pgm.linearisers import Taylor
@@ -230,7 +230,7 @@ def _rounding(model: Model, g: int) -> Array:
     share = np.ones((*at.shape[:-1], 1))
     if isinstance(rule, Taylor):
         some = list(template.numerical)
-        share += (spread / slopes.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
+        share += (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
         away = away if some else np.zeros_like(away)
     return ROUNDING * (here * share + away)
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from pgm.inference import sweep
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.progress import counted
 
 # Beliefs above this, times factors whose product is, are numbers with all their digits.

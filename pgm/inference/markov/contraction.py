@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import Semiring
 from pgm.kernels.stochastic import Transition
-from pgm.kernels.tables import Semiring
 
 # A variable of the pair of slices, by its place.
 Label = int

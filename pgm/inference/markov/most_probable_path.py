@@ -8,7 +8,7 @@ from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.contraction import Move
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.tables import MAX_PRODUCT
+from pgm.kernels.semirings import MAX_PRODUCT
 from pgm.progress import counted
 
 

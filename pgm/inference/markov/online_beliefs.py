@@ -19,7 +19,7 @@ from pgm.inference.posterior import require_variable
 from pgm.inference.status import Kind, Status
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array, frozen
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 from pgm.variables import Variable
 
 

@@ -20,8 +20,8 @@ from pgm.inference.markov.contraction import Contraction, Factor, Label, Move
 from pgm.inference.markov.input_tables import InputTables, smallest_entry
 from pgm.inference.markov.weights import Weights
 from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.kernels.stochastic import Dense
-from pgm.kernels.tables import SUM_PRODUCT, Semiring
 from pgm.variables import Variable
 
 ADVICE = (

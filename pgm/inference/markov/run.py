@@ -16,7 +16,7 @@ from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.markov.single_state import DirectChain
 from pgm.inference.schedule import Schedule
 from pgm.inference.status import FILTERED, Status
-from pgm.kernels.tables import LOG_SUM_PRODUCT
+from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.resources import require_memory
 
 

@@ -12,7 +12,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence import Reading
 from pgm.inference.markov.input_tables import InputTables, smallest_entry
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import SUM_PRODUCT, Semiring, log_sum
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring, log_sum
 
 if TYPE_CHECKING:
     from pgm.inference.markov.plan import SlicePlan

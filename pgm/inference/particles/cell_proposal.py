@@ -17,7 +17,7 @@ from pgm.inference.particles.model import ParticleModel, Sensor
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
 from pgm.kernels.resampling import indices, systematic
-from pgm.kernels.tables import log_sum
+from pgm.kernels.semirings import log_sum
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 

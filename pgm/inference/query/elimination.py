@@ -18,7 +18,7 @@ from pgm.inference.discrete.impossible import ADVICE
 from pgm.inference.discrete.run_pieces import some_runs
 from pgm.inference.query.plan import EliminationPlan, Step
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
 
