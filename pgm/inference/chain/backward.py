@@ -161,10 +161,15 @@ class _Step(NamedTuple):
 
 
 def _reverse(step: _Step) -> Conditional:
+    """The slice at a step given the next one, by Bayes' rule for the transition between them."""
     return moments.reverse(*step)
 
 
 def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
+    """The slice given its states, and the measurements up to it.
+
+    States are given exactly; a control follows by its regression on them.
+    """
     layout = plan.layout
     states, controls = layout.state_places, layout.control_places
     known = block(forward.cov, states, states)

@@ -64,6 +64,7 @@ def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Arr
 
 
 def _robust(sensor: Sensor, mean: Array, cov: Array) -> Array:
+    """The cost 2 ρ of robust measurements at beliefs over their slices, (runs,)."""
     family, parents, everything = sensor.family, sensor.parents, slice(None)
     if not mean.shape[0]:
         return np.zeros(mean.shape[1])
@@ -91,6 +92,7 @@ def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
 
 
 def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
+    """The cost of sightings whose noise is correlated within a step, (runs,)."""
     runs, height = left.shape[1:]
     first, last, _ = rows.indices(len(sensor.values))
     total = np.zeros(runs)
@@ -124,6 +126,7 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
 
 
 def _squares(residual: Array, cov: Array) -> Array | None:
+    """`weighted`; None where a covariance is indefinite."""
     flat = np.isinf(np.einsum("...ii->...i", cov))
     if flat.any():
         residual = np.where(flat, 0.0, residual)
@@ -155,6 +158,7 @@ def require_cost(
 
 
 def _square(family: Family, mean: Array, expected: Array) -> Array:
+    """The cost of a CPD at means of its child and their expected values, (runs,)."""
     left = difference(mean, expected, family.cpd.child.angle_mask)
     return weighted(family, left, family.noise)
 

@@ -70,6 +70,7 @@ def projected(plan: ChainPlan, mean: Array, std: Array) -> tuple[Array, Mask]:
 
 
 def _obeyed(relations: list[Relation], mean: Array) -> Mask:
+    """Whether trajectories (T+1, runs, n) obey all relations but for rounding, (runs,)."""
     fits = np.ones(mean.shape[1], dtype=bool)
     for relation in relations:
         left, size = relation.missed(mean)
@@ -101,6 +102,10 @@ def _equations(relations: list[Relation], mean: Array, unit: Array, weight: floa
 
 
 def _relations(plan: ChainPlan) -> Iterator[Relation]:
+    """The relations of all linear CPDs and measurements in rows that their noise leaves alone.
+
+    With noise L Lᵀ, (I − L L⁺) (y − F p − b) = 0.
+    """
     layout = plan.layout
     states, front, size = layout.state_places, layout.state_size, layout.slice_size
     for link in plan.prior:
@@ -139,6 +144,7 @@ def _left_open(family: Family, noise: Array) -> Array | None:
 
 
 def _row(link: Link, free: Array, width: int) -> tuple[Array, Array]:
+    """The relation of a link over the vector of its parents and child, and its right side."""
     family = link.family
     row = np.zeros((*family.shape[:3], width))
     row[..., link.child] = np.eye(family.shape[2])

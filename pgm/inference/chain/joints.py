@@ -64,11 +64,13 @@ def joint_moments(
 
 
 def _gain(reverse: Reverse, step: int) -> Array:
+    """The regression of the slice at a step on the slice after it."""
     gain: Array = reverse.states.matrix[step]
     return gain if reverse.slices is None else reverse.slices.matrix[step] @ gain
 
 
 def _mirror(cov: Array) -> None:
+    """Copy the upper triangle of large matrices onto the lower one, in place, block by block."""
     size = cov.shape[-1]
     for start in range(0, size, _ROWS):
         rows = slice(start, start + _ROWS)

@@ -131,6 +131,7 @@ class _First(NamedTuple):
 
 
 def _first(plan: ChainPlan, anchor: Anchor | None) -> _First:
+    """The beliefs at step 0, before and after its measurements, and the log-density of these."""
     chain = MomentChain(plan, None, anchor=anchor)
     predicted = chain.start()
     known, log_density = chain.take(0, predicted)
@@ -140,6 +141,11 @@ def _first(plan: ChainPlan, anchor: Anchor | None) -> _First:
 def _solve(
     plan: ChainPlan, moves: Conditional, first: _First, readings: Readings, anchor: Anchor | None
 ) -> Scanned:
+    """Both passes by scans, as deviations from the reference of the measurements.
+
+    The filtered beliefs are prefixes of the elements of all steps. Whether they can be trusted is
+    found by predicting each anew from the one before: rounding in sharp elements would show there.
+    """
     reference = readings.reference
     near = about(moves, reference)
     known = _from(first.known, reference[0], plan.steps)
@@ -182,6 +188,7 @@ def _solve(
 
 
 def _read(predicted: Moments, readings: Readings) -> Moments:
+    """Predictions after the measurements of their steps."""
     mean, cov, _ = in_chunks(
         know, Belief(*predicted, np.zeros(predicted.mean.shape[:2])), readings.likelihood
     )
@@ -193,6 +200,7 @@ def _read(predicted: Moments, readings: Readings) -> Moments:
 
 
 def _agree(found: Moments, due: Moments) -> bool:
+    """Whether moments are the same but for the rounding that does not matter."""
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)
     far = off > _CLOSE * np.where(std > 0.0, std, np.abs(due.mean) + off.max(initial=0.0))
@@ -201,6 +209,7 @@ def _agree(found: Moments, due: Moments) -> bool:
 
 
 def _from(belief: Belief, reference: Array, steps: int) -> Moments:
+    """Arrays for the moments of all steps, about a reference; those of the first step are there."""
     runs, size = belief.mean.shape
     out = Moments(room((steps + 1, runs), (size,)), room((steps + 1, runs), (size, size)))
     out.mean[0], out.cov[0] = belief.mean - reference, belief.cov
@@ -208,6 +217,7 @@ def _from(belief: Belief, reference: Array, steps: int) -> Moments:
 
 
 def _predicted(moves: Conditional, start: Array) -> Array:
+    """The prior's means as the transition moves them, unmeasured, (T+1, runs, n)."""
     out = room((moves.offset.shape[0] + 1, start.shape[0]), start.shape[1:])
     out[0] = start
     if len(out) > 1:
@@ -253,6 +263,7 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
 
 
 def _absorb_exact(moves: Element, stack: Stack) -> None:
+    """Take measurements without noise into the transitions to their steps, in place."""
     later = np.flatnonzero(stack.steps)
     if not later.size:
         return
