@@ -13,7 +13,8 @@ import numpy as np
 from pgm.cpds import AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, dimension
-from pgm.inference.rows import At, Rows, failure, own_noise, require_finite
+from pgm.inference.linearisation_failures import failure, require_finite
+from pgm.inference.rows import At, Rows, own_noise
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
@@ -27,7 +28,7 @@ from pgm.kernels.arrays import (
     times,
     vacant,
 )
-from pgm.kernels.elements import by_rows
+from pgm.kernels.prefixes import by_rows
 from pgm.linearisers import (
     ArrayLineariser,
     BoundFunction,
@@ -321,6 +322,7 @@ class Family(Rows):
 
     @staticmethod
     def _put(kept: Array, rows: Some | Integers, new: Array, active: Mask | None) -> None:
+        """Keep new values at some rows, for the active runs alone."""
         if active is not None:
             tail = (1,) * (kept.ndim - 2)
             new = np.where(active.reshape(-1, *tail), new, kept[rows])
@@ -425,5 +427,6 @@ def _unplaced(function: BoundFunction) -> At:
 
 
 def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    """The value of a function without hidden parents, as a line without slope."""
     value = components_first(function(components_last(mean, 1)), 1)
     return Line(np.zeros((len(value), 0, *mean.shape[1:])), value, None)

@@ -11,7 +11,7 @@ import numpy as np
 from pgm.immutable import set_writeable
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask, components_first, components_last, quiet
-from pgm.kernels.slopes import jacobian as by_differences
+from pgm.kernels.differences import jacobian as by_differences
 from pgm.linearisers.calls import Call
 from pgm.linearisers.template import Function, FunctionTemplate
 from pgm.tracing import Answers

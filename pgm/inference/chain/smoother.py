@@ -11,7 +11,7 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.factors.scope import angle_mask
-from pgm.inference.chain import backward, careful, cost, forward, newton, parallel
+from pgm.inference.chain import backward, careful, cost, exact_relations, forward, newton, parallel
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
 from pgm.inference.chain.compiled import sweep as compiled
@@ -38,7 +38,7 @@ from pgm.kernels.arrays import (
     deviation,
     variances,
 )
-from pgm.kernels.elements import gather
+from pgm.kernels.prefixes import gather
 from pgm.progress import counted
 
 
@@ -293,7 +293,7 @@ class Chain(Generic[Either]):
 
     def feasible(self, mean: Array, found: Point) -> Array:
         """Means projected onto the exact CPDs."""
-        nearest, obeyed = cost.projected(self.plan, mean, found.std)
+        nearest, obeyed = exact_relations.projected(self.plan, mean, found.std)
         return np.where(obeyed[:, None], nearest, found.mean)
 
 

@@ -46,6 +46,7 @@ def of_tree(graph: ClusterGraph, bound: BoundStates, room: Room) -> DiscretePost
 
 
 def _calibrated(lead: tuple[int, ...]) -> Status:
+    """The status of a tree: one pass there and back, converged in all runs."""
     return Status(1, np.zeros((0, *lead)), np.ones(lead, dtype=bool))
 
 
