@@ -111,8 +111,8 @@ class Compilation(Told[CPD]):
         Returns
         -------
         str
-            ``"compiled"``, or ``"left to NumPy: ..."`` with the reasons, the schedule's and then the
-            CPDs'.
+            ``"compiled"``, or ``"left to NumPy: ..."`` with the reasons, first the schedule's, then
+            the CPDs'.
         """
         several = getattr(schedule, "iterations", 1) > 1
         control = not is_number(getattr(schedule, "damping", 0.0))

@@ -110,9 +110,8 @@ def test_damaged_files_are_refused_or_read(options):
             data[at] ^= 1 << int(rng.integers(8))
         try:
             found = read(bytes(data), "x", "y")
-        except FileError as error:
+        except FileError:
             refused += 1
-            assert len(str(error)) < 1000
         else:
             if "do_compression" in options:
                 assert_array_equal(found["x"], TABLES["x"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +24,12 @@ _NO_ROWS = np.empty((0, 0))
 # After the name of a sensor with sightings, before those of the parents given with them.
 _SIGHTED = object()
 _new, _empty = object.__new__, np.empty
+# Why a step is made the general way.
+_OTHER = "the belief is of many runs, in twice the digits, or of another filter"
+_START = "an update at step 0"
+_ODD = "values came in another form than numbers or sightings without steps"
+_CHANGED = "something that a function refers to has changed"
+_FAR = "numbers are too far apart, or a reading is too sharp"
 
 
 class CompiledSteps:
@@ -55,6 +62,8 @@ class CompiledSteps:
         # The last kinds of updates and of predictions, which are looked at first; all kinds.
         self._last: list[Layout | None] = [None, None]
         self._known: dict[Any, Layout] = {}
+        # Why steps were made the general way, and how many of them.
+        self.left: Counter[str] = Counter()
 
     def predict(self, belief: OnlineBelief, inputs: Values | None = None) -> OnlineBelief:
         """As `OnlineFilter.predict`."""
@@ -116,9 +125,11 @@ class CompiledSteps:
         """A step with any kind of values."""
         core = belief._core if type(belief) is OnlineBelief else None
         make, general, kernel = self._ways[moves]
-        given = None
-        if core and core[0] is self and (moves or core[1]):
-            given = _given(values)
+        given, why = None, _OTHER
+        if core and core[0] is self:
+            why = _START
+            if moves or core[1]:
+                given, why = _given(values), _ODD
         if core and given:
             names, rows = given
             key = make, *names, *(row.shape for row in rows)
@@ -127,6 +138,7 @@ class CompiledSteps:
                 if len(self._known) >= MOST:
                     self._known.clear()
                 kind = self._known[key] = self._laid(make, belief, values, rows)
+            why = kind.why or _CHANGED
             if kind.step is not None and kind.still():
                 self._last[moves] = kind
                 if kind.first is None:
@@ -135,12 +147,13 @@ class CompiledSteps:
                     rows = [row] if moves else [row[None], _NO_ROWS]
                 _, step, known, log_evidence, _, _ = core
                 found = _empty(self._shape)
-                density = kernel(kind.step, known, found, *rows)
+                density, why = kernel(kind.step, known, found, *rows), _FAR
                 if density == density:
                     after: OnlineBelief = _new(OnlineBelief)
                     told = log_evidence + density, PREDICTED if moves else FILTERED, kind.status
                     put_core(after, (self, step + moves, found, *told))
                     return after
+        self.left[why] += 1
         return self.adopted(general(belief, values))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")

@@ -36,7 +36,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def kept(function: Callable[..., Any], name: str, **options: Any) -> Any:
-    """A kernel that Python calls, kept on the disk by that name where a folder can be written to."""
+    """A kernel that Python calls, kept on the disk by its name where a folder takes it."""
     kernel = njit(error_model="numpy", **options)(function)
     try:
         kernel._cache = Store(function, name)

@@ -111,9 +111,10 @@ def _values(data: memoryview) -> dict[str, Value]:
     if len(data) < _OLD_HEADER:
         raise _Damaged("it ends before its header does")
     # HDF5 by itself, or behind a header of MATLAB's.
-    if data[:4] == b"\x89HDF" or data[_HEADER - 4 : _HEADER] in (b"\0\2IM", b"\2\0MI"):
+    first, version = (bytes(data[place : place + 4]) for place in (0, _HEADER - 4))
+    if first == b"\x89HDF" or version in (b"\0\2IM", b"\2\0MI"):
         raise _Damaged("it is of version 7.3, which is HDF5")
-    each = _old(data) if 0 in bytes(data[:4]) else _new(data)
+    each = _old(data) if 0 in first else _new(data)
     found: dict[str, Value] = {}
     for name, value in each:
         if name in found:

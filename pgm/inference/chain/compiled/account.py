@@ -10,8 +10,8 @@ class Account:
     """The sweeps of a plan, of its parts and its windows so far.
 
     `due` says whether machine code was asked for, or would have repaid its loading; else `rest` is
-    why not. `compiled` counts the sweeps that it made; `left` has the reasons why NumPy made others,
-    and at how many runs at the most, or zero for all.
+    why not. `compiled` counts the sweeps that it made; `left` has the reasons why NumPy made
+    others, and in how many runs at the most, or zero for all.
     """
 
     due: bool = False
