@@ -38,7 +38,7 @@ def vacant(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
 
 
 def _last_to(memory: Array, place: int) -> Array:
-    """As moveaxis(memory, -1, place), at a tenth of its cost."""
+    """An array with its last axis moved to a place, ten times as fast as by `moveaxis`."""
     last = memory.ndim - 1
     return memory.transpose(*range(place), last, *range(place, last))
 

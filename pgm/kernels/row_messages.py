@@ -16,7 +16,7 @@ STEADY = 1e-12
 
 
 def product(a: Rows, b: Rows) -> Rows:
-    """Of two stacks of factors: their rows together."""
+    """The product of two stacks of factors: the rows of both together."""
     parts = zip(a, b, strict=True)
     return Rows._make(None if p is None or q is None else _together(p, q) for p, q in parts)
 
