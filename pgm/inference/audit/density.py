@@ -12,7 +12,8 @@ import numpy as np
 from pgm.cpds import RobustNoise
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
-from pgm.inference.audit.draws import Afresh, log_ratio, stretch
+from pgm.inference.audit.student import log_ratio, stretch
+from pgm.inference.chain.plan import Link
 from pgm.inference.family import Family
 from pgm.kernels import roots
 from pgm.kernels.arrays import (
@@ -28,6 +29,13 @@ from pgm.kernels.arrays import (
 )
 
 Stack = TypeVar("Stack", Array, Mask)
+
+
+class Afresh(NamedTuple):
+    """Defensive draws that a CPD draws itself, where (runs, S) says so."""
+
+    where: Mask
+    rng: np.random.Generator
 
 
 class Drawn(NamedTuple):
@@ -115,6 +123,15 @@ class Term:
             log_density + log_ratio(size, squared),
             lost,
         )
+
+    def sampled(self, row: int, parents: Array, white: Array) -> Array:
+        """The child f(parents) + L s (runs, S, d) for white noise s (S, d), L the noise's root.
+
+        Where f is not finite, the linearised mean stands for it.
+        """
+        value, _ = self._value(row, parents, on_chart=True, strict=False)
+        child: Array = value + white @ transpose(_at(self.own, row))
+        return child
 
     def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
         places = afresh.where
@@ -235,6 +252,10 @@ class Term:
             step=step,
             run=where[-2],
         )
+
+
+# The CPDs of a prior or transition in their places, with their densities.
+Links = list[tuple[Link, Term]]
 
 
 def has_exact(read: Iterable[Family]) -> bool:

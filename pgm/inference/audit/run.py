@@ -1,25 +1,24 @@
-"""Auditing a posterior: estimates of draws that are made in batches."""
+"""Auditing a posterior."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
-from pgm.inference.audit.draws import Draws
-from pgm.inference.audit.estimates import Compared, Mixture, Sums, weigh
-from pgm.inference.audit.joints import ChainDraws, TreeDraws
-from pgm.inference.audit.result import Audit, checks
+from pgm.inference.audit.batches import estimate
+from pgm.inference.audit.chain import ChainDraws
+from pgm.inference.audit.innovation_checks import checks
+from pgm.inference.audit.result import Audit
+from pgm.inference.audit.tree import TreeDraws
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
-from pgm.kernels.arrays import quiet
-from pgm.progress import Progress, counted, reporting
+from pgm.progress import Progress, reporting
 
 
 def audit(
@@ -130,60 +129,3 @@ def _advice(posterior: Any) -> str:
         f"audit takes a posterior of pgm.filter, pgm.smooth or pgm.infer, not "
         f"{type(posterior).__name__}"
     )
-
-
-# Numbers drawn at once: what stays near the processor, and what whole draws may take.
-BATCH, ROOM = 2**18, 2**24
-
-
-class Drawing(Protocol):
-    """The source of draws: a chain, or a tree."""
-
-    @property
-    def width(self) -> int:
-        """Numbers that one draw of one run takes at a time."""
-
-    @property
-    def length(self) -> int:
-        """Numbers of a whole draw."""
-
-    def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """So many new draws a run."""
-
-    def sums(self) -> list[Sums]:
-        """Empty sums, one a hidden variable and one a cluster of several."""
-
-
-def estimate(
-    drawing: Drawing, runs: int, samples: int, rng: np.random.Generator
-) -> tuple[Mixture, list[Compared]]:
-    """Draw so often from the Gaussian, and as often defensively, and sum up, batch by batch."""
-    size = max(
-        1, min(BATCH // max(drawing.width, 1), ROOM // max(drawing.length, 1)) // max(runs, 1)
-    )
-    shape = (runs, 2 * samples)
-    log_weights, control, log_ratio = np.empty(shape), np.empty(shape), np.empty(shape)
-    lost, peak = np.zeros(runs), np.full(runs, -np.inf)
-    sums = drawing.sums()
-    for part, defensive in counted(list(_parts(samples, size)), "batches of draws"):
-        with quiet():  # a residual too large to be squared has no weight
-            drawn = drawing.draw(part.stop - part.start, rng, defensive=defensive)
-            logs, share = weigh(drawn)
-        log_weights[:, part], control[:, part] = logs, share
-        log_ratio[:, part] = drawn.target - drawn.gaussian
-        lost += np.isnan(drawn.target).sum(axis=-1)
-        before, peak = peak, np.maximum(peak, logs.max(axis=-1))
-        level = np.where(np.isfinite(peak), peak, 0.0)
-        fading = np.exp(np.where(np.isfinite(before), before - level, 0.0))
-        pair = np.stack([np.exp(logs - level[:, None]), share])
-        for each in sums:
-            each.add(drawn.values, pair, fading)
-    mixture = Mixture.make(log_weights, control, log_ratio, lost / samples)
-    return mixture, [each.compared(mixture) for each in sums]
-
-
-def _parts(samples: int, size: int) -> Iterator[tuple[slice, bool]]:
-    for defensive in (False, True):
-        for first in range(0, samples, size):
-            last = min(first + size, samples)
-            yield slice(first + defensive * samples, last + defensive * samples), defensive
