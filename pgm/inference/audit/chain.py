@@ -18,7 +18,7 @@ from pgm.inference.audit.modes import MOST, Modes
 from pgm.inference.audit.proposal import Path, Proposal
 from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse
-from pgm.inference.chain.plan import ChainPlan, Link
+from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.status import SMOOTHED
@@ -86,9 +86,12 @@ class ChainDraws:
         )
         law = _Law(plan.layout, prior, transition)
         answer = law.path(beliefs, reverse.states)
-        modes = chain_modes.find(
-            plan, prior, transition, beliefs, reverse.states, law.path, 0 if relative else MOST
-        )
+        modes = Modes.none(plan.runs)
+        if relative or answer.regular:
+            most = 0 if relative else MOST
+            modes = chain_modes.find(
+                plan, prior, transition, beliefs, reverse.states, law.path, most
+            )
         return cls(
             plan,
             answer,
@@ -171,7 +174,13 @@ class ChainDraws:
             start = states.shape[-1]
             predicted = np.zeros(shape)
             for link, term in links:
-                drawn = term.child(row, vector[..., link.parents], vector[..., link.child], afresh)
+                drawn = term.child(
+                    row,
+                    vector[..., link.parents],
+                    vector[..., link.child],
+                    afresh,
+                    strict=not defensive,
+                )
                 vector[..., link.child] = drawn.values
                 predicted += drawn.log_tails
                 total += np.where(drawn.lost, np.nan, drawn.log_density)

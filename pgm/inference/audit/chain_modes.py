@@ -11,10 +11,10 @@ import numpy as np
 from pgm.errors import ModelError, NumericalError, PgmError
 from pgm.factors.scope import angle_mask
 from pgm.inference.audit.density import Links
+from pgm.inference.audit.drives import starts as drives
 from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
 from pgm.inference.audit.proposal import Path
 from pgm.inference.audit.repeated import repeated
-from pgm.inference.audit.starts import of_chain
 from pgm.inference.chain import parallel, smoother
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.plan import ChainPlan
@@ -68,7 +68,9 @@ def find(
     most : int
         Modes at the most that are to be drawn from.
     """
-    starts = of_chain(plan, prior, transition, answer.mean)
+    if plan.exact:
+        return Modes.none(plan.runs)
+    starts = drives(plan, prior, transition, answer.mean)
     count, size = starts.shape[2], plan.layout.slice_size
     part = max(1, ROOM // ((plan.steps + 1) * count * 8 * size * (size + 1)))
     found = []

@@ -99,13 +99,20 @@ class Term:
         return ~roots.determined(self.own)
 
     def child(
-        self, row: int, parents: Array, proposed: Array, afresh: Afresh | None = None
+        self,
+        row: int,
+        parents: Array,
+        proposed: Array,
+        afresh: Afresh | None = None,
+        *,
+        strict: bool = True,
     ) -> Drawn:
         """The child (runs, S, d) of parents (runs, S, n): free components as proposed or drawn.
 
-        The others follow from the parents and the noise that the free ones imply.
+        The others follow from the parents and the noise that the free ones imply. If `strict`, a
+        function that is not finite is an error.
         """
-        value, lost = self._value(row, parents, on_chart=True, strict=afresh is None)
+        value, lost = self._value(row, parents, on_chart=True, strict=strict)
         own = _at(self.own, row)
         if afresh is not None:
             proposed = self._redrawn(value, own, proposed, afresh)

@@ -29,8 +29,8 @@ def repeated(plan: ChainPlan, count: int) -> ChainPlan:
         replace(
             sensor,
             family=of_family(sensor.family, count, runs),
-            taken=None if sensor.taken is None else _tiled(sensor.taken, count, runs),
-            values=_tiled(sensor.values, count, runs),
+            taken=None if sensor.taken is None else tiled(sensor.taken, count),
+            values=tiled(sensor.values, count),
             gated=None,
             cross={},
         )
@@ -48,11 +48,11 @@ def repeated(plan: ChainPlan, count: int) -> ChainPlan:
 def of_family(family: Family, count: int, runs: int) -> Family:
     """The family of a CPD with all runs `count` times, not linearised yet."""
     rows, _, height, width = family.shape
-    own = _tiled(family.own_noise, count, runs)
+    own = tiled(family.own_noise, count)
     total = count * runs
     made = replace(
         family,
-        inputs={parent: _tiled(values, count, runs) for parent, values in family.inputs.items()},
+        inputs={parent: tiled(values, count) for parent, values in family.inputs.items()},
         own_noise=own,
         lineariser=getattr(family.cpd, "lineariser", None) or TAYLOR,
         batch=() if total == 1 else (total,),
@@ -61,14 +61,14 @@ def of_family(family: Family, count: int, runs: int) -> Family:
     made.noise = np.broadcast_to(own, (rows, total, height, height))
     if family.exact:
         constant, shift = family.affine
-        shift = _tiled(shift, count, runs)
+        shift = tiled(shift, count)
         made.affine = constant, shift
         made.matrix = np.broadcast_to(constant, (rows, total, height, width))
         made.offset = np.broadcast_to(shift, (rows, total, height))
     return made
 
 
-def _tiled(array: npt.NDArray[Kind], count: int, runs: int) -> npt.NDArray[Kind]:
+def tiled(array: npt.NDArray[Kind], count: int) -> npt.NDArray[Kind]:
     """An array (rows, runs or 1, ...) with its runs `count` times; one for all runs stays."""
     if array.shape[1] == 1:
         return array

@@ -1,103 +1,37 @@
-"""Starts for smoothers that look for other modes: drives of the prior, and mirror images."""
+"""Points from which smoothers look for other modes: mirror images, and points of the prior."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from pgm.inference.audit.density import Links
-from pgm.inference.chain.plan import ChainPlan
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array
 from pgm.linearisers.sampled import normal, scrambled_net
 
-# Drives that follow the motion from points of the prior, without its noise and with it.
-STEADY, NOISY = 8, 4
 # Components of which the mirror image of one alone is a start of its own, at the most.
 ALONE = 4
+# Dimensions of Sobol's net; further ones are random.
+NET = 64
 
 
-@dataclass(frozen=True, eq=False)
-class Lanes:
-    """Drives of the model, one after another beside the answer.
+def white_points(count: int, dimension: int) -> Array:
+    """Points that fill N(0, I), (C, n), the same in each call.
 
-    first : ndarray
-        (C, n₀): white noise of the states at step 0.
-    noise : ndarray
-        (C,): how much of the motion's noise a drive has, from 0 to 1.
-    leave : ndarray
-        (C,): the last step at which a drive is the answer itself, which it then leaves; −1 of those
-        that begin in the prior.
+    They are the normal quantiles of Sobol's net, each point in the middle of its cell.
     """
-
-    first: Array
-    noise: Array
-    leave: Integers
-
-
-def of_chain(plan: ChainPlan, prior: Links, transition: Links, answer: Array) -> Array:
-    """Trajectories (T+1, runs, C, n) from which smoothers start, the answer's means first.
-
-    With ρ the motion of the prior's mean without noise, and ρ_k that of the answer μ from step k
-    on, they are
-
-    - μ itself, and ρ;
-    - mirror images 2ρ − μ, of all components together and of one after another; and, after the
-      middle of the drive alone, 2ρ_k − μ;
-    - drives from Sobol points of the prior, without noise and with it.
-
-    They are the same in each call. Drives that are not finite are the answer.
-    """
-    layout = plan.layout
-    size, half = layout.slice_size, plan.steps // 2
-    first = np.zeros((2 + STEADY + NOISY, layout.state_size))
-    first[2:] = normal(_points(STEADY + NOISY, layout.state_size))
-    noise = np.repeat([0.0, 1.0], [2 + STEADY, NOISY])
-    leave = np.full(len(first), -1)
-    leave[1] = half
-    driven = drives(plan, prior, transition, answer, Lanes(first, noise, leave))
-    reckoned, late = driven[:, :, 0], driven[:, :, 1]
-    alone = range(min(size, ALONE) if size > 1 else 0)
-    everywhere = np.arange(size)
-    images = []
-    for about in [reckoned] + [late] * (half > 0):
-        image = 2.0 * about - answer
-        images += [image, *(np.where(everywhere == k, image, answer) for k in alone)]
-    found = np.concatenate(
-        [np.stack([answer, reckoned, *images], axis=2), driven[:, :, 2:]], axis=2
-    )
-    finite = np.isfinite(found).all(axis=(0, 3))
-    return np.where(finite[..., None], found, answer[:, :, None])
-
-
-def _points(count: int, dimension: int) -> Array:
-    """The first points of Sobol's net, (C, n), each in the middle of its cell; beyond 64 random."""
-    known = min(dimension, 64)
+    known = min(dimension, NET)
     cell = 2.0 ** -(count - 1).bit_length()
     net = scrambled_net(np.zeros(known), count, known) + 0.5 * cell
     rest = np.random.default_rng(0).random((count, dimension - known))
-    return np.concatenate([net, rest], axis=1)
+    return normal(np.concatenate([net, rest], axis=1))
 
 
-def drives(plan: ChainPlan, prior: Links, transition: Links, answer: Array, lanes: Lanes) -> Array:
-    """The trajectories (T+1, runs, C, n) that the model's own CPDs make of white noise."""
-    layout, count = plan.layout, len(lanes.first)
-    size, front, places = layout.slice_size, layout.state_size, layout.state_places
-    rng, found = np.random.default_rng(0), np.zeros((plan.steps + 1, plan.runs, count, size))
-    states = np.zeros((plan.runs, count, 0))
-    for step in range(plan.steps + 1):
-        links, row = (transition, step - 1) if step else (prior, 0)
-        white = lanes.noise[:, None] * rng.standard_normal((count, size)) if step else lanes.first
-        start = states.shape[-1]
-        vector = np.concatenate([states, np.zeros((plan.runs, count, white.shape[1]))], axis=-1)
-        for link, term in links:
-            own = white[:, link.child.start - start : link.child.stop - start]
-            vector[..., link.child] = term.sampled(row, vector[..., link.parents], own)
-        if step:
-            found[step] = vector[..., front:]
-        else:
-            found[0][..., places] = vector
-        held = lanes.leave >= step
-        found[step][:, held] = answer[step][:, None]
-        states = found[step][..., places]
-    return found
+def images(answer: Array, about: Array) -> list[Array]:
+    """Mirror images 2ρ − μ of means μ (..., n) about others ρ: of all components, then of each.
+
+    Where no more than one component is there, or a network's `ALONE` first are used up, there is
+    only the first.
+    """
+    image, size = 2.0 * about - answer, answer.shape[-1]
+    everywhere = np.arange(size)
+    alone = range(min(size, ALONE) if size > 1 else 0)
+    return [image, *(np.where(everywhere == k, image, answer) for k in alone)]

@@ -5,7 +5,7 @@ import pytest
 
 import pgm
 from pgm.inference.audit.draws import Draws
-from pgm.inference.audit.estimates import Mixture, weigh
+from pgm.inference.audit.mixture import Mixture, weigh
 
 S = 400
 
