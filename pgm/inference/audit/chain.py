@@ -31,10 +31,22 @@ from pgm.kernels.moments import Conditional
 class ChainDraws:
     """Trajectories from the smoothed Gaussian, drawn forward in time, with their log-weights.
 
-    `answer` is their law: of the states at step 0, and of each later slice given the states before;
-    `modes` are others. `reference` (runs,) is common to all log-weights: the linearised model's evidence, where they
-    are `relative` to its densities. `judged` (T+1,) are the steps whose beliefs know all
-    measurements; `onward` are the conditionals of slices, with their fixed components.
+    plan : ChainPlan
+    answer : Path
+        The law of the smoothed trajectories.
+    modes : Modes
+    prior, transition, sensors : list
+        The CPDs in their places, with their densities.
+    reference : ndarray
+        (runs,): common to all log-weights: the linearised model's evidence, where they are
+        `relative` to its densities.
+    relative : bool
+    beliefs : Beliefs
+        The smoothed moments of all slices.
+    judged : ndarray
+        (T+1,): whether the belief that was asked for knows all measurements.
+    onward : Conditional
+        (T, runs, ...): each slice given the states before, with its fixed components.
     """
 
     plan: ChainPlan

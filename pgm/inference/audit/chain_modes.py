@@ -18,7 +18,7 @@ from pgm.inference.audit.repeated import repeated
 from pgm.inference.chain import parallel, smoother
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.options import LevenbergMarquardt
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.schedule import Smoothing
 from pgm.kernels.arrays import Array, deviation, quiet
 from pgm.kernels.moments import Conditional

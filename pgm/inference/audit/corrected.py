@@ -9,13 +9,13 @@ import numpy as np
 
 from pgm.factors import Gaussian
 from pgm.inference.audit.mixture import Mixture
-from pgm.kernels import roots
+from pgm.kernels import roots, solving
+from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     Array,
     Index,
     Integers,
     Mask,
-    difference,
     frozen,
     symmetric,
     transpose,
@@ -122,9 +122,10 @@ class Sums:
         Where that leaves no covariance, moments are weighted without it. Components in which the
         Gaussian has no variance are not compared.
         """
-        lower, slope = roots.root(self.cov), mixture.slope
-        total = mixture.weights.shape[-1] * mixture.evidence
-        own = (slope / mixture.evidence)[:, None, None] * self.cov
+        weights, evidence = mixture.weighed.weights, mixture.evidence
+        lower, slope = roots.root(self.cov), evidence.slope
+        total = weights.shape[-1] * evidence.value
+        own = (slope / evidence.value)[:, None, None] * self.cov
         offset, cov = _moments(
             (self._offsets[0] - slope[:, None] * self._offsets[1]) / total[:, None],
             (self._squares[0] - slope[:, None, None] * self._squares[1]) / total[:, None, None]
@@ -133,7 +134,7 @@ class Sums:
         divergence = _from_gaussian(lower, offset, cov)
         lost = ~np.isfinite(divergence)
         if lost.any():
-            total = mixture.weights.sum(axis=-1)
+            total = weights.sum(axis=-1)
             plain = _moments(
                 self._offsets[0] / total[:, None], self._squares[0] / total[:, None, None]
             )
@@ -152,8 +153,8 @@ def _moments(offsets: Array, squares: Array) -> tuple[Array, Array]:
 def _from_gaussian(lower: Array, offset: Array, cov: Array) -> Array:
     """KL of Gaussians by the second one's root; infinite where the first has no covariance."""
     fixed = roots.determined(lower)
-    white = roots.whiten(lower, offset)
-    inner = roots.solve_lower(lower, transpose(roots.solve_lower(lower, cov)))
+    white = solving.whiten(lower, offset)
+    inner = solving.solve_lower(lower, transpose(solving.solve_lower(lower, cov)))
     alone = fixed[..., :, None] | fixed[..., None, :]
     inner = np.where(alone, fixed[..., None] * np.eye(fixed.shape[-1]), symmetric(inner))
     values = np.linalg.eigvalsh(inner)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,107 +22,170 @@ def weigh(draws: Draws) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Mixture:
-    r"""Evidence by stratified importance sampling with a control variate, (runs,) each.
+class Weighed:
+    """Importance weights of S draws from q, then of S from d, (runs, 2S).
 
-    Of 2S draws, S from q and S from d, y = p/r and v = q/r for r = (q + d)/2. Since the mean of v
-    is one,
+    Attributes
+    ----------
+    log_weights : ndarray
+        ln y = ln p/r; −∞ where a function was not finite.
+    control : ndarray
+        v = q/r.
+    log_ratio : ndarray
+        ln p/q; −∞ or NaN where p is zero or a function was not finite.
+    """
+
+    log_weights: Array
+    control: Array
+    log_ratio: Array
+
+    @cached_property
+    def peak(self) -> Array:
+        """The largest ln y, (runs,)."""
+        return np.asarray(self.log_weights.max(axis=-1))
+
+    @cached_property
+    def weights(self) -> Array:
+        """The weights y over the exponential of their peak, (runs, 2S)."""
+        return np.exp(self.log_weights - self.peak[:, None])
+
+    @property
+    def plain(self) -> Array:
+        """The log-weights ln w = ln p/q of q's own draws, (runs, S)."""
+        return self.log_ratio[:, : self.log_ratio.shape[-1] // 2]
+
+
+class Evidence(NamedTuple):
+    r"""The evidence of runs, by y and the control variate v, whose mean is known to be one.
 
     .. math:: \hat Z = \bar y - β (\bar v - 1)
 
-    for the slope β of a regression of y on v within the two strata. Where p is a multiple of q no
-    variance is left. `weights` and `control` are y and v, (runs, 2S), of the Gaussian's draws
-    first; `peak` is the largest log-weight, and y, β and Ẑ are divided by its exponential. All
-    else is as of an `Audit`.
-
-    Sources are those of an `Audit`.
+    Attributes
+    ----------
+    slope : ndarray
+        (runs,): β, the slope of a regression of y on v within the draws of q and of d; over the
+        exponential of the weights' peak.
+    value : ndarray
+        (runs,): Ẑ, likewise.
+    log : ndarray
+        (runs,): ln Ẑ.
+    standard_error : ndarray
+        (runs,): of ln Ẑ, that of the mean of y − βv over Ẑ (the delta method).
     """
 
-    peak: Array
-    weights: Array
-    control: Array
     slope: Array
-    evidence: Array
+    value: Array
+    log: Array
     standard_error: Array
-    effective_draws: Array
-    gaussian_sample_size: Array
-    divergence: Array
-    divergence_error: Array
-    inclusive_divergence: Array
-    inclusive_error: Array
-    pareto_k: Array
+
+
+class Estimate(NamedTuple):
+    """A divergence in nats with its standard error, (runs,) each."""
+
+    value: Array
+    error: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """Estimates by importance sampling from the mixture r = (q + d)/2, in strata of equal size.
+
+    Where p is a multiple of q, no variance is left. Sources are those of an `Audit`.
+
+    weighed : Weighed
+    evidence : Evidence
+    divergence, inclusive : Estimate
+        KL(q ‖ p/Z) and KL(p/Z ‖ q).
+    undefined : ndarray
+        (runs,): the part of defensive draws at which a function was not finite.
+    """
+
+    weighed: Weighed
+    evidence: Evidence
+    divergence: Estimate
+    inclusive: Estimate
     undefined: Array
-    gaussian_log_weights: Array
 
     @classmethod
     def make(
         cls, log_weights: Array, control: Array, log_ratio: Array, undefined: Array
     ) -> Mixture:
-        """Estimate, from ln y, v and ln p/q, (runs, 2S)."""
-        samples = log_weights.shape[-1] // 2
-        plain = log_ratio[:, :samples]
-        peak = log_weights.max(axis=-1)
-        if not np.isfinite(peak).all() or not np.isfinite(plain.max(axis=-1)).all():
-            finite = np.isfinite(peak) & np.isfinite(plain.max(axis=-1))
-            run = int(np.flatnonzero(~finite)[0])
-            raise NumericalError(
-                f"run {run}: no draw from the Gaussian answer has a density under the model that "
-                "float64 can hold; are its units and noises of a size that fits the data?"
-            )
-        weights = np.exp(log_weights - peak[:, None])
-        slope, evidence = _evidence(weights, control)
-        relative = weights / evidence[:, None]  # y/Z, whose mean is one as v's is
-        surplus = relative - (slope / evidence)[:, None] * control  # what moves ln Z
-        log_evidence = peak + np.log(evidence)
+        """Estimate, from ln y, v and ln p/q, (runs, 2S), of the Gaussian's draws first."""
+        weighed = Weighed(log_weights, control, log_ratio)
+        _require_draws(weighed)
+        evidence = _evidence(weighed)
+        relative = weighed.weights / evidence.value[:, None]  # y/Z, whose mean is one as v's is
         known = np.isfinite(log_ratio)
-        logs = np.where(known, log_ratio - log_evidence[:, None], 0.0)  # ln w/Z
-        divergence, its_error = _divergence(-control * logs, relative - control, surplus, 1.0)
-        divergence[~known[:, :samples].all(axis=-1)] = np.inf
-        inclusive, other_error = _divergence(relative * logs, relative - control, surplus, -1.0)
+        logs = np.where(known, log_ratio - evidence.log[:, None], 0.0)  # ln w/Z
+        surplus = _surplus(weighed, evidence)
+        divergence = _divergence(-control * logs, relative - control, surplus, 1.0)
+        divergence.value[~np.isfinite(weighed.plain).all(axis=-1)] = np.inf
+        inclusive = _divergence(relative * logs, relative - control, surplus, -1.0)
+        return cls(weighed, evidence, divergence, inclusive, undefined)
+
+    @cached_property
+    def effective_draws(self) -> Array:
+        """The number (Σ y)² / Σ y² of all draws, (runs,)."""
+        return _effective(self.weighed.weights)
+
+    @cached_property
+    def effective_sample_size(self) -> Array:
+        """The number (Σ w)² / Σ w² of q's own draws, w = p/q, (runs,)."""
+        plain = self.weighed.plain
+        return _effective(np.exp(plain - plain.max(axis=-1, keepdims=True)))
+
+    @cached_property
+    def pareto_k(self) -> Array:
+        """The shape of the tail of y at q's draws, (runs,); −∞ where all w are equal."""
+        plain = self.weighed.plain
         equal = np.ptp(plain, axis=-1) <= EQUAL * np.maximum(1.0, np.abs(plain).max(axis=-1))
-        return cls(
-            peak,
-            weights,
-            control,
-            slope,
-            evidence,
-            _error(surplus),
-            _effective(weights),
-            _effective(np.exp(plain - plain.max(axis=-1, keepdims=True))),
-            divergence,
-            its_error,
-            inclusive,
-            other_error,
-            np.where(equal, -np.inf, pareto_shape(log_weights[:, :samples])),
-            undefined,
-            plain,
+        shape = pareto_shape(self.weighed.log_weights[:, : plain.shape[-1]])
+        return np.where(equal, -np.inf, shape)
+
+
+def _require_draws(weighed: Weighed) -> None:
+    """Refuse runs of which no draw, or none of q's own, has a density that is not zero."""
+    finite = np.isfinite(weighed.peak) & np.isfinite(weighed.plain.max(axis=-1))
+    if not finite.all():
+        run = int(np.flatnonzero(~finite)[0])
+        raise NumericalError(
+            f"run {run}: no draw from the Gaussian answer has a density under the model that "
+            "float64 can hold; are its units and noises of a size that fits the data?"
         )
 
-    @property
-    def log_evidence(self) -> Array:
-        """The value ln Ẑ."""
-        return self.peak + np.log(self.evidence)
 
+def _evidence(weighed: Weighed) -> Evidence:
+    """The mean weight with its control variate; where that is not positive, the plain mean.
 
-def _evidence(weights: Array, control: Array) -> tuple[Array, Array]:
-    """The slope β of the control variate, and the mean weight with it, (runs,)."""
+    A regression through few weights may overshoot.
+    """
+    weights, control = weighed.weights, weighed.control
     slope, mean = _slope(weights, control), weights.mean(axis=-1)
-    evidence = mean - slope * (control.mean(axis=-1) - 1.0)
-    # A regression through few weights may overshoot; their plain mean is positive.
-    proper = evidence > 0.0
-    return np.where(proper, slope, 0.0), np.where(proper, evidence, mean)
+    value = mean - slope * (control.mean(axis=-1) - 1.0)
+    proper = value > 0.0
+    slope, value = np.where(proper, slope, 0.0), np.where(proper, value, mean)
+    found = Evidence(slope, value, weighed.peak + np.log(value), np.zeros_like(value))
+    return found._replace(standard_error=_error(_surplus(weighed, found)))
 
 
-def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> tuple[Array, Array]:
-    """The mean of values, v ln Z/w or (y/Z) ln w/Z, with a control variate, and its error.
+def _surplus(weighed: Weighed, evidence: Evidence) -> Array:
+    """What each draw adds to ln Ẑ: (y − βv)/Ẑ, (runs, 2S)."""
+    parts = (evidence.slope / evidence.value)[:, None] * weighed.control
+    return np.asarray(weighed.weights / evidence.value[:, None] - parts)
 
-    The sign says how they change with ln Z.
+
+def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> Estimate:
+    """The mean of values a_s with a control variate of mean zero, and its standard error.
+
+    The values are v ln Z/w, of KL(q ‖ p/Z), or (y/Z) ln w/Z, of KL(p/Z ‖ q); as ln Z grows, the
+    mean of the former grows by one, and that of the latter falls by one and the mean, which is the
+    `sign`. The error is that of a_s − slope · control_s + (that change) · surplus_s.
     """
     slope = _slope(values, control)
     mean = np.maximum(values.mean(axis=-1) - slope * control.mean(axis=-1), 0.0)
     by_evidence = slope + (1.0 if sign > 0.0 else -1.0 - mean)
     rest = values - slope[:, None] * control + by_evidence[:, None] * surplus
-    return mean, _error(rest)
+    return Estimate(mean, _error(rest))
 
 
 def _slope(values: Array, control: Array) -> Array:
@@ -141,6 +206,6 @@ def _error(values: Array) -> Array:
 
 
 def _effective(weights: Array) -> Array:
-    # Equal weights give exactly the number of draws.
+    """The number (Σ w)² / Σ w² of draws (runs, S); that of all, exactly, where w are equal."""
     size = weights.sum(axis=-1) ** 2 / (weights**2).sum(axis=-1)
     return np.asarray(np.minimum(size, weights.shape[-1]))

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.inference.audit.proposal import Path
-from pgm.kernels.arrays import Array, Integers, Mask, difference
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Integers, Mask
 
 # Modes at the most that are drawn from, beside the answer.
 MOST = 8
@@ -29,7 +30,8 @@ class Modes:
     shares : ndarray
         (K, runs): the probability that a defensive draw is of this law; zero in runs without it.
     missed : ndarray
-        (runs,): the part of the fixed points' evidence that belongs to modes not drawn from.
+        (runs,): the part of the fixed points' evidence that belongs to modes not drawn from; NaN
+        where no smoother arrived, not even from the answer itself.
     """
 
     paths: Sequence[Path]
@@ -40,6 +42,11 @@ class Modes:
     def none(cls, runs: int) -> Modes:
         """No mode but the answer's."""
         return cls((), np.zeros((0, runs)), np.zeros(runs))
+
+    @classmethod
+    def unknown(cls, runs: int) -> Modes:
+        """No mode, since the search has failed."""
+        return cls((), np.zeros((0, runs)), np.full(runs, np.nan))
 
     def drawn(self, count: int, rng: np.random.Generator) -> Integers:
         """The law of each of so many defensive draws, (runs, S); K of an excursion."""
@@ -134,10 +141,11 @@ def choose(points: FixedPoints, mean: Array, std: Array, most: int = MOST) -> Ch
         open_ &= ~(near & there)
         open_[next_, every] = False
     total = np.where(total > 0.0, total, 1.0)
+    missed = np.where(np.isfinite(best), missed / total, np.nan)
     if not index:
-        return Chosen(np.zeros((0, runs), dtype=np.intp), np.zeros((0, runs)), missed / total)
+        return Chosen(np.zeros((0, runs), dtype=np.intp), np.zeros((0, runs)), missed)
     found, mass = np.array(index), np.array(weights)
     there = found >= 0
     count, sum_ = np.maximum(there.sum(axis=0), 1), mass.sum(axis=0)
     part = (1.0 - EVEN) * mass / np.where(sum_ > 0.0, sum_, 1.0) + EVEN * there / count
-    return Chosen(found, SHARE * part, missed / total)
+    return Chosen(found, SHARE * part, missed)

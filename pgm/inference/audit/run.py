@@ -115,7 +115,7 @@ def audit(
     with reporting(progress):
         mixture, compared = estimate(draws, known.size, samples, generator)
     seen = checks(posterior.innovations) if isinstance(posterior, ChainPosterior) else {}
-    return Audit(mixture, known, compared, seen)
+    return Audit(mixture, known, compared, seen, draws.modes)
 
 
 def _advice(posterior: Any) -> str:

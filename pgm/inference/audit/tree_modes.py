@@ -15,9 +15,10 @@ from pgm.inference.audit.repeated import of_family, tiled
 from pgm.inference.audit.starts import images, white_points
 from pgm.inference.audit.tree_density import TreeDensity
 from pgm.inference.gaussian.beliefs import Calibrated
-from pgm.inference.gaussian.messages import Buffer
-from pgm.inference.gaussian.model import Model, prior_predictive
-from pgm.inference.gaussian.posterior import joint_moments
+from pgm.inference.gaussian.joints import joint_moments
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.prior import prior_predictive
+from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.gaussian.tree import TreePlan, calibrate
 from pgm.kernels.arrays import Array, deviation, quiet
 
@@ -61,7 +62,7 @@ def find(
         done = search.solve(at)
         _, spread = joint_moments(plan, done.beliefs, np.arange(size))
     except (PgmError, np.linalg.LinAlgError):
-        return Modes.none(runs)
+        return Modes.unknown(runs)
     count = at.shape[1]
     spread = np.broadcast_to(spread, (count * runs, size, size)).reshape(count, runs, size, size)
     evidence = np.broadcast_to(done.log_evidence.reshape(-1), count * runs).reshape(count, runs)
