@@ -64,6 +64,7 @@ def estimate(
 
 
 def _parts(samples: int, size: int) -> Iterator[tuple[slice, bool]]:
+    """The places of batches among 2S draws, and whether these are the defensive ones."""
     for defensive in (False, True):
         for first in range(0, samples, size):
             last = min(first + size, samples)

@@ -101,9 +101,7 @@ class ChainDraws:
         modes = Modes.none(plan.runs)
         if relative or answer.regular:
             most = 0 if relative else MOST
-            modes = chain_modes.find(
-                plan, prior, transition, beliefs, reverse.states, law.path, most
-            )
+            modes = chain_modes.find(plan, beliefs, reverse.states, law.path, most)
         return cls(
             plan,
             answer,
@@ -209,6 +207,7 @@ class ChainDraws:
         return strand.drawn(total, values)
 
     def _readings(self, step: int, slices: Array, *, strict: bool) -> Array:
+        """The log-density of a step's measurements at its slices (runs, S, n), (runs, S)."""
         total = np.zeros(slices.shape[:2])
         for sensor, term in self.sensors:
             rows = sensor.rows(step)
@@ -259,6 +258,10 @@ class _Law:
 
 
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
+    """Components of slices that their parents leave open, of a shape (rows, runs, n).
+
+    `start` is where the slice begins in the vector in which the links' children stand.
+    """
     free = np.zeros(shape, dtype=bool)
     for link, term in links:
         free[..., link.child.start - start : link.child.stop - start] = term.free()
@@ -266,6 +269,7 @@ def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
 
 
 def _refuse_grouped(plan: ChainPlan) -> None:
+    """Refuse grouped sensors, whose correlated errors a ratio of CPDs one by one does not hold."""
     for sensor in plan.sensors:
         if sensor.cross:
             raise NumericalError(

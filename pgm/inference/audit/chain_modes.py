@@ -10,8 +10,7 @@ import numpy as np
 
 from pgm.errors import ModelError, NumericalError, PgmError
 from pgm.factors.scope import angle_mask
-from pgm.inference.audit.density import Links
-from pgm.inference.audit.drives import starts as drives
+from pgm.inference.audit.drives import starts
 from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
 from pgm.inference.audit.proposal import Path
 from pgm.inference.audit.repeated import repeated
@@ -23,11 +22,11 @@ from pgm.inference.schedule import Smoothing
 from pgm.kernels.arrays import Array, deviation, quiet
 from pgm.kernels.moments import Conditional
 
-# A short smoother: linearisations, deviations within which it has arrived, and, where no cost can
-# control its steps, the share of the old point that is kept.
-ITERATIONS, TOLERANCE, HELD = 12, 0.02, 0.5
-# Numbers of all smoothers that are held at once.
-ROOM = 2**24
+# A short smoother: linearisations, deviations within which it has arrived, tries of a step that
+# raises the cost, and, where no cost can control it, the share of the old point that is kept.
+ITERATIONS, TOLERANCE, TRIES, HELD = 12, 0.02, 1, 0.5
+# Numbers of all smoothers that are held at once, and about as many starts a run.
+ROOM, STARTS = 2**26, 24
 # The part of the smoothers below which those that fail together are given up.
 SMALLEST = 1.0 / 64.0
 
@@ -45,21 +44,13 @@ class Arrived(NamedTuple):
 
 
 def find(
-    plan: ChainPlan,
-    prior: Links,
-    transition: Links,
-    answer: Beliefs,
-    own: Conditional,
-    make: MakePath,
-    most: int = MOST,
+    plan: ChainPlan, answer: Beliefs, own: Conditional, make: MakePath, most: int = MOST
 ) -> Modes:
     """The modes at which smoothers arrive that start elsewhere, beside the answer's.
 
     Parameters
     ----------
     plan : ChainPlan
-    prior, transition : list
-        Their CPDs, with their densities.
     answer : Beliefs
         The smoothed moments of all runs.
     own : Conditional
@@ -70,16 +61,15 @@ def find(
     """
     if plan.exact:
         return Modes.none(plan.runs)
-    starts = drives(plan, prior, transition, answer.mean)
-    count, size = starts.shape[2], plan.layout.slice_size
-    part = max(1, ROOM // ((plan.steps + 1) * count * 8 * size * (size + 1)))
+    size = plan.layout.slice_size
+    part = max(1, ROOM // ((plan.steps + 1) * STARTS * 8 * size * (size + 1)))
     found = []
     for first in range(0, plan.runs, part):
         runs = slice(first, min(first + part, plan.runs))
         some = plan if part >= plan.runs else plan.of(runs)
         moments = Beliefs(answer.mean[:, runs], answer.cov[:, runs])
         states = Conditional(*(each[:, runs] for each in own))
-        found.append(_of_runs(some, starts[:, runs], moments, states, most))
+        found.append(_of_runs(some, moments, states, most))
     return _joined(found, make)
 
 
@@ -93,9 +83,11 @@ class Found(NamedTuple):
     answer: tuple[Beliefs, Conditional]
 
 
-def _of_runs(plan: ChainPlan, starts: Array, answer: Beliefs, own: Conditional, most: int) -> Found:
-    steps, runs, count, size = starts.shape
-    flat = np.ascontiguousarray(starts.swapaxes(1, 2)).reshape(steps, count * runs, size)
+def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> Found:
+    """The modes of some runs, by all smoothers of these in one call."""
+    begun = starts(plan, answer.mean)
+    steps, runs, count, size = begun.shape
+    flat = np.ascontiguousarray(begun.swapaxes(1, 2)).reshape(steps, count * runs, size)
     arrived = _arrived(repeated(plan, count), flat)
     std = deviation(arrived.cov)
 
@@ -153,7 +145,7 @@ def _joined(found: list[Found], make: MakePath) -> Modes:
 
 
 @quiet()
-def _arrived(plan: ChainPlan, starts: Array) -> Arrived:
+def _arrived(plan: ChainPlan, begun: Array) -> Arrived:
     """Smooth from starts (T+1, N, n); those that fail together are tried in halves.
 
     Smoothers that fail stay at their starts, with an evidence of −∞.
@@ -161,8 +153,8 @@ def _arrived(plan: ChainPlan, starts: Array) -> Arrived:
     size, front = plan.layout.slice_size, plan.layout.state_size
     runs = plan.runs
     found = Arrived(
-        starts.copy(),
-        np.broadcast_to(0.0, (*starts.shape, size)).copy(),
+        begun.copy(),
+        np.broadcast_to(0.0, (*begun.shape, size)).copy(),
         Conditional(
             np.zeros((plan.steps, runs, front, size)),
             np.zeros((plan.steps, runs, front)),
@@ -176,7 +168,7 @@ def _arrived(plan: ChainPlan, starts: Array) -> Arrived:
         part = left.pop()
         some = plan if part == slice(0, runs) else plan.of(part)
         try:
-            done = _smoothed(some, starts[:, part])
+            done = _smoothed(some, begun[:, part])
         except (PgmError, np.linalg.LinAlgError):
             if part.stop - part.start > least:
                 half = (part.start + part.stop) // 2
@@ -191,11 +183,12 @@ def _arrived(plan: ChainPlan, starts: Array) -> Arrived:
     return found
 
 
-def _smoothed(plan: ChainPlan, starts: Array) -> Arrived:
-    schedule = Smoothing(ITERATIONS, TOLERANCE, LevenbergMarquardt())
+def _smoothed(plan: ChainPlan, begun: Array) -> Arrived:
+    """A short smoother of all runs, from trajectories (T+1, N, n)."""
+    schedule = Smoothing(ITERATIONS, TOLERANCE, LevenbergMarquardt(tries=TRIES))
     try:
-        found, _ = smoother.smooth(plan, schedule, starts)
+        found, _ = smoother.smooth(plan, schedule, begun)
     except ModelError:  # nonlinear motions without noise have no cost
-        found, _ = smoother.smooth(plan, replace(schedule, damping=HELD), starts)
+        found, _ = smoother.smooth(plan, replace(schedule, damping=HELD), begun)
     log_evidence = parallel.whole(found.forward).log_density.sum(axis=0)
     return Arrived(found.beliefs.mean, found.beliefs.cov, found.reverse.states, log_evidence)

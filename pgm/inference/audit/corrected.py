@@ -51,6 +51,7 @@ class Compared:
 
     @property
     def _known(self) -> Array:
+        """Divergences (steps, runs) of beliefs that are judged and of finite moments; else zero."""
         known = self.judged[:, None] & np.isfinite(self.divergence)
         return np.where(known, self.divergence, 0.0)
 
@@ -77,6 +78,7 @@ class Compared:
         return frozen(self._stacked(self.divergence, lead))
 
     def _stacked(self, values: Array, lead: tuple[int, ...]) -> Array:
+        """From (steps, runs, ...) to (*lead, steps, ...), or (*lead, ...) without time."""
         tail = values.shape[2:]
         if self.steps is None:
             return np.asarray(values[0].reshape((*lead, *tail)))
@@ -147,11 +149,16 @@ class Sums:
 
 
 def _moments(offsets: Array, squares: Array) -> tuple[Array, Array]:
+    """Mean E d and covariance E d dᵀ − E d E dᵀ of offsets d, from E d and E d dᵀ."""
     return offsets, symmetric(squares - offsets[..., :, None] * offsets[..., None, :])
 
 
 def _from_gaussian(lower: Array, offset: Array, cov: Array) -> Array:
-    """KL of Gaussians by the second one's root; infinite where the first has no covariance."""
+    """KL(N(m, C) ‖ N(0, L Lᵀ)) (...), of offsets m (..., d), and C (..., d, d).
+
+    With A = L⁻¹ C L⁻ᵀ and its eigenvalues a it is ½ (Σ (a − 1 − ln a) + |L⁻¹ m|²), infinite where
+    C is no covariance. Components that L leaves without variance are not compared.
+    """
     fixed = roots.determined(lower)
     white = solving.whiten(lower, offset)
     inner = solving.solve_lower(lower, transpose(solving.solve_lower(lower, cov)))

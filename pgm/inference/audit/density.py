@@ -132,6 +132,7 @@ class Term:
         return child
 
     def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
+        """Values (runs, S, d) with those named drawn afresh: f(parents) + L s, s of Student's t."""
         places = afresh.where
         white: Array = np.zeros(proposed.shape)
         white[places] = afresh.rng.standard_normal((int(places.sum()), self.family.shape[2]))
@@ -184,6 +185,7 @@ class Term:
 
     @cached_property
     def _inverse(self) -> Array | None:
+        """L⁻ᵀ of all rows, (rows or 1, runs or 1, d, d), where L is regular; else None."""
         return normal_density.whitener(self.own)
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
@@ -191,6 +193,7 @@ class Term:
         return residual if self.taken is None else np.where(self._seen(rows), residual, 0.0)
 
     def _seen(self, rows: int | slice) -> Mask | np.bool_:
+        """Components of measurements that were read, (k, runs or 1, 1, d); True for all."""
         return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
@@ -203,6 +206,7 @@ class Term:
         return own - _log_density(self.linearised[rows], residual)
 
     def _affine(self, rows: int | slice, parents: Array) -> Array:
+        """The linearised mean F x + b at parents (..., S, n), (..., S, d)."""
         matrix, offset = self.family.matrix[rows], self.family.offset[rows]
         value: Array = parents @ transpose(matrix) + offset[..., None, :]
         return value
@@ -238,6 +242,7 @@ class Term:
         return value, lost
 
     def _refuse(self, rows: int | slice, parents: Array, lost: Mask) -> None:
+        """Raise for the first draw (..., S) at which the function is not finite."""
         where = tuple(int(axis[0]) for axis in np.nonzero(lost))
         family = self.family
         first = rows if isinstance(rows, int) else rows.start + where[0]
@@ -275,6 +280,7 @@ def has_exact(read: Iterable[Family]) -> bool:
 
 
 def _at(stacked: Stack, rows: int | slice) -> Stack:
+    """Some rows of an array (rows or 1, ...), of which one row may stand for all."""
     if stacked.shape[0] == 1:
         rows = 0 if isinstance(rows, int) else slice(None)
     part: Stack = stacked[rows]
@@ -282,4 +288,5 @@ def _at(stacked: Stack, rows: int | slice) -> Stack:
 
 
 def _log_density(lower: Array, residual: Array) -> Array:
+    """The value ln N(residual; 0, L Lᵀ), (..., S), of residuals (..., S, d)."""
     return normal_density.log_density(lower, normal_density.whitened(lower, residual)[0])

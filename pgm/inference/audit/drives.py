@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.inference.audit.density import Links
+from pgm.inference.audit.density import Term
 from pgm.inference.audit.starts import images, white_points
 from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels.arrays import Array, Integers
@@ -33,7 +33,7 @@ class Lanes:
     leave: Integers
 
 
-def starts(plan: ChainPlan, prior: Links, transition: Links, answer: Array) -> Array:
+def starts(plan: ChainPlan, answer: Array) -> Array:
     """Trajectories (T+1, runs, C, n) from which smoothers start, the answer's means first.
 
     With ρ the motion of the prior's mean without noise, and ρ_k that of the answer μ from step k
@@ -42,7 +42,7 @@ def starts(plan: ChainPlan, prior: Links, transition: Links, answer: Array) -> A
     - μ itself, and ρ;
     - mirror images 2ρ − μ, of all components together and of one after another; and, after the
       middle of the drive alone, 2ρ_k − μ;
-    - drives from Sobol points of the prior, without noise and with it.
+    - drives from points that fill the prior, without noise and with it.
 
     They are the same in each call. Drives that are not finite are the answer.
     """
@@ -51,7 +51,7 @@ def starts(plan: ChainPlan, prior: Links, transition: Links, answer: Array) -> A
     first[2:] = white_points(STEADY + NOISY, plan.layout.state_size)
     noise, leave = np.repeat([0.0, 1.0], [2 + STEADY, NOISY]), np.full(len(first), -1)
     leave[1] = half
-    driven = drives(plan, prior, transition, answer, Lanes(first, noise, leave))
+    driven = drives(plan, answer, Lanes(first, noise, leave))
     reckoned, late = driven[:, :, 0], driven[:, :, 1]
     mirrored = images(answer, reckoned)
     if half:
@@ -63,10 +63,14 @@ def starts(plan: ChainPlan, prior: Links, transition: Links, answer: Array) -> A
     return np.where(finite[..., None], found, answer[:, :, None])
 
 
-def drives(plan: ChainPlan, prior: Links, transition: Links, answer: Array, lanes: Lanes) -> Array:
+def drives(plan: ChainPlan, answer: Array, lanes: Lanes) -> Array:
     """The trajectories (T+1, runs, C, n) that the model's own CPDs make of white noise."""
     layout, count = plan.layout, len(lanes.first)
     size, front, places = layout.slice_size, layout.state_size, layout.state_places
+    prior, transition = (
+        [(link, Term.make(link.family, relative=False)) for link in links]
+        for links in (plan.prior, plan.transition)
+    )
     rng, found = np.random.default_rng(0), np.zeros((plan.steps + 1, plan.runs, count, size))
     states = np.zeros((plan.runs, count, 0))
     for step in range(plan.steps + 1):

@@ -24,9 +24,13 @@ class Excursions:
     """One excursion a draw: slices k to l leave the Gaussian, those around them follow it.
 
     The first slice begins it with a probability of ½, all others alike; each of its slices is the
-    last one with a probability of ⅛. The part `predicted` of them follow the model, the others have
-    Student tails. The density of a draw, of all excursions that may have led to it, is summed up
-    slice by slice, over the four stages.
+    last one with a probability of ⅛. The density of a draw, of all excursions that may have led to
+    it, is summed up slice by slice, over the four stages.
+
+    slices : int
+        Of a draw, 1 or more.
+    predicted : float
+        The part of excursions that follow the model; the others have Student tails.
     """
 
     slices: int
@@ -61,9 +65,23 @@ class Excursions:
     def extend(
         self, index: int, so_far: Density, gaussian: Array, predicted: Array, tails: Array
     ) -> Density:
-        """The density of draws up to a slice, given the log-densities of that, (runs, S).
+        """The density of draws up to a slice.
 
-        By the Gaussian, by the model, and with Student tails less the Gaussian's.
+        With b the probability that the slice begins the excursion, e that one ends, π the part of
+        its kind, and p the slice's own density in a stage, the shares a become
+
+            before: (1 − b) a_before p_q,
+            of either kind: ((1 − e) a_kind + b π a_before) p_kind,
+            after: (a_after + e Σ a_kind) p_q.
+
+        Parameters
+        ----------
+        index : int
+        so_far : Density
+        gaussian, predicted : ndarray
+            (runs, S): the log-density of the slice by the Gaussian, and by the model.
+        tails : ndarray
+            (runs, S): that with Student tails, less the Gaussian's.
         """
         begin, before = self._begin(index), so_far.shares
         scale = np.maximum(np.maximum(predicted, gaussian), gaussian + tails)

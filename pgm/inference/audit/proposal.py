@@ -18,8 +18,14 @@ from pgm.kernels.moments import Conditional
 class Proposal:
     """Affine Gaussians, one a row: y = F x + b + L s, s ~ N(0, I), or multivariate Student t.
 
-    They are (rows, runs, ...); L has zero rows for components that are not free; the proposal is
-    `regular` if all others vary, so that they have a density.
+    matrix : ndarray
+        (rows, runs, n, m): F; m is 0 where nothing is given.
+    offset : ndarray
+        (rows, runs, n): b.
+    lower : ndarray
+        (rows, runs, n, n): L, with zero rows for components that are not free.
+    regular : bool
+        Whether all free components vary, so that they have a density.
     """
 
     matrix: Array
@@ -45,6 +51,7 @@ class Proposal:
 
     @cached_property
     def _fixed(self) -> Mask:
+        """Components without noise of their own, (rows, runs, n)."""
         return roots.determined(self.lower)
 
     def white(
@@ -72,6 +79,7 @@ class Proposal:
 
     @cached_property
     def _inverse(self) -> Array | None:
+        """L⁻ᵀ of all rows, (rows, runs, n, n), where L is regular and well scaled; else None."""
         return normal_density.whitener(self.lower)
 
     @cached_property
@@ -90,6 +98,7 @@ class Proposal:
         return log_ratio(self._constants[0][row][:, None], squared)
 
     def _mean(self, row: int, given: Array) -> Array:
+        """F x + b at draws x (runs, S, m) of what is given, (runs, S, n)."""
         mean: Array = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
         return mean
 

@@ -48,14 +48,23 @@ def audit(
 
         r = (q + d)/2,    Z = mean of p/r − β (mean of q/r − 1).
 
-    A draw of d leaves q for one excursion: from some slice on and for some slices it follows the
-    model's own CPDs, with Student's t₅ for their noise, or q's conditionals with such tails. In a
-    network without time it is all from the prior, or q with tails. The control q/r has mean one,
-    and for a linear model leaves no error. A result whose beliefs or log-evidence are off is
-    `suspect`.
+    Other modes are looked for first, by some twenty short smoothers that start elsewhere: at
+    mirror images 2ρ − μ of the answer's means μ about the motion ρ of the prior's mean (all
+    components, or one of them, from step 0 or from the middle on), and at drives of the model from
+    points of the prior. Where they arrive at fixed points further than a deviation from the answer
+    and from one another, half of d's draws come from the Gaussians there. A mode needs no weight
+    for this: all draws are weighed by the exact density.
 
-    A mode that draws of the prediction hardly reach, or that is told from the other only by many
-    steps of readings, or in a network of many variables, may escape it.
+    The other draws of d leave q for one excursion: from some slice on and for some slices they
+    follow the model's own CPDs, with Student's t₅ for their noise, or q's conditionals with such
+    tails. In a network without time they are all from the prior, or q with tails. The control q/r
+    has mean one, and for a linear model leaves no error. A result whose beliefs or log-evidence are
+    off is `suspect`.
+
+    No audit knows of a mode that none of its starts leads to: one where most of many symmetric
+    choices, each made at another time or in another part of a network, have to be made otherwise at
+    once; or one in a region that the prior hardly reaches and no mirror image hits. Beside sensors
+    without noise other modes are found and not drawn from: the audit is then not `trusted`.
 
     Residuals of measurements of angles are wrapped, and an angle that a function wraps is taken on
     the branch of the linearisation, so that wrapping it or not gives the same.

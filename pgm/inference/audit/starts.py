@@ -5,24 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.kernels.arrays import Array
-from pgm.linearisers.sampled import normal, scrambled_net
+from pgm.linearisers.sampled import normal
 
 # Components of which the mirror image of one alone is a start of its own, at the most.
 ALONE = 4
-# Dimensions of Sobol's net; further ones are random.
-NET = 64
 
 
 def white_points(count: int, dimension: int) -> Array:
-    """Points that fill N(0, I), (C, n), the same in each call.
+    """Points that fill N(0, I) evenly, (C, n), the same in each call.
 
-    They are the normal quantiles of Sobol's net, each point in the middle of its cell.
+    Each component takes every of the C quantiles (k + ½)/C once, in an order of its own: a Latin
+    hypercube (McKay, Beckman & Conover, 1979).
     """
-    known = min(dimension, NET)
-    cell = 2.0 ** -(count - 1).bit_length()
-    net = scrambled_net(np.zeros(known), count, known) + 0.5 * cell
-    rest = np.random.default_rng(0).random((count, dimension - known))
-    return normal(np.concatenate([net, rest], axis=1))
+    order = np.random.default_rng(0).permuted(np.tile(np.arange(count), (dimension, 1)), axis=1)
+    return normal((order.T + 0.5) / count)
 
 
 def images(answer: Array, about: Array) -> list[Array]:

@@ -19,7 +19,10 @@ def stretch(white: Array, where: Mask, rng: np.random.Generator) -> None:
 
 
 def log_ratio(size: Integers, squared: Array) -> Array:
-    """The log-density of Student's t less the Gaussian's, at |s|² of so many components."""
+    r"""The log-density of Student's t less the Gaussian's, at |s|² of so many components.
+
+    .. math:: c_n - \tfrac{ν + n}{2} \ln(1 + |s|^2/ν) + \tfrac12 |s|^2
+    """
     constant = np.array([_log_constant(k) for k in range(int(size.max(initial=0)) + 1)])[size]
     power = 0.5 * (FREEDOM + size)
     value: Array = constant - power * np.log1p(squared / FREEDOM) + 0.5 * squared
@@ -27,5 +30,6 @@ def log_ratio(size: Integers, squared: Array) -> Array:
 
 
 def _log_constant(size: int) -> float:
+    """The logarithm of Γ((ν + n)/2) / (Γ(ν/2) (νπ)^(n/2)) (2π)^(n/2): the ratio at zero."""
     gammas = lgamma(0.5 * (FREEDOM + size)) - lgamma(0.5 * FREEDOM)
     return gammas + 0.5 * size * (LOG_2PI - log(FREEDOM * pi))

@@ -92,7 +92,7 @@ def starts(density: TreeDensity, answer: Array) -> Array:
     """Points (runs, C, n) from which calibrations start, the answer's means μ (runs, n) first.
 
     With ρ the means that the CPDs make of one another, parents before children, they are μ, ρ,
-    mirror images 2ρ − μ, and draws of the model at Sobol points. Where the model has no density it
+    mirror images 2ρ − μ, and values that the CPDs make of points that fill N(0, I). Where the model has no density it
     is μ again.
     """
     size = answer.shape[-1]

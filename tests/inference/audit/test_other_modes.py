@@ -26,11 +26,7 @@ def drive(beacons, seed, north=0.3, variance=1.0, runs=(), **sensor):
     """A drive to the east, with the distances to all beacons at each step."""
     model = pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(place, [0.0, north], variance)],
-        [
-            pgm.LinearGaussianCPD(
-                place, {place.previous: np.eye(2), control: np.eye(2)}, cov=0.0025
-            )
-        ],
+        [pgm.LinearGaussianCPD(place, {place.previous: np.eye(2), control: np.eye(2)}, cov=0.0025)],
         [pgm.NonlinearGaussianCPD(distance, (place, beacon), away, cov=0.01, **sensor)],
     )
     seen = pgm.sightings(
