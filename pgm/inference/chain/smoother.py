@@ -15,6 +15,7 @@ from pgm.inference.chain import backward, careful, cost, forward, newton, parall
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
 from pgm.inference.chain.compiled import sweep as compiled
+from pgm.inference.chain.compiled.judged import judge_at
 from pgm.inference.chain.compiled.table import Uncompiled, is_known
 from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.moments import on_chart, turns_far
@@ -218,6 +219,7 @@ def _compiled(
     last = result.solution.point
     found = swept(plan, last.mean, None)
     std = deviation(found.beliefs.cov)
+    judge_at(plan, newton.at, std)
     off = moments.marginal_error(last.mean, found.means, std)
     spread = moments.marginal_error(last.std, std, std)
     if off.max() <= _CLOSE and spread.max() <= _ALIKE:

@@ -17,6 +17,7 @@ from pgm.inference.gaussian.prior import Frame, Predictive, prior_predictive
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, deviation
 from pgm.linearisers import Lineariser
+from pgm.tracing import Judge
 from pgm.variables import Variable
 
 Kind = TypeVar("Kind", np.float64, np.bool_)
@@ -53,6 +54,8 @@ class Model:
         lineariser: Lineariser,
         start: Array | None,
         predictive: Predictive = prior_predictive,
+        *,
+        judge: Judge,
     ) -> Model:
         """Bind evidence, and linearise at the prior predictive moments or a start, (runs, size)."""
         for group in layout.groups:
@@ -66,7 +69,7 @@ class Model:
         taken = [_taken(group, bound) for group in layout.groups]
         for family in families:
             family.probe({})
-            family.confirm({})
+            family.trace({}, judge)
         alike = all(mask is None or mask.shape[1] == 1 for mask in taken)
         shared = alike and all(
             family.exact and family.own_noise.shape[1] == 1 for family in families
