@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from pgm.errors import ModelError, NumericalError, PgmError
+from pgm.errors import ModelError, PgmError
 from pgm.factors.scope import angle_mask
 from pgm.inference.audit.drives import starts
 from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
@@ -116,32 +117,20 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
 
 
 def _joined(found: list[Found], make: MakePath) -> Modes:
-    """The modes of all runs; one that cannot be drawn from is missed in all of them."""
-    count = max(len(each.beliefs) for each in found)
+    """The modes of all runs, from those of parts of them; a part with fewer has its answer."""
     missed = np.concatenate([each.missed for each in found])
-    paths, shares = [], []
-    for k in range(count):
-        some = list(found)
-        beliefs = [e.beliefs[k] if k < len(e.beliefs) else e.answer[0] for e in some]
-        states = [e.states[k] if k < len(e.states) else e.answer[1] for e in some]
-        share = np.concatenate(
-            [e.shares[k] if k < len(e.shares) else np.zeros(len(e.missed)) for e in some]
-        )
+    laws = []
+    for k in range(max(len(each.beliefs) for each in found)):
+        beliefs = [e.beliefs[k] if k < len(e.beliefs) else e.answer[0] for e in found]
+        states = [e.states[k] if k < len(e.states) else e.answer[1] for e in found]
+        shares = [e.shares[k] if k < len(e.shares) else np.zeros(len(e.missed)) for e in found]
         whole = Beliefs(
-            np.concatenate([b.mean for b in beliefs], axis=1),
-            np.concatenate([b.cov for b in beliefs], axis=1),
+            np.concatenate([each.mean for each in beliefs], axis=1),
+            np.concatenate([each.cov for each in beliefs], axis=1),
         )
-        parts = zip(*states, strict=True)
-        try:
-            path = make(whole, Conditional(*(np.concatenate(part, axis=1) for part in parts)))
-        except NumericalError:
-            path = None
-        if path is None or not path.regular:
-            missed = missed + share
-            continue
-        paths.append(path)
-        shares.append(share)
-    return Modes(paths, np.array(shares).reshape(len(paths), len(missed)), missed)
+        parts = (np.concatenate(part, axis=1) for part in zip(*states, strict=True))
+        laws.append((partial(make, whole, Conditional(*parts)), np.concatenate(shares)))
+    return Modes.made(laws, missed)
 
 
 @quiet()

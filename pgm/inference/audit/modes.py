@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.errors import NumericalError
 from pgm.inference.audit.proposal import Path
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -47,6 +48,25 @@ class Modes:
     def unknown(cls, runs: int) -> Modes:
         """No mode, since the search has failed."""
         return cls((), np.zeros((0, runs)), np.full(runs, np.nan))
+
+    @classmethod
+    def made(cls, laws: Iterable[tuple[Callable[[], Path], Array]], missed: Array) -> Modes:
+        """Modes of laws, each made by a call, with their shares (runs,).
+
+        One that has no density to be drawn from is missed, by its part of the other modes' draws.
+        """
+        paths, shares = [], []
+        for make, share in laws:
+            try:
+                path = make()
+            except NumericalError:
+                path = None
+            if path is None or not path.regular:
+                missed = missed + share / SHARE
+                continue
+            paths.append(path)
+            shares.append(share)
+        return cls(paths, np.array(shares).reshape(len(paths), len(missed)), missed)
 
     def drawn(self, count: int, rng: np.random.Generator) -> Integers:
         """The law of each of so many defensive draws, (runs, S); K of an excursion."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from pgm.errors import NumericalError, PgmError
+from pgm.errors import PgmError
 from pgm.factors.scope import angle_mask
 from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
 from pgm.inference.audit.proposal import Path
@@ -70,30 +71,21 @@ def find(
     where = at.swapaxes(0, 1)
     points = FixedPoints(where, deviation(spread), evidence, angle_mask(plan.layout.hidden))
     chosen = choose(points, mean, deviation(cov), most)
-    paths, shares, missed = [], [], chosen.missed
+    laws = []
     for index, share in zip(chosen.index, chosen.shares, strict=True):
         there, place = index >= 0, (np.maximum(index, 0), np.arange(runs))
-        try:
-            path = make(
-                np.where(there[:, None], where[place], mean),
-                np.where(there[:, None, None], spread[place], cov),
-            )
-        except NumericalError:
-            path = None
-        if path is None or not path.regular:
-            missed = missed + share
-            continue
-        paths.append(path)
-        shares.append(share)
-    return Modes(paths, np.array(shares).reshape(len(paths), runs), missed)
+        centre = np.where(there[:, None], where[place], mean)
+        spread_there = np.where(there[:, None, None], spread[place], cov)
+        laws.append((partial(make, centre, spread_there), share))
+    return Modes.made(laws, chosen.missed)
 
 
 def starts(density: TreeDensity, answer: Array) -> Array:
     """Points (runs, C, n) from which calibrations start, the answer's means μ (runs, n) first.
 
     With ρ the means that the CPDs make of one another, parents before children, they are μ, ρ,
-    mirror images 2ρ − μ, and values that the CPDs make of points that fill N(0, I). Where the model has no density it
-    is μ again.
+    mirror images 2ρ − μ, and values that the CPDs make of points that fill N(0, I). Where the model
+    has no density it is μ again.
     """
     size = answer.shape[-1]
     white = np.concatenate([np.zeros((1, size)), white_points(POINTS, size)])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import pgm
+from pgm.inference.audit import chain_modes
 from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.modes import APART, SHARE, FixedPoints, Modes, choose
 from pgm.inference.audit.tree import TreeDraws
@@ -243,3 +244,28 @@ def test_without_other_modes_draws_are_those_of_excursions():
     before = rng.bit_generator.state
     assert (Modes.none(3).drawn(5, rng) == 0).all()
     assert rng.bit_generator.state == before
+
+
+def test_runs_in_parts_have_the_modes_of_all_at_once(monkeypatch):
+    model, evidence = drive(ON_A_LINE, 1, runs=(3,))
+    answer = pgm.smooth(model, evidence, **CAREFUL)
+    whole = ChainDraws.make(answer).modes
+    monkeypatch.setattr(chain_modes, "ROOM", 1)
+    parts = ChainDraws.make(answer).modes
+    np.testing.assert_allclose(parts.shares, whole.shares, atol=1e-6)
+    for one, other in zip(parts.paths, whole.paths, strict=True):
+        np.testing.assert_allclose(one.first.offset, other.first.offset, atol=1e-3)
+
+
+def test_a_function_that_starts_leave_is_searched_as_far_as_it_goes():
+    """A logarithm, defined east of the origin alone: half of the starts are outside."""
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(where, 1.0, 0.5)],
+        [pgm.LinearGaussianCPD(where, {where.previous: 1.0}, cov=0.01)],
+        [pgm.NonlinearGaussianCPD(seen, where, np.log, cov=0.01)],
+    )
+    answer = pgm.smooth(model, {seen: np.full((8, 1), 0.7)}, **CAREFUL)
+    found = pgm.audit(answer, rng=0)
+    assert found.trusted
+    assert not found.suspect
+    assert found.missed == 0.0
