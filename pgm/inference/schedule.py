@@ -251,12 +251,12 @@ class FixedLag(InCode):
 class Loopy(InCode):
     """Base of the schedules for any graph, a tree or not."""
 
+    iterations: int = 1000
     tolerance: float = 1e-10
     damping: float = 0.0
-    max_iterations: int = 1000
 
     def __post_init__(self) -> None:
-        require_count(self, "max_iterations", self.max_iterations)
+        require_count(self, "iterations", self.iterations)
         require_tolerance(self, self.tolerance)
         if not is_number(self.damping) or not 0.0 <= self.damping < 1.0:
             raise ModelError(
@@ -275,13 +275,13 @@ class Flooding(Loopy):
 
     Parameters
     ----------
+    iterations : int
+        Rounds of messages at the most; a round sends as many messages as the graph has.
     tolerance : float
         A run has converged when no message changes by more than this: in standard deviations of
         the belief it makes, or in probability.
     damping : float
         The share of the old message that is kept, in [0, 1): a new one is the geometric mean.
-    max_iterations : int
-        Iterations at the most; one sends as many messages as the graph has.
 
     Examples
     --------
