@@ -140,9 +140,7 @@ def test_small_batches_are_the_same(monkeypatch):
     graph = pgm.compile(net, method=pgm.Bethe())
     whole = pgm.infer(graph, {}, schedule=pgm.Flooding(iterations=7))
     monkeypatch.setattr(limits, "BATCH", 1)
-    small = pgm.infer(
-        pgm.compile(net, method=pgm.Bethe()), {}, schedule=pgm.Flooding(iterations=7)
-    )
+    small = pgm.infer(pgm.compile(net, method=pgm.Bethe()), {}, schedule=pgm.Flooding(iterations=7))
     for variable in net.variables:
         np.testing.assert_allclose(small[variable].values, whole[variable].values, atol=1e-14)
 
