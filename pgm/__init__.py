@@ -35,6 +35,7 @@ from pgm.cpds import (
 from pgm.errors import (
     ArrayError,
     EvidenceError,
+    EvidenceWarning,
     ExecutorError,
     FileError,
     GraphError,
@@ -188,6 +189,7 @@ __all__ = [
     "Discrete",
     "DynamicBayesianNetwork",
     "EvidenceError",
+    "EvidenceWarning",
     "ExecutorError",
     "FileError",
     "Filtering",

@@ -39,15 +39,26 @@ def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
         array = np.empty((0, variable.dimension))  # no measurements, written as []
     if axis is None and array.ndim == 0 and variable.dimension == 1:
         array = array[None]
-    hint = "; give a scalar its component axis, value[..., None]" if variable.dimension == 1 else ""
     due = f"(..., {axis}, {variable.dimension})" if axis else f"(..., {variable.dimension})"
     if array.ndim < (2 if axis else 1) or array.shape[-1] != variable.dimension:
         raise EvidenceError(
             f"evidence for {variable!r} has shape {array.shape}; {due} was due, the last axis "
-            f"its components ({listed(variable.components)}){hint}",
+            f"its components ({listed(variable.components)}){_turned(variable, array, axis)}",
             variable=variable,
         )
     return array
+
+
+def _turned(variable: Variable, array: Array, axis: str | None) -> str:
+    """How an array of another shape becomes evidence, where its axes can only mean one thing."""
+    size = variable.dimension
+    if size == 1:
+        return "; give a scalar its component axis, value[..., None]"
+    if array.ndim < 2 or array.shape[-2] != size:
+        return ""
+    if array.shape[-1] == 1 and array.ndim > (2 if axis else 1):
+        return "; of columns make rows, np.asarray(value)[..., 0]"
+    return "; turn it round, np.swapaxes(value, -1, -2)"
 
 
 def require_finite(

@@ -59,7 +59,9 @@ class GaussianPosterior(Posterior):
             return layout.places[variable]
         if variable in layout.observed:
             raise EvidenceError(
-                f"{variable!r} is observed: its value is its evidence", variable=variable
+                f"{variable!r} is observed: its value is its evidence, and a component that is "
+                "NaN there is left out of the network; for a belief about it give it no evidence",
+                variable=variable,
             )
         if variable in layout.absent:
             raise EvidenceError(
