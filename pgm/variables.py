@@ -98,6 +98,9 @@ class Variable(_Hashed, InCode):
                 f"{self.components}",
                 variable=self,
             )
+        # In the components' order, so that a set of angles makes the same variable each time.
+        angles = tuple(name for name in self.components if name in self.angles)
+        object.__setattr__(self, "angles", angles)
         for field, value in (("step", self.step), ("lag", self.lag)):
             if value is None and field == "step":
                 continue

@@ -32,7 +32,7 @@ from pgm.clustergraph.cluster import (
 from pgm.cpds.jacobians import check_jacobians
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
-from pgm.factors.scope import MOST, Scope, as_scope, listed
+from pgm.factors.scope import MOST, Scope, as_scope, listed, unknown_name
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Integers
 from pgm.networks import BayesianNetwork
@@ -102,7 +102,7 @@ class ClusterGraph(Drawn, Immutable):
             for variable in found:
                 if variable not in place:
                     raise GraphError(
-                        f"{where} holds {variable!r}, which the network does not have",
+                        f"{where} holds {variable!r}, {unknown_name(variable, place)}",
                         variable=variable,
                     )
             return tuple(sorted(map(place.__getitem__, found)))

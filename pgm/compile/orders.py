@@ -12,7 +12,7 @@ from pgm.clustergraph.cluster import extent
 from pgm.compile.elimination import Adjacency, cheapest, min_fill, moral
 from pgm.display import InCode
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, listed
+from pgm.factors.scope import Scope, listed, unknown_name
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
@@ -179,7 +179,7 @@ def places(
     strangers = [v for v in found if not isinstance(v, Variable) or v not in place]
     if strangers:
         raise GraphError(
-            f"the elimination order holds {strangers[0]!r}, which the network does not have",
+            f"the elimination order holds {strangers[0]!r}, {unknown_name(strangers[0], place)}",
             variable=strangers[0],
         )
     order_ = [place[variable] for variable in found]

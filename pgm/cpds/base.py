@@ -16,7 +16,7 @@ from pgm.display import Listing, Shown, Summary
 from pgm.errors import ModelError
 from pgm.factors.arrays import Shape, clash, flat
 from pgm.factors.axes import as_known
-from pgm.factors.scope import Scope, as_scope, as_value, listed, one_name_each
+from pgm.factors.scope import Scope, as_scope, as_value, listed, namesake, one_name_each
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 from pgm.resources import require_memory
@@ -46,6 +46,7 @@ def as_parents(cpd: CPD, given: Any) -> Known:
     for key in found:
         if key not in cpd.parents:
             why = f"which is none of its parents ({listed(cpd.parents)})"
+            why += namesake(key, cpd.parents)
             variable = key if isinstance(key, Variable) else None
             advice = "" if variable else "; give the variable itself"
             raise ModelError(

@@ -17,7 +17,7 @@ from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, by_component, called, named_matrix, number, stacked, vector
 from pgm.errors import ModelError
 from pgm.factors.arrays import flat
-from pgm.factors.scope import Scope, as_value, components, listed
+from pgm.factors.scope import Scope, as_value, components, listed, namesake
 from pgm.kernels.arrays import Array, apply, frozen
 from pgm.linearisers import FunctionTemplate, Lineariser
 from pgm.linearisers.calls import Call
@@ -276,7 +276,8 @@ class NonlinearGaussianCPD(ConditionalGaussian):
         unknown = [parent for parent in derivatives if parent not in self.given]
         if unknown:
             raise ModelError(
-                f"{self!r}: a Jacobian is given by [{listed(unknown)}], not among its parents",
+                f"{self!r}: a Jacobian is given by [{listed(unknown)}], not among its parents"
+                f"{namesake(unknown[0], self.given)}",
                 variable=unknown[0],
                 cpd=self,
             )

@@ -26,7 +26,7 @@ from pgm.evidence.rows import (
 )
 from pgm.evidence.values import Constant, Evidence, Sightings, Unknown, opened, require_whole
 from pgm.factors.arrays import common_runs, flat
-from pgm.factors.scope import listed
+from pgm.factors.scope import listed, namesake
 from pgm.kernels.arrays import Integers, Mask
 from pgm.resources import APIECE, in_threads, require_memory
 from pgm.variables import Discrete, Variable
@@ -301,7 +301,7 @@ class _Binder:
             if variable not in seen:
                 raise EvidenceError(
                     f"sightings of {cpd.child!r} are given {variable!r}, which is no observed "
-                    f"parent of its CPD; those are [{listed(seen)}]",
+                    f"parent of its CPD; those are [{listed(seen)}]{namesake(variable, seen)}",
                     variable=variable,
                     cpd=cpd,
                 )

@@ -13,7 +13,7 @@ from pgm.boundary import is_number, is_whole
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, SampledCPD
 from pgm.display import InCode
 from pgm.errors import EvidenceError, ModelError
-from pgm.factors.scope import listed
+from pgm.factors.scope import listed, namesake
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Variable
@@ -101,7 +101,8 @@ def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
     for variable in start:
         if variable not in hidden:
             raise EvidenceError(
-                f"start has {variable!r}, which is not hidden; it takes {listed(hidden)}",
+                f"start has {variable!r}, which is not hidden; it takes {listed(hidden)}"
+                f"{namesake(variable, hidden)}",
                 variable=variable,
             )
 

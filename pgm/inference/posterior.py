@@ -16,7 +16,7 @@ from pgm.display import NoArray, Shown
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.factors.listing import run_names
-from pgm.factors.scope import Scope, dimension, distinct_labels, listed
+from pgm.factors.scope import Scope, dimension, distinct_labels, listed, namesake
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.resources import FRAMES, optional, require_memory
@@ -288,7 +288,10 @@ class EachSensor(Shown, Mapping[Variable, Value]):
         return self._found[variable]
 
     def _absent(self, variable: Variable) -> str:
-        return f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
+        return (
+            f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
+            f"{namesake(variable, self)}"
+        )
 
     def __contains__(self, variable: object) -> bool:
         return variable in self._found

@@ -14,7 +14,7 @@ from pgm.compile import DynamicGraph, SliceLayout
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import Scope, as_scope, listed, positions
+from pgm.factors.scope import Scope, as_scope, listed, namesake, positions
 from pgm.inference.associations import Found, Rejections
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.innovations import Innovations
@@ -160,7 +160,8 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
         raise EvidenceError(_of_measurement(layout, variable), variable=variable)
     if variable.lag or template not in layout.slice:
         raise EvidenceError(
-            f"{variable!r} is not among the hidden variables, {list(layout.slice)}",
+            f"{variable!r} is not among the hidden variables, {list(layout.slice)}"
+            f"{namesake(variable, layout.model.variables)}",
             variable=variable,
         )
     first = 0 if template in layout.states else 1

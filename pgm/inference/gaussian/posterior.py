@@ -11,7 +11,7 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import Scope, as_scope, names
+from pgm.factors.scope import Scope, as_scope, names, namesake
 from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, runs_first
 from pgm.inference.gaussian.careful import DenseBeliefs
 from pgm.inference.gaussian.messages import Buffer, RowMessages
@@ -71,7 +71,7 @@ class GaussianPosterior(Posterior):
             )
         raise EvidenceError(
             f"{variable!r} is not in the network; its variables without evidence are "
-            f"{list(layout.hidden)}",
+            f"{list(layout.hidden)}{namesake(variable, layout.hidden)}",
             variable=variable,
         )
 

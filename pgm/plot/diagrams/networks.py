@@ -15,6 +15,7 @@ from matplotlib.path import Path
 
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.errors import EvidenceError, ModelError, PgmError
+from pgm.factors.scope import unknown_name
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.networks.static import density
@@ -179,7 +180,7 @@ def named(evidence: Iterable[Variable], known: Iterable[Variable]) -> frozenset[
     for variable in found:
         if variable not in known:
             raise EvidenceError(
-                f"evidence names {variable!r}, which the network does not have",
+                f"evidence names {variable!r}, {unknown_name(variable, known)}",
                 variable=variable if isinstance(variable, Variable) else None,
             )
     return frozenset(found)
