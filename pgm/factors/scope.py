@@ -50,33 +50,29 @@ def one_name_each(variables: Iterable[Variable]) -> None:
     for variable in variables:
         first = seen.setdefault(variable.name, variable)
         if first is not variable and kind(first) != kind(variable):
-            how = differing(first, variable)
             raise ModelError(
-                f"two different variables are called {variable.name!r}: {how}; rename one or, if "
-                "they are to be the same, make it once and use it everywhere",
+                f"two different variables are called {variable.name!r}: one with "
+                f"{described(first)}, one with {described(variable)}{cut_short(first, variable)}; "
+                "rename one or, if they are to be the same, make it once and use it everywhere",
                 variable=variable.template,
             )
 
 
-def kind(variable: Variable) -> tuple[object, ...]:
+def kind(variable: Variable) -> tuple[tuple[str, ...] | None, ...]:
     """The parts that all copies of a variable share beside its name."""
     states = variable.states if isinstance(variable, Discrete) else None
     return variable.components, variable.angles, states
 
 
-def differing(first: Variable, second: Variable) -> str:
-    """How two variables of one name differ, in words."""
-    if isinstance(first, Discrete) != isinstance(second, Discrete):
-        return f"one with {described(first)}, one with {described(second)}"
-    fields = "states" if isinstance(first, Discrete) else "components", "angles"
-    field = next(each for each in fields if getattr(first, each) != getattr(second, each))
-    one, other = getattr(first, field), getattr(second, field)
-    both = f"one with {field} ({listed(one)}), one with ({listed(other)})"
-    # Lists are cut short: the first place at which they differ may not be in them.
-    place = next((k for k, pair in enumerate(zip(one, other, strict=False)) if len({*pair}) > 1), 0)
-    if place < MOST:
-        return both
-    return f"{both}, of which number {place + 1} is {one[place]!r} and {other[place]!r}"
+def cut_short(first: Variable, second: Variable) -> str:
+    """A clause of where two variables of one name differ that `described` leaves out, if any."""
+    if isinstance(first, Discrete) == isinstance(second, Discrete):
+        for one, other in zip(kind(first), kind(second), strict=True):
+            pairs = enumerate(zip(one or (), other or (), strict=False))
+            place, pair = next(((k, pair) for k, pair in pairs if pair[0] != pair[1]), (0, ()))
+            if place >= MOST:
+                return f" (number {place + 1} is {pair[0]!r} and {pair[1]!r})"
+    return ""
 
 
 def namesake(variable: object, known: Iterable[Variable]) -> str:
@@ -84,8 +80,8 @@ def namesake(variable: object, known: Iterable[Variable]) -> str:
     for other in known if isinstance(variable, Variable) else ():
         if other.name == variable.name and kind(other) != kind(variable):
             return (
-                f": two different variables are called {variable.name!r}, "
-                f"{differing(variable, other)}; use the second"
+                f": the variable of that name is a different one, with {described(other)} where "
+                f"this one has {described(variable)}{cut_short(other, variable)}; use that one"
             )
     return ""
 
@@ -209,8 +205,9 @@ def unknown_name(key: object, known: Collection[Variable], where: str = "the net
         return f"which {where} does not have; it has {listed(_in_order(known))}"
     if kind(key) != kind(alike[0]):
         return (
-            f"which {where} does not have: two different variables are called {key.name!r}, "
-            f"{differing(key, alike[0])}; use the second, which {where} has"
+            f"which {where} does not have: its variable of that name is a different one, with "
+            f"{described(alike[0])} where this one has {described(key)}"
+            f"{cut_short(alike[0], key)}; use that one"
         )
     template = key.step is None and not key.lag
     advice = f"name the step, {key.name}.at(k)" if template else "use what it has"

@@ -18,7 +18,7 @@ from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
-from pgm.factors.scope import unknown_name
+from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.discrete.place import steps
@@ -93,7 +93,8 @@ class MostProbable(Shown, Immutable):
         if not isinstance(variable, Discrete) or variable not in self.assignment:
             require_variable(variable)
             raise EvidenceError(
-                f"{variable!r} is asked for, {unknown_name(variable, self.assignment)}",
+                f"{variable!r} is not in the network; its variables are {list(self.assignment)}"
+                f"{namesake(variable, self.assignment)}",
                 variable=variable,
             )
         found = self.assignment[variable]

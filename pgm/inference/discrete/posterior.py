@@ -15,7 +15,7 @@ from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors import Table
 from pgm.factors.axes import AXES, States, discrete, sizes, spread
-from pgm.factors.scope import Scope, as_scope, names, unknown_name
+from pgm.factors.scope import Scope, as_scope, names, namesake
 from pgm.inference import limits
 from pgm.inference.discrete.first_question import FirstBeliefs
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs, TableMessages
@@ -62,8 +62,9 @@ class DiscretePosterior(Posterior):
         require_variable(variable)
         if variable not in self.graph.network._places or not isinstance(variable, Discrete):
             raise EvidenceError(
-                f"{variable!r} is asked for, "
-                f"{unknown_name(variable, self.graph.network._places.keys())}",
+                f"{variable!r} is not in the network; its variables are "
+                f"{list(self.graph.network.variables)}"
+                f"{namesake(variable, self.graph.network.variables)}",
                 variable=variable,
             )
         if self._is_observed(variable):
