@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -26,6 +27,7 @@ class _Hashed:
     _hash: int
 
 
+@public
 @dataclass(frozen=True, slots=True)
 class Variable(_Hashed, InCode):
     """A continuous random variable, scalar or vector.
@@ -178,6 +180,7 @@ class Variable(_Hashed, InCode):
         return f"{self.name}[t-{self.lag}]" if self.lag else self.name
 
 
+@public
 @dataclass(frozen=True, slots=True, init=False, repr=False)
 class Discrete(Variable):
     """A random variable with finitely many named states.
@@ -269,6 +272,7 @@ def _names(variable: Variable, field: str, value: object) -> tuple[str, ...]:
     return found
 
 
+@public
 def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:
     """Scalar variables, one a name.
 

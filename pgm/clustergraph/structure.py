@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_whole
 from pgm.clustergraph.cluster import (
     Cluster,
@@ -48,6 +49,7 @@ Places = tuple[int, ...]
 PLANS_KEPT = 32
 
 
+@public
 class ClusterGraph(Drawn, Immutable):
     """An undirected graph of clusters; its edges are labelled with sepsets.
 
@@ -263,6 +265,7 @@ class ClusterGraph(Drawn, Immutable):
         """The families of all CPDs of the network, each of which needs a cluster."""
         return (cpd.scope for cpd in self.network.cpds)
 
+    @public
     def check(self, *, jacobians: bool = False) -> None:
         """Prove family preservation and running intersection, or raise a `GraphError`.
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.cluster import extent
 from pgm.compile.elimination import Adjacency, cheapest, min_fill, moral
@@ -76,6 +77,7 @@ class WeightedMinFill(Rule):
         return min_fill(adjacent, _weights(network))
 
 
+@public
 @dataclass(frozen=True)
 class StochasticMinFill(Rule):
     """The order of `MinFill`, or the cheapest of many that are drawn, if that is cheaper.
@@ -123,6 +125,7 @@ class StochasticMinFill(Rule):
         return cheapest(adjacent, _weights(network), self.tries, self.seed)
 
 
+@public
 @dataclass(frozen=True)
 class NestedDissection(Rule):
     """Last is a small set of variables that parts the network into halves; so in each half.

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_generator, as_lengths, as_mapping
 from pgm.display import Listing, Shown, Summary
 from pgm.errors import ModelError
@@ -206,6 +207,7 @@ class CPD(Shown, Immutable):
         placed._set(**self._placed(step), _origin=self.origin)
         return placed
 
+    @public
     def log_density(
         self, child: npt.ArrayLike, parents: Mapping[Variable, npt.ArrayLike] | None = None
     ) -> Array:
@@ -262,6 +264,7 @@ class CPD(Shown, Immutable):
         common(self, leads)
         return self._log_density(values, known)
 
+    @public
     def sample(
         self,
         parents: Mapping[Variable, npt.ArrayLike] | None = None,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.cpds.base import CPD, Known, Values
 from pgm.display import Listing, called
 from pgm.errors import LinearisationError, ModelError
@@ -15,6 +16,7 @@ from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
 
+@public
 class SampledCPD(CPD):
     """Any density of a continuous child, by a sampler, a log-density, or both.
 

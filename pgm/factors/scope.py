@@ -68,16 +68,17 @@ def cut_short(first: Variable, second: Variable) -> str:
     """A clause of where two variables of one name differ that `described` leaves out, if any."""
     if isinstance(first, Discrete) == isinstance(second, Discrete):
         for one, other in zip(kind(first), kind(second), strict=True):
-            pairs = enumerate(zip(one or (), other or (), strict=False))
-            place, pair = next(((k, pair) for k, pair in pairs if pair[0] != pair[1]), (0, ()))
-            if place >= MOST:
-                return f" (number {place + 1} is {pair[0]!r} and {pair[1]!r})"
+            for place, (own, its) in enumerate(zip(one or (), other or (), strict=False)):
+                if own != its:
+                    return "" if place < MOST else f" (number {place + 1} is {own!r} and {its!r})"
     return ""
 
 
 def namesake(variable: object, known: Iterable[Variable]) -> str:
     """A clause that says how a variable differs from one of its name; empty if none has it."""
-    for other in known if isinstance(variable, Variable) else ():
+    if not isinstance(variable, Variable):
+        return ""
+    for other in known:
         if other.name == variable.name and kind(other) != kind(variable):
             return (
                 f": the variable of that name is a different one, with {described(other)} where "

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
+from pgm.arguments import public
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import titled
@@ -205,6 +206,7 @@ def infer(
 ) -> ParticlePosterior: ...
 
 
+@public
 def infer(
     graph: ClusterGraph,
     evidence: Evidence,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, SampledCPD
 from pgm.display import InCode
@@ -177,6 +178,7 @@ def gate_of(gate: Gate, sensor: Variable) -> float | None:
     return gate.get(sensor) if isinstance(gate, Mapping) else gate
 
 
+@public
 @dataclass(frozen=True)
 class LevenbergMarquardt(InCode):
     """Steps that never raise the cost: full ones where they lower it, else held back.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -18,6 +19,7 @@ from pgm.inference.options import (
 from pgm.inference.status import FILTERED, SMOOTHED, Kind
 
 
+@public
 @dataclass(frozen=True)
 class Filtering(InCode):
     """Forward messages alone: each belief knows the measurements up to its step.
@@ -79,6 +81,7 @@ _LINEARISATIONS = "iterations, which count linearisations,"
 ONCE = Filtering()
 
 
+@public
 @dataclass(frozen=True)
 class Calibration(InCode):
     """Both passes over a tree: towards the root and back, so that each belief knows all evidence.
@@ -116,6 +119,7 @@ class Calibration(InCode):
         require_tolerance(self, self.tolerance)
 
 
+@public
 @dataclass(frozen=True)
 class Smoothing(Calibration):
     """Forward and backward messages, the calibration of a chain: all measurements are known.
@@ -166,6 +170,7 @@ class Smoothing(Calibration):
         return Filtering(gate=self.gate)
 
 
+@public
 @dataclass(frozen=True)
 class FixedLag(InCode):
     r"""Forward messages, and backward ones over a lag: each belief knows the measurements up to it.
@@ -265,6 +270,7 @@ class Loopy(InCode):
             )
 
 
+@public
 @dataclass(frozen=True)
 class Flooding(Loopy):
     """All messages at once, each from those of the iteration before, until none changes.
@@ -297,6 +303,7 @@ class Flooding(Loopy):
     """
 
 
+@public
 @dataclass(frozen=True)
 class Sequential(Loopy):
     """Cluster after cluster, forth and back, each message from the latest ones.
@@ -312,6 +319,7 @@ class Sequential(Loopy):
     """
 
 
+@public
 @dataclass(frozen=True)
 class Residual(Loopy):
     """Always the message that would change most.

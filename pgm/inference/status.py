@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.display import InCode, Shown, Summary, few, number
 from pgm.errors import ModelError, PrecisionWarning, levels_to_user
@@ -17,6 +18,7 @@ from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 
 
+@public
 @dataclass(frozen=True)
 class Kind(InCode):
     r"""The kind of a chain's beliefs: each knows the measurements up to a lag after its step.

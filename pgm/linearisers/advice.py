@@ -92,6 +92,6 @@ def _returns(
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            return np.shape(function(*arguments)) == due
+            return bool(np.shape(function(*arguments)) == due)
     except Exception:
         return False

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
 from pgm.inference.audit.draws import Draws
@@ -22,6 +23,7 @@ from pgm.kernels.arrays import quiet
 from pgm.progress import Progress, counted, reporting
 
 
+@public
 def audit(
     posterior: Posterior,
     *,

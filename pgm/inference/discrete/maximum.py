@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import LEFT_OUT, Listing, Shown, Summary, few, titled
@@ -137,6 +138,7 @@ class MostProbable(Shown, Immutable):
         return Summary(self._title, parts + [f"... {left} more"] * (left > 0))
 
 
+@public
 def most_probable(
     graph: ClusterGraph,
     evidence: Evidence,

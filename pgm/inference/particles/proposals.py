@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, is_number
 from pgm.compile import DynamicGraph
 from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD
@@ -181,6 +182,7 @@ def _whitened(lower: Array, cov: Array) -> Array:
 _TOUCHING = 1.0 - 1e-6
 
 
+@public
 class CellProposal(InCode, Immutable):
     r"""Draws of a state from the likelihood of a step's measurements, over cells.
 

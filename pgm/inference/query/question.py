@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
@@ -184,6 +185,7 @@ NOTHING: Evidence = MappingProxyType({})
 ENTRY, PASS, VARIABLE = 3, 10_000, 2_000
 
 
+@public
 def query(
     network: BayesianNetwork | ClusterGraph,
     variables: Variable | Iterable[Variable],

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.cpds import TableCPD
 from pgm.errors import ModelError
 from pgm.io.networks.writers import tables
@@ -12,6 +13,7 @@ from pgm.resources import optional
 from pgm.variables import Discrete
 
 
+@public
 def from_pgmpy(network: Any) -> BayesianNetwork:
     """The network that a pgmpy network declares.
 
@@ -67,6 +69,7 @@ def _converted(cpd: Any, variables: dict[Any, Discrete]) -> TableCPD:
     return TableCPD(child, given, table=np.moveaxis(np.asarray(cpd.values), 0, -1))
 
 
+@public
 def to_pgmpy(network: BayesianNetwork) -> Any:
     """A network as pgmpy's own class, with its names, states and doubles.
 

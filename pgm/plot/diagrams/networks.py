@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from matplotlib.path import Path
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.errors import EvidenceError, ModelError, PgmError
 from pgm.factors.scope import unknown_name
@@ -31,6 +32,7 @@ _SMALLEST = 15.0
 _FILL = {True: OBSERVED, False: "white"}
 
 
+@public
 def network(
     model: Network,
     *,
@@ -206,6 +208,7 @@ def last(steps: int, what: str, error: type[PgmError]) -> int:
 _DASHES = (0.0, (4.0, 3.0))
 
 
+@public
 def markov_network(
     model: BayesianNetwork | DynamicBayesianNetwork | Iterable[Any],
     *,

@@ -6,6 +6,7 @@ import os
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.io import sources
 from pgm.recordings.readers import files
 from pgm.recordings.recording import Recording
@@ -14,6 +15,7 @@ from pgm.recordings.stream import Stream
 SENSOR, WORLD = "sensor_data.dat", "world.dat"
 
 
+@public
 def read_freiburg(folder: str | os.PathLike[str]) -> Recording:
     r"""Read the recording of an exercise of the University of Freiburg.
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.errors import FileError
 from pgm.io.sources import Content, Line, Source, lines
 from pgm.kernels import rigid
@@ -52,6 +53,7 @@ class _Found:
     tilted: list[int] = field(default_factory=list)
 
 
+@public
 def read_pose_graph(path: Source, *, planar: bool = False) -> PoseGraph:
     r"""Read a pose graph of g2o or TORO.
 

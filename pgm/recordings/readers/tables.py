@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_whole
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
@@ -54,6 +55,7 @@ _STREAMS = ("odometry", "velocities", "truth", "imu", "fixes")
 _MOTION = ("odometry", "velocities")
 
 
+@public
 def read_csv(
     path: Source,
     columns: Mapping[str, Mapping[str, Any]],
