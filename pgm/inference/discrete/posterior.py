@@ -18,6 +18,7 @@ from pgm.factors.axes import AXES, States, discrete, sizes, spread
 from pgm.factors.scope import Scope, as_scope, names, namesake
 from pgm.inference import limits
 from pgm.inference.discrete.first_question import FirstBeliefs
+from pgm.inference.discrete.impossible import ALLOW, RAISE, AllowedBeliefs, allows, beliefs_of
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs, TableMessages
 from pgm.inference.discrete.storage import Storage, axes_left, entered, put_in, sepset_between
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
@@ -51,7 +52,7 @@ class DiscretePosterior(Posterior):
 
     graph: ClusterGraph
     status: Status
-    _beliefs: TreeBeliefs | FirstBeliefs | LoopyBeliefs
+    _beliefs: TreeBeliefs | AllowedBeliefs | FirstBeliefs | LoopyBeliefs
 
     def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
         """The marginal of a variable that is not observed in all runs, (*runs, size)."""
@@ -292,10 +293,17 @@ def run(
     evidence: Evidence,
     schedule: Schedule | None,
     memory: float | None = None,
+    impossible: str = RAISE,
 ) -> DiscretePosterior:
     """Send the messages of a schedule; see `pgm.infer`."""
     bound = bind_discrete(graph.network._places.keys(), evidence)
+    allow = allows(impossible)
     if isinstance(schedule, Loopy):
+        if allow:
+            raise GraphError(
+                f'impossible="{ALLOW}" is for graphs without loops: on {titled(graph)} messages '
+                "that go round need not find out that evidence is impossible"
+            )
         if memory is not None:
             raise GraphError(
                 f"memory= is for graphs without loops: on {titled(graph)} all runs go round "
@@ -306,12 +314,18 @@ def run(
         return DiscretePosterior(graph, status, LoopyBeliefs.of(messages))
     room = Room.of(memory, graph)
     first = None if bound.lead else FirstBeliefs.of(graph, bound, room)
-    return of_tree(graph, bound, room) if first is None else DiscretePosterior(graph, ONCE, first)
+    return (
+        of_tree(graph, bound, room, allow=allow)
+        if first is None
+        else DiscretePosterior(graph, ONCE, first)
+    )
 
 
-def of_tree(graph: ClusterGraph, bound: BoundStates, room: Room) -> DiscretePosterior:
+def of_tree(
+    graph: ClusterGraph, bound: BoundStates, room: Room, *, allow: bool = False
+) -> DiscretePosterior:
     """The posterior of a graph without loops, of evidence that is bound."""
-    beliefs = TreeBeliefs.of(graph, bound, room)
+    beliefs = beliefs_of(graph, bound, room, allow=allow)
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
 
 

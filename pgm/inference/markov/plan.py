@@ -339,4 +339,5 @@ class TableSlices:
             variable=variable,
             cpd=culprit,
             step=step,
+            run=run if self.lead else None,
         )

@@ -23,9 +23,10 @@ from pgm.factors import Table
 from pgm.factors.axes import States, as_states, sizes
 from pgm.factors.scope import in_run, listed, names, unknown_name
 from pgm.inference import limits
+from pgm.inference.discrete.impossible import RAISE, allows
 from pgm.inference.discrete.posterior import of_tree
 from pgm.inference.discrete.storage import one_hot, pieces, some_runs
-from pgm.inference.discrete.tree_passes import ADVICE
+from pgm.inference.discrete.tree_passes import ADVICE, OF_RUNS, ImpossibleEvidence
 from pgm.inference.query.plan import EliminationPlan, Requisite, Step, certain
 from pgm.kernels.arrays import Array
 from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
@@ -148,9 +149,13 @@ def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
     first = int(lost.argmax())
     involved, scope = _contradiction(plan, first)
     where = in_run(lost.reshape(plan.requisite.evidence.lead))
-    raise EvidenceError(
+    lead = plan.requisite.evidence.lead
+    raise ImpossibleEvidence(
         f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
-        f"for all states of ({listed(scope)}) are impossible given it. {ADVICE}",
+        f"for all states of ({listed(scope)}) are impossible given it. {ADVICE}"
+        f"{OF_RUNS if lead else ''}",
+        lost,
+        lead,
         variable=involved[0],
     )
 
@@ -190,6 +195,8 @@ def query(
     network: BayesianNetwork | ClusterGraph,
     variables: Variable | Iterable[Variable],
     evidence: Evidence = NOTHING,
+    *,
+    impossible: str = RAISE,
 ) -> Table:
     r"""Find the joint probabilities of some variables of a discrete network given evidence.
 
@@ -212,6 +219,9 @@ def query(
     evidence : mapping of Discrete, optional
         As for `infer`; leading axes are runs. Evidence that is separated from the variables by
         other evidence is checked for its form alone, not for being possible.
+    impossible : str
+        What is done where evidence has probability zero: ``"raise"``, or ``"allow"``, where such
+        runs have probabilities of NaN, and the others theirs.
 
     Returns
     -------
@@ -253,7 +263,7 @@ def query(
         entries = math.prod(sizes(scope))
         limits.require_runs(entries, bound.runs, f"the joint over {names(scope)}")
     requisite = Requisite.of(asked, scope, bound)
-    values = _answer(graph, requisite, scope)
+    values = _answer(graph, requisite, scope, allow=allows(impossible))
     lead, shape = requisite.evidence.lead, sizes(scope)
     values = np.moveaxis(values, -1, 0).reshape(lead + shape)
     return Table._make(scope, np.broadcast_to(values, bound.lead + shape))
@@ -300,7 +310,9 @@ def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -
     return scope
 
 
-def _answer(graph: ClusterGraph | None, requisite: Requisite, scope: States) -> Array:
+def _answer(
+    graph: ClusterGraph | None, requisite: Requisite, scope: States, *, allow: bool
+) -> Array:
     """The probabilities of variables, (sizes..., runs or 1), by whichever way takes less."""
     if not requisite.hidden:
         return np.ones((*sizes(scope), 1))
@@ -312,21 +324,22 @@ def _answer(graph: ClusterGraph | None, requisite: Requisite, scope: States) -> 
     if graph is not None and (plan is None or tree <= least + plan.cost * runs):
         # Variables that are far apart in the tree may need larger tables there.
         with suppress(GraphError):
-            return _read(graph, requisite.evidence, scope)
-    return _eliminated(plan or EliminationPlan.of(requisite, scope), scope)
+            return _read(graph, requisite.evidence, scope, allow=allow)
+    return _eliminated(plan or EliminationPlan.of(requisite, scope), scope, allow=allow)
 
 
-def _eliminated(plan: EliminationPlan, scope: States) -> Array:
+def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
     plan.require_size()
     some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
     parts = [eliminate(plan, piece) for piece in some]
     values = np.concatenate(parts, axis=-1)
-    require_possible(plan, values)
+    if not allow:
+        require_possible(plan, values)
     asked = plan.order[len(plan.order) - values.ndim + 1 :]
     axes = [asked.index(v) for v in scope if v in asked]
     return values.transpose(*axes, -1).reshape((*sizes(scope), -1))
 
 
-def _read(graph: ClusterGraph, evidence: BoundStates, scope: States) -> Array:
-    values = of_tree(graph, evidence, limits.Room.of(None, graph)).joint(*scope).values
+def _read(graph: ClusterGraph, evidence: BoundStates, scope: States, *, allow: bool) -> Array:
+    values = of_tree(graph, evidence, limits.Room.of(None, graph), allow=allow).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)
