@@ -259,7 +259,8 @@ class _Binder:
             if value.values is not None:
                 rows = rows_of(sensor, value.values, "M")
                 count = rows.shape[-2]
-            step = as_steps(sensor, value.step, count, self.steps)
+            runs = 1 if rows is None else math.prod(rows.shape[:-2])
+            step = as_steps(sensor, value.step, count, self.steps, runs)
         else:
             given = {}
             step = self.span

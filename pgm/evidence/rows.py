@@ -119,8 +119,10 @@ def _refuse(
     )
 
 
-def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Integers:
-    """The steps of sightings, (M,), in 0..last."""
+def as_steps(
+    variable: Variable, step: Any, count: int | None, last: int, runs: int = 1
+) -> Integers:
+    """The steps of sightings, (M,), in 0..last; there are `count` of them in each of some runs."""
     if step is None:
         raise EvidenceError(
             f"sightings of {variable!r} have no steps; give step=, one for each measurement",
@@ -134,9 +136,14 @@ def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Int
             variable=variable,
         )
     if count is not None and array.shape != (count,):
+        width = "" if isinstance(variable, Discrete) else f", {variable.dimension}"
+        columns = (
+            f"; the values of {runs} runs were given: if they are of one, take "
+            f"np.reshape(values, (-1{width or ','}))"
+        )
         raise EvidenceError(
             f"sightings of {variable!r}: {count} measurements with {array.shape[0]} steps; one "
-            "step for each measurement was due",
+            "step for each measurement was due" + columns * (runs == len(array) and count == 1),
             variable=variable,
         )
     outside = array[(array < 0) | (array > last)]

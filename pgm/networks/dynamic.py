@@ -113,7 +113,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         states = {cpd.child for cpd in prior}
         hidden = {cpd.child for cpd in transition}
         sensors = tuple(cpd.child for cpd in observation)
-        checks.check_states(prior, transition, states, hidden)
+        checks.check_states(prior, transition, observation, states, hidden)
         checks.check_parents(prior, transition, observation, states, hidden, set(sensors))
         checks.runs(everything)
         transition = checks.in_order(transition, lambda cpd: cpd.given)
