@@ -15,6 +15,7 @@ from pgm.cpds import AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, dimension
 from pgm.inference.rows import At, Rows, failure, own_noise, require_finite
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -23,7 +24,6 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     cut,
-    nearest_branch,
     quiet,
     times,
     vacant,

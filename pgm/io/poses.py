@@ -7,7 +7,7 @@ import numpy as np
 from pgm.display import NoArray, Shown, Summary, few, table
 from pgm.immutable import Immutable
 from pgm.io.stamped import clock
-from pgm.kernels import rigid
+from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array, frozen
 
 
@@ -62,7 +62,7 @@ class Poses(Shown, NoArray, Immutable):
     @property
     def angles(self) -> Array:
         """Roll, pitch and yaw, (n, 3), radians: the turn is R_z(yaw) R_y(pitch) R_x(roll)."""
-        return rigid.angles(self.orientation)
+        return quaternions.angles(self.orientation)
 
     @property
     def planar(self) -> Array:
@@ -82,7 +82,7 @@ class Poses(Shown, NoArray, Immutable):
         ends = [k for k in few(len(self.times)) if k is not None]
         numbers = np.full((len(self.times), 6), np.nan)
         numbers[ends] = np.concatenate(
-            [self.position[ends], rigid.angles(self.orientation[ends])], axis=1
+            [self.position[ends], quaternions.angles(self.orientation[ends])], axis=1
         )
         columns = [("time", self.times), *zip(names, numbers.T, strict=True)]
         return Summary(self._title, [table(columns, digits=15)])

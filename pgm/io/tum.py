@@ -26,7 +26,7 @@ from pgm.io.poses import Poses
 from pgm.io.sources import LIMIT, Line, Origin, Source, number
 from pgm.io.sources import lines as text_lines
 from pgm.io.stamped import as_stamps, clock
-from pgm.kernels import rigid
+from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array
 
 JOINED = "*"
@@ -206,7 +206,7 @@ def write_tum(
             f"{gaussian._title} has an infinite variance in row {step}: its mean there means "
             "nothing; write the steps from which on it is known, belief[k:]"
         )
-    rows = np.column_stack([stamps, xyz, rigid.of_angles(angles)]).tolist()
+    rows = np.column_stack([stamps, xyz, quaternions.of_angles(angles)]).tolist()
     sources.write(path, "\n".join([HEADING, *(" ".join(map(repr, row)) for row in rows), ""]))
     if covariance is not None:
         write_covariances(covariance, stamps, names, cov)

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Mask, apply, transpose, wrap
+from pgm.kernels.angles import wrap
+from pgm.kernels.arrays import Array, Mask, apply, transpose
 
 
 def steps(x: Array, std: Array) -> Array:

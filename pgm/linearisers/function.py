@@ -9,15 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.immutable import set_writeable
-from pgm.kernels.arrays import (
-    Array,
-    Integers,
-    Mask,
-    components_first,
-    components_last,
-    difference,
-    quiet,
-)
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Integers, Mask, components_first, components_last, quiet
 from pgm.kernels.slopes import jacobian as by_differences
 from pgm.linearisers.calls import Call
 from pgm.linearisers.template import Function, FunctionTemplate

@@ -18,7 +18,7 @@ from pgm.immutable import Immutable
 from pgm.io.poses import Poses
 from pgm.io.stamped import SAME
 from pgm.io.timeline import Timeline, joined
-from pgm.kernels import rigid
+from pgm.kernels import twists
 from pgm.kernels.arrays import Array
 from pgm.recordings import checks, handing, mending, motion, reference, summaries
 from pgm.recordings.mending import Dropped
@@ -264,7 +264,7 @@ class Recording(Shown, NoArray, Immutable):
         pose = as_floats(start, "start=", EvidenceError)
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise EvidenceError(f"start= is (east, north, heading), not {start!r}")
-        return Stream(axis, rigid.path(pose, spans.between(axis)), POSE)
+        return Stream(axis, twists.path(pose, spans.between(axis)), POSE)
 
     @public
     def truth_at(self, times: npt.ArrayLike, *, longest: float | None = None) -> Stream:

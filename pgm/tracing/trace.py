@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Mask, components_last, difference
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Mask, components_last
 from pgm.tracing.program import Program
 from pgm.tracing.surroundings import Surroundings
 from pgm.tracing.traced import STAND_INS, Node, Recorder, Traced, Untraceable, bare, traced_elements

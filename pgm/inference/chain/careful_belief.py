@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.inference.chain.vector import Measured
-from pgm.kernels import extended, roots
+from pgm.kernels import extended, semidefinite
 from pgm.kernels.arrays import (
     Array,
     Kind,
@@ -236,8 +236,8 @@ def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
     """Mean and covariance; the variance of a component of which nothing is known is infinite."""
     mean, cov = (belief.columns @ unknown.weights).hi[..., 0], belief.cov
     if not unknown.open.shape[-1]:
-        return mean, roots.semidefinite(cov.hi, 1.0 / CLEAR)
-    total = roots.semidefinite((cov + unknown.between(belief, belief)).hi, 1.0 / CLEAR)
+        return mean, semidefinite.semidefinite(cov.hi, 1.0 / CLEAR)
+    total = semidefinite.semidefinite((cov + unknown.between(belief, belief)).hi, 1.0 / CLEAR)
     slope = belief.columns.hi[..., 1:]
     reach, size = np.abs(slope @ unknown.open), np.abs(slope) @ np.abs(unknown.open)
     lost = np.any(reach > NEGLIGIBLE * size, axis=-1)

@@ -21,9 +21,9 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
+from pgm.inference.argument_checks import require_plain
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
-from pgm.inference.options import require_plain
 from pgm.kernels.arrays import Array, Index, Integers, cut
 from pgm.linearisers import Lineariser
 

@@ -24,8 +24,8 @@ from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
-from pgm.inference.options import Start, over_runs, require_hidden
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.inference.starting_points import Start, over_runs, require_hidden
 from pgm.inference.status import FILTERED, SMOOTHED, Kind, Status, digits
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser

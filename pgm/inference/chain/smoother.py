@@ -22,11 +22,12 @@ from pgm.inference.chain.newton import Means
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reweighting import reweigh, settled
 from pgm.inference.chain.sensor import linearise_grouped
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.iteration import Anchor, Point, iterate
-from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Smoothing
 from pgm.inference.status import Status
 from pgm.kernels import moments
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Mask,
@@ -34,7 +35,6 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     deviation,
-    nearest_branch,
     variances,
 )
 from pgm.kernels.elements import gather

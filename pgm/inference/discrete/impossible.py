@@ -1,93 +1,104 @@
-"""Runs whose evidence has probability zero: refused, or allowed, with −∞ and beliefs of NaN."""
+"""Evidence of probability zero: where it contradicts the tables, for a message."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable
 
 import numpy as np
 
-from pgm.clustergraph import ClusterGraph
-from pgm.errors import ModelError
+from pgm.clustergraph import Cluster
+from pgm.errors import EvidenceError
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.storage import Storage
-from pgm.inference.discrete.tree_beliefs import TreeBeliefs
-from pgm.inference.discrete.tree_passes import ImpossibleEvidence
-from pgm.inference.limits import Room
+from pgm.factors.scope import in_run, names
+from pgm.inference.discrete.storage import (
+    some_runs,
+)
+from pgm.inference.discrete.tree_messages import TreeMessages
+from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Discrete
 
-RAISE, ALLOW = "raise", "allow"
+ADVICE = (
+    "Leave some of it out; or, if it can happen, replace the zeros that forbid it in the CPDs' "
+    "tables by small probabilities"
+)
 
 
-def allows(impossible: object) -> bool:
-    """Whether impossible evidence is to be allowed; refuses what is no answer to that."""
-    if impossible not in (RAISE, ALLOW):
-        raise ModelError(f'impossible is "{RAISE}" or "{ALLOW}", not {impossible!r}')
-    return impossible == ALLOW
+# What else can be done where others of several runs are possible.
+OF_RUNS = '; impossible="allow" gives such runs a log-evidence of −∞ and beliefs of NaN'
 
 
-def beliefs_of(
-    graph: ClusterGraph, evidence: BoundStates, room: Room, *, allow: bool
-) -> TreeBeliefs | AllowedBeliefs:
-    """Calibrate a tree; where impossible evidence is allowed, without that of runs that have it."""
-    try:
-        return TreeBeliefs.of(graph, evidence, room)
-    except ImpossibleEvidence as error:
-        if not allow:
-            raise
-        lost = error.lost
-    return AllowedBeliefs(TreeBeliefs.of(graph, _without(evidence, lost), room), evidence, lost)
+class ImpossibleEvidence(EvidenceError):
+    """Evidence of probability zero; `lost` says in which runs, (runs,)."""
+
+    def __init__(
+        self,
+        message: str,
+        lost: Mask,
+        lead: tuple[int, ...],
+        *,
+        variable: Discrete,
+        cluster: int | None = None,
+    ) -> None:
+        run = int(lost.argmax()) if lead else None
+        super().__init__(message, variable=variable, cluster=cluster, run=run)
+        self.lost = np.atleast_1d(lost)
 
 
-def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
-    """The evidence of runs, where those that are lost, (runs,), have none."""
-    if lost.all():
-        return BoundStates(evidence.lead, {}, {})
-    states = {v: np.where(lost, -1, state) for v, state in evidence.states.items()}
-    weights = {v: np.where(lost[:, None], 1.0, each) for v, each in evidence.weights.items()}
-    return BoundStates(evidence.lead, states, weights)
+def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> None:
+    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞."""
+    # One sum finds out, whatever is infinite.
+    if math.isfinite(np.add.reduce(log_tops, None)):
+        return
+    impossible = log_tops == -np.inf
+    runs = impossible.any(axis=0)
+    first = int(runs.argmax())
+    lost = impossible[:, first] if runs.ndim else impossible
+    root = int(plan.tree_of_top[lost.argmax()])
+    alone = some_runs(evidence, slice(first, first + 1))
+    cluster, involved = _contradiction(plan, alone, root)
+    where = in_run(runs.reshape(evidence.lead))
+    raise ImpossibleEvidence(
+        f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
+        f"for all states of cluster {cluster.index} over {names(cluster.scope)} are impossible "
+        f"given it. {ADVICE}{OF_RUNS if evidence.lead else ''}",
+        runs,
+        evidence.lead,
+        variable=involved[0],
+        cluster=cluster.index,
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class AllowedBeliefs:
-    """The calibrated beliefs of a tree of which some runs have impossible evidence.
+def _contradiction(
+    plan: TreePlan, evidence: BoundStates, root: int
+) -> tuple[Cluster, list[Discrete]]:
+    """The deepest cluster of a tree whose message upward is all zero, and the evidence below."""
+    forest, scopes = plan.forest, plan.storage.scopes
+    messages = TreeMessages(plan.storage, evidence)
+    upward = (
+        k
+        for level in reversed(forest.levels[1:])
+        for k in level.tolist()
+        if forest.roots[k] == root and (messages.message(k, int(forest.parent[k])) == -np.inf).all()
+    )
+    at = next(upward, root)
+    below, waiting = [], [at]
+    while waiting:
+        below.append(waiting.pop())
+        waiting += forest.children[below[-1]]
+    members = {v for k in below for v in scopes[k]}
+    states = [v for v, s in evidence.states.items() if v in members and np.min(s) >= 0]
+    weights = [v for v in evidence.weights if plan.storage.homes[v] in below]
+    return plan.graph.clusters[at], list(dict.fromkeys((*states, *weights)))
 
-    possible: The beliefs of all runs, those that are lost without any evidence.
-    evidence: As it was given.
-    lost: (runs,): which runs have evidence of probability zero.
-    """
 
-    possible: TreeBeliefs
-    evidence: BoundStates
-    lost: Mask
-
-    @property
-    def storage(self) -> Storage:
-        """The layout of the tables that `read` is given."""
-        return self.possible.storage
-
-    def marginal(self, variable: Discrete) -> Array:
-        """The probabilities of a variable, (states, [runs])."""
-        return self._where_lost(np.nan, self.possible.marginal(variable))
-
-    def read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of a function of the tables, whose last axis, if any, is of runs."""
-        return self._where_lost(np.nan, self.possible.read(reader))
-
-    def log_evidence(self) -> Array:
-        """The value ln p(evidence), ([runs])."""
-        return self._where_lost(-np.inf, self.possible.log_evidence())
-
-    def log_total(self, cluster: int) -> Array:
-        """The logarithm of p(evidence) of a cluster's tree, ([runs]); −∞ if of any tree it is."""
-        return self._where_lost(-np.inf, self.possible.log_total(cluster))
-
-    def message(self, source: int, target: int) -> tuple[Array, Array]:
-        """The message from one cluster to a neighbour, (sizes..., runs), and its log-scale."""
-        values, log_scale = self.possible.message(source, target)
-        return self._where_lost(np.nan, values), log_scale
-
-    def _where_lost(self, value: float, found: Array) -> Array:
-        lost = self.lost if self.lost.size > 1 else self.lost[0]
-        return np.where(lost, value, found)
+def contradicted(empty: Mask, clusters: Iterable[Cluster], lead: tuple[int, ...]) -> EvidenceError:
+    """The error where sums over clusters' states, (clusters, runs), are zero."""
+    runs = empty.any(axis=0)
+    row = int(empty[:, runs.argmax()].argmax())
+    cluster = list(clusters)[row]
+    return EvidenceError(
+        f"the evidence has probability zero{in_run(runs.reshape(lead))}: all states of cluster "
+        f"{cluster.index} over {names(cluster.scope)} are impossible given it and the messages "
+        f"of the cluster's neighbours. {ADVICE}",
+        cluster=cluster.index,
+    )

@@ -13,19 +13,21 @@ from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, require_finite
 from pgm.evidence.static import BoundValues, bind_values
+from pgm.inference.argument_checks import require_gaussian, require_plain
 from pgm.inference.gaussian import careful
 from pgm.inference.gaussian.beliefs import Calibrated, TreePoint, relinearise
-from pgm.inference.gaussian.careful import SAFE_DIGITS, kept_digits
+from pgm.inference.gaussian.certificate import SAFE_DIGITS, kept_digits
 from pgm.inference.gaussian.layout import Layout, barren, known_parents
-from pgm.inference.gaussian.messages import Buffer, RowMessages
+from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior
+from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.gaussian.tree import TreePlan, calibrate
 from pgm.inference.iteration import Anchor, iterate
 from pgm.inference.limits import require_runs, require_size
 from pgm.inference.loopy import run_loopy
-from pgm.inference.options import Start, over_runs, require_gaussian, require_hidden, require_plain
 from pgm.inference.schedule import Calibration, Loopy, Schedule, Smoothing
+from pgm.inference.starting_points import Start, over_runs, require_hidden
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Mask, quiet
 from pgm.linearisers import Lineariser

@@ -9,7 +9,7 @@ import numpy as np
 
 from pgm.errors import EvidenceError
 from pgm.io.sources import Origin
-from pgm.kernels import rigid
+from pgm.kernels import quaternions, twists
 from pgm.kernels.arrays import Array
 from pgm.recordings import mending
 from pgm.recordings.mending import Dropped
@@ -57,7 +57,7 @@ def _increments(stamps: Array, poses: Array) -> Read:
     if not len(stamps):
         return None, []
     stream, told = mending.ordered("odometry", Stream(stamps, poses, POSE))
-    found = rigid.between(stream.values)
+    found = twists.between(stream.values)
     return Stream(stream.stamps[1:], found, PLANAR, begin=stream.stamps[0]), told
 
 
@@ -181,7 +181,7 @@ def _yaw(topic: str, turns: Array) -> Array:
         raise EvidenceError(
             f"{topic}, message {row}: the orientation {turns[row].tolist()} is no unit quaternion"
         )
-    yaw: Array = rigid.angles(turns / length[:, None])[:, 2]
+    yaw: Array = quaternions.angles(turns / length[:, None])[:, 2]
     return yaw
 
 

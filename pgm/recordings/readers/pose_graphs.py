@@ -12,7 +12,7 @@ import numpy as np
 from pgm.arguments import public
 from pgm.errors import FileError
 from pgm.io.sources import Content, Line, Source, lines
-from pgm.kernels import rigid
+from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array, Integers
 from pgm.recordings.mending import Dropped
 from pgm.recordings.pose_graph import Edges, PoseGraph
@@ -249,7 +249,7 @@ def _yaw(line: Line, turn: Sequence[float]) -> float:
     unit = np.array(turn) / max(float(np.linalg.norm(turn)), 1e-300)
     if not np.isclose(np.linalg.norm(unit), 1.0):
         raise line.fault(f"{list(turn)}; a quaternion qx qy qz qw was due")
-    return float(rigid.angles(unit)[2])
+    return float(quaternions.angles(unit)[2])
 
 
 _KINDS: dict[str, Callable[[_Found, Line], None]] = {

@@ -21,7 +21,7 @@ from pgm.inference.chain.compiled.table import (
 )
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.options import LevenbergMarquardt
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.compiled import tables as t
