@@ -44,8 +44,13 @@ class ImpossibleEvidence(EvidenceError):
         self.lost = np.atleast_1d(lost)
 
 
-def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> None:
-    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞."""
+def require_possible(
+    plan: TreePlan, evidence: BoundStates, log_tops: Array, of_runs: str = ""
+) -> None:
+    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞.
+
+    of_runs: What else can be done where there are several runs.
+    """
     # One sum finds out, whatever is infinite.
     if math.isfinite(np.add.reduce(log_tops, None)):
         return
@@ -60,7 +65,7 @@ def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> 
     raise ImpossibleEvidence(
         f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
         f"for all states of cluster {cluster.index} over {names(cluster.scope)} are impossible "
-        f"given it. {ADVICE}{OF_RUNS if evidence.lead else ''}",
+        f"given it. {ADVICE}{of_runs if evidence.lead else ''}",
         runs,
         evidence.lead,
         variable=involved[0],

@@ -112,6 +112,13 @@ def test_a_refusal_names_the_run_and_the_way_out(asked):
     assert "allow" not in str(caught.value)
 
 
+def test_the_most_probable_states_of_impossible_evidence_are_refused():
+    with pytest.raises(pgm.EvidenceError, match=r"first in run 1\)") as caught:
+        pgm.most_probable(GRAPH, {a: [1, 0], c: [2, 2]})
+    assert caught.value.run == 1
+    assert "allow" not in str(caught.value)
+
+
 def test_a_refusal_of_a_chain_names_the_run():
     s, o = pgm.Discrete("s", 2), pgm.Discrete("o", 2)
     chain = pgm.DynamicBayesianNetwork(
