@@ -20,7 +20,7 @@ from pgm.factors.arrays import Shape, clash, unflat
 from pgm.factors.scope import Scope
 from pgm.kernels import mahalanobis, roots
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.kernels.tables import log_sum
+from pgm.kernels.semirings import log_sum
 from pgm.variables import Variable
 
 # Weights whose sum is this far from one are those of no mixture.

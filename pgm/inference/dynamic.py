@@ -10,7 +10,7 @@ from pgm.compile import Balanced, compile
 from pgm.compile.machine import Choice
 from pgm.evidence import Evidence
 from pgm.inference.argument_checks import require_lineariser
-from pgm.inference.chain.marginals import KeptPosterior
+from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.damping import Damping

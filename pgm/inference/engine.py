@@ -15,7 +15,7 @@ from pgm.evidence import BoundEvidence, Evidence
 from pgm.inference import discrete, gaussian
 from pgm.inference.argument_checks import require_lineariser
 from pgm.inference.associations import by_density
-from pgm.inference.chain.marginals import KeptPosterior
+from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.grid.online import OnlineGrid

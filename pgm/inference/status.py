@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -112,6 +113,10 @@ class Status(Shown, Immutable):
         (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
         standard deviation (6 are an error of 10⁻⁶ deviations); None where they are not measured.
         Below six there is a `PrecisionWarning`.
+    compilation : str
+        Of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not compiled:
+        ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call left it
+        to NumPy, with the reasons; ``"by NumPy: ..."``, where it was not due. Else empty.
 
     Examples
     --------
@@ -127,6 +132,7 @@ class Status(Shown, Immutable):
     by_edge: Mapping[tuple[int, int], Array]
     edge_residuals: Array | None
     digits: Array | None
+    compilation: str
 
     def __init__(
         self,
@@ -136,6 +142,7 @@ class Status(Shown, Immutable):
         by_edge: Mapping[tuple[int, int], Array] = MappingProxyType({}),
         digits: Array | None = None,
         edge_residuals: Array | None = None,
+        compilation: str = "",
     ) -> None:
         for record in (residuals, converged, digits, edge_residuals):
             if record is not None:
@@ -147,6 +154,7 @@ class Status(Shown, Immutable):
             by_edge=MappingProxyType(dict(by_edge)),
             edge_residuals=edge_residuals,
             digits=digits,
+            compilation=compilation,
         )
 
     @classmethod
@@ -169,21 +177,24 @@ class Status(Shown, Immutable):
                 "redundant measurement once"
             )
             warnings.warn(message, PrecisionWarning, stacklevel=levels_to_user())
-        return Status(
-            self.iterations,
-            self.residuals,
-            self.converged,
-            self.by_edge,
-            digits,
-            self.edge_residuals,
-        )
+        return self._with(digits=digits)
+
+    def with_compilation(self, words: str) -> Status:
+        """The same status with the account of its sweeps."""
+        return self._with(compilation=words)
+
+    def _with(self, **changes: Any) -> Status:
+        names = ("iterations", "residuals", "converged", "by_edge", "edge_residuals", "digits")
+        same = {name: getattr(self, name) for name in (*names, "compilation")}
+        return Status(**same | changes)
 
     @property
     def _title(self) -> str:
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
-        return f"Status({self._went()}{lost})"
+        left = self.compilation.startswith(("not compiled", "compiled, but"))
+        return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''})"
 
     def _summary(self) -> Summary:
         if len(self.residuals) < 2 or not self.residuals[0].size:

@@ -1,11 +1,13 @@
 """Poses over time, as files of trajectories hold them."""
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from pgm.display import NoArray, Shown, Summary, few, table
 from pgm.immutable import Immutable
+from pgm.io.dropped import Dropped
 from pgm.io.stamped import clock
 from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array, frozen
@@ -26,6 +28,8 @@ class Poses(Shown, NoArray, Immutable):
         The components that `cov` is of, by name; empty without one.
     cov : ndarray or None
         (n, k, k), in units of the components; None where no file of covariances was read.
+    dropped : tuple of Dropped
+        Poses of the file that were left out or put in order, and why.
 
     Examples
     --------
@@ -40,6 +44,7 @@ class Poses(Shown, NoArray, Immutable):
     orientation: Array
     components: tuple[str, ...]
     cov: Array | None
+    dropped: tuple[Dropped, ...]
 
     _arrays: ClassVar[str] = ".position, .orientation and .times"
 
@@ -50,6 +55,7 @@ class Poses(Shown, NoArray, Immutable):
         orientation: Array,
         components: tuple[str, ...] = (),
         cov: Array | None = None,
+        dropped: Sequence[Dropped] = (),
     ) -> None:
         self._set(
             times=frozen(times),
@@ -57,6 +63,7 @@ class Poses(Shown, NoArray, Immutable):
             orientation=frozen(orientation),
             components=components,
             cov=None if cov is None else frozen(cov),
+            dropped=tuple(dropped),
         )
 
     @property
@@ -85,4 +92,5 @@ class Poses(Shown, NoArray, Immutable):
             [self.position[ends], quaternions.angles(self.orientation[ends])], axis=1
         )
         columns = [("time", self.times), *zip(names, numbers.T, strict=True)]
-        return Summary(self._title, [table(columns, digits=15)])
+        told = [each._title for each in self.dropped]
+        return Summary(self._title, [table(columns, digits=15), *told])

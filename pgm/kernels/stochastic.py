@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pgm.kernels.arrays import Array, Integers, unravelled
-from pgm.kernels.tables import Semiring
+from pgm.kernels.semirings import Semiring
 
 # Entries that a step with logarithms spreads out at a time.
 _CHUNK = 2**22
@@ -293,6 +293,10 @@ class Product(Transition):
 
 
 def _along(matrix: Any, values: Array, axis: int) -> Array:
+    """A matrix (k, n), dense or sparse, times an array along one of its axes, of length n.
+
+    Dense products leave the array as it lies in memory; a sparse matrix needs the axis first.
+    """
     if values.ndim == 1:
         product: Array = matrix.dot(values)
         return product

@@ -9,9 +9,9 @@ import numpy as np
 
 from pgm.display import NoArray, Shown, Summary, count
 from pgm.errors import EvidenceError
+from pgm.io.dropped import Dropped
 from pgm.kernels import twists
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.recordings.mending import Dropped
 from pgm.recordings.motion import PLANAR
 from pgm.recordings.recording import Recording
 from pgm.recordings.scans import Scans

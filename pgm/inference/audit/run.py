@@ -14,7 +14,7 @@ from pgm.inference.audit.draws import Draws
 from pgm.inference.audit.estimates import Compared, Mixture, Sums, weigh
 from pgm.inference.audit.joints import ChainDraws, TreeDraws
 from pgm.inference.audit.result import Audit, checks
-from pgm.inference.chain.marginals import KeptPosterior
+from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs

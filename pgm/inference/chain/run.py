@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from pgm.inference.chain import careful, certificate, fixed_lag, forward, gate, 
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.balanced import BalancedPosterior
 from pgm.inference.chain.careful import Careful
+from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.fixed_lag import Lagged, Windows
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
@@ -30,6 +32,7 @@ from pgm.inference.status import FILTERED, SMOOTHED, Kind, Status, digits
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
+from pgm.tracing import Judge, judged
 
 
 class Solver(ABC):
@@ -69,6 +72,7 @@ class Solver(ABC):
         windows: Windows | None = None,
         error: Array | None = None,
     ) -> ChainPosterior:
+        status = status.with_compilation(plan.account.words(plan.runs))
         if error is not None:
             status = status.with_digits(digits(error, plan.lead))
         parts = kind, plan, swept, smoothed, reverse, careful, windows
@@ -223,7 +227,21 @@ def run(
             f"a start is for smoothing all at once, not {schedule!r}, which linearises at beliefs"
         )
     given = None if start is None else _start(graph.layout, bound, start)
-    plan = ChainPlan.make(graph, bound, lineariser)
+    return judged(partial(_solved, graph, bound, lineariser, schedule, solver, given, room))
+
+
+def _solved(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    schedule: Schedule,
+    solver: Solver,
+    given: Array | None,
+    room: Room | None,
+    judge: Judge,
+) -> ChainPosterior:
+    """The solution in float64, or where that loses too many digits, in twice as many."""
+    plan = ChainPlan.make(graph, bound, lineariser, judge=judge)
     gates = getattr(schedule, "gate", None)  # a plain calibration has none
     gate.prepare(plan, gates)
     if not certificate.is_flat(plan):
@@ -236,8 +254,10 @@ def run(
                 return found
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
-        plan = ChainPlan.make(graph, bound, lineariser, probe=False)
+        plan = ChainPlan.make(graph, bound, lineariser, probe=False, judge=judge)
         gate.prepare(plan, gates)
+    if compiled.is_used(plan):
+        plan.account.leave("float64 has too few digits, and twice as many are computed by NumPy")
     found = solver.carefully(plan, given)
     _refuse_infinite(found)
     return found

@@ -9,9 +9,7 @@ from pgm.clustergraph import Cluster
 from pgm.errors import EvidenceError
 from pgm.evidence.static import BoundStates
 from pgm.factors.scope import in_run, names
-from pgm.inference.discrete.storage import (
-    some_runs,
-)
+from pgm.inference.discrete.run_pieces import some_runs
 from pgm.inference.discrete.tree_messages import TreeMessages
 from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array, Mask

@@ -24,7 +24,7 @@ from pgm.immutable import Immutable
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.place import steps
-from pgm.inference.discrete.storage import Distinct, some_runs, tree_pieces
+from pgm.inference.discrete.run_pieces import Distinct, some_runs, tree_pieces
 from pgm.inference.discrete.tree_passes import collect, enter
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs
@@ -36,7 +36,7 @@ from pgm.inference.parts.workers import Workers
 from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.kernels.tables import MAX_PRODUCT
+from pgm.kernels.semirings import MAX_PRODUCT
 from pgm.progress import Progress, counted, reporting
 from pgm.variables import Discrete, Variable
 
@@ -327,6 +327,7 @@ def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
 
 
 def _decode(plan: TreePlan, entry: Integers) -> Integers:
+    """The states of all variables, (variables, runs), at entries of their homes' tables."""
     homes = plan.storage.homes
     scopes = {home: plan.storage.places[home].scope for home in homes.values()}
     strides = np.array([steps(scopes[home], 1)[variable] for variable, home in homes.items()])

@@ -10,7 +10,7 @@ import numpy as np
 from pgm.factors.axes import States, sizes
 from pgm.inference.discrete.place import Merged, Place
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.tables import Semiring
+from pgm.kernels.semirings import Semiring
 
 # A product whose last axis is shorter is a loop over so few entries; the message is written out for
 # blocks of at most so many.

@@ -11,7 +11,7 @@ import numpy as np
 from pgm.factors.axes import States, sizes, without
 from pgm.inference.discrete.place import Merged, Place
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.tables import SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
 # Entries of a matrix that sums the storage to all marginals, at the most.

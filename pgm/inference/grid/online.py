@@ -146,6 +146,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         return self._updated(belief, replace(bound, readings=tuple(shifted)))
 
     def _check(self, belief: Any) -> None:
+        """Refuse a belief of another model, or of another family."""
         if not self._owns(belief):
             kind = type(self.belief).__name__.lower()
             raise ModelError(
@@ -273,6 +274,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         found: list[tuple[GridSlices, Array, float]],
     ) -> OnlineGridBelief:
+        """The user's belief of the values of all runs, with a status of all steps so far."""
         lead, lattice = bound.lead, self._lattice
         values = np.array([belief for _, belief, _ in found], dtype=self.belief.dtype)
         log_density = np.array([density for *_, density in found]).reshape(lead)

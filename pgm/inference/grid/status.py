@@ -12,9 +12,10 @@ import numpy as np
 from pgm.display import Shown, Summary, brief, number
 from pgm.errors import GridWarning, levels_to_user
 from pgm.immutable import Immutable
+from pgm.inference.grid.cut_off import Cut
 from pgm.inference.grid.densities import Uneven
 from pgm.inference.grid.measured import Sharpness
-from pgm.inference.grid.slices import Cut, Narrowness, Worst
+from pgm.inference.grid.slices import Narrowness, Worst
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 

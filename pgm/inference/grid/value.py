@@ -156,6 +156,7 @@ class Grid(InCode, Immutable):
 
 
 def _extent(key: object, value: Any) -> Extent:
+    """The interval or circle of one axis, checked."""
     if not isinstance(key, str | Variable):
         raise ModelError(
             f'a grid\'s axes are components of states, named like "east" or "x.east", or scalar '

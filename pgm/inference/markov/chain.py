@@ -22,7 +22,7 @@ import numpy as np
 
 from pgm.inference import sweep
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.progress import counted
 
 # Beliefs above this, times factors whose product is, are numbers with all their digits.
@@ -96,10 +96,12 @@ class BackwardChain:
         return self._scaled(found)
 
     def _scaled(self, message: Array) -> Array:
+        """A message divided by its total, so that no product of many underflows."""
         scaled: Array = self.semiring.over(message, self.total(message))
         return scaled
 
     def _passed(self, step: int, message: Array) -> Array:
+        """The message to the slice of a step, from that of the next one and its measurements."""
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
             message = self.semiring.times(message, weights)

@@ -20,7 +20,7 @@ from pgm.inference.posterior import require_variable
 from pgm.inference.status import Kind, Status
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array, frozen
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 from pgm.variables import Variable
 
 
@@ -179,8 +179,10 @@ class _Window:
         return chain.posterior(0, message)
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
+        """See `Slices`."""
         return self.held[step].weights, 0.0
 
     def backward(self, step: int, message: Array) -> Array:
+        """See `Behind`."""
         ahead = self.ahead[step - 1].within(self.semiring)
         return ahead.backward(ahead.first, message)  # whose only row is of its own step

@@ -232,6 +232,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
 
     @property
     def _watched(self) -> PageTest:
+        """The test whether the belief is lost, of a filter that watches."""
         if self.watch is None:
             raise EvidenceError(
                 f"{self._title} was not watched, whether it is lost: make the filter with "
@@ -359,6 +360,7 @@ def refuse(step: int) -> NoReturn:
 
 
 def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
+    """A belief's array for the runs of a plan, as one axis."""
     rest = array.shape[-own:]
     return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)
 

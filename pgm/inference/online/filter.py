@@ -10,7 +10,8 @@ import numpy as np
 
 from pgm.arguments import public
 from pgm.compile import compile
-from pgm.compile.machine import Choice, as_choice
+from pgm.compile.machine import COMPILED, GATE, Choice, as_choice
+from pgm.cpds import NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence
@@ -89,10 +90,10 @@ class OnlineFilter(InCode, Immutable):
         same methods, and takes neither lineariser nor schedule, of which it has no use.
     compiled : bool or Compiled
         Whether steps are made in machine code, by Numba, for which functions have to be traced, as
-        they are at the first step of a kind. Steps that are not plain (of many runs, with a lag, a
-        gate, a watch or iterations, in twice the digits, with noise that depends on inputs, or of
-        functions that refer to a number that has changed, or to what may change unseen) are made
-        without, with equal results. One run has one thread. False unless said, since loading and
+        they are when the filter is made (see `renewed`). Steps that are not plain (of many runs,
+        with a lag, a gate, a watch or iterations, in twice the digits, with noise that depends on
+        inputs, or of functions that make floats of their input) are made without, with equal
+        results. One run has one thread. False unless said, since loading and
         compiling take the time of 10,000 steps.
 
     Raises
@@ -110,6 +111,8 @@ class OnlineFilter(InCode, Immutable):
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x].mean, belief[x].cov
     (array([2.]), array([[1.]]))
+    >>> pgm.OnlineFilter(walk, gate=0.99, compiled=True).compilation
+    'not compiled: a gate (gate=) decides at one predicted belief after another'
     """
 
     model: DynamicBayesianNetwork
@@ -162,6 +165,9 @@ class OnlineFilter(InCode, Immutable):
         found = object.__new__(cls)
         found._set(model=model, lineariser=lineariser, schedule=schedule, watch=watch is True)
         found._set(compiled=bool(as_choice(compiled, "OnlineFilter(...)")))
+        for cpd in (*model.transition, *model.observation):
+            if isinstance(cpd, NonlinearGaussianCPD):
+                cpd._renew()
         if found.compiled:
             found._compile()
         return found
@@ -211,6 +217,46 @@ class OnlineFilter(InCode, Immutable):
             plans, ends = (self._ahead, self._seen), (_DONE, _LINEARISED)
             steps = CompiledSteps(self._graph.layout, *plans, self.predict, self.update, *ends)
             self._set(_steps=steps, predict=steps.predict, update=steps.update)
+
+    @property
+    def compilation(self) -> str:
+        """Whether steps are made in machine code, or why not, as of ``status.compilation``.
+
+        Of a filter that is compiled it tells of the steps so far: how many NumPy made, and why.
+        """
+        if not self.compiled:
+            return "by NumPy: compiled=False"
+        if self._steps is None:
+            schedule, why = self.schedule, []
+            if schedule.gate is not None:
+                why.append(GATE)
+            if self.watch:
+                why.append("a watch (watch=True) judges each step")
+            if isinstance(schedule, FixedLag):
+                why.append("beliefs wait for a lag")
+            if schedule.iterations > 1:
+                why.append("steps are iterated")
+            return f"not compiled: {'; '.join(why)}"
+        left = [f"{count} × {why}" for why, count in self._steps.left.items()]
+        return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
+
+    def renewed(self) -> OnlineFilter:
+        """The same filter, which reads its functions anew, with what they refer to.
+
+        A belief of this filter goes on with it.
+
+        Examples
+        --------
+        >>> from pgm.examples import walk
+        >>> robot = pgm.OnlineFilter(walk)
+        >>> belief = robot.initial()
+        >>> robot = robot.renewed()
+        >>> robot.predict(belief).step
+        1
+        """
+        make, arguments = self.__reduce__()
+        found: OnlineFilter = make(*arguments)
+        return found
 
     def initial(self) -> OnlineBelief:
         """The prior, at step 0; runs are those of the model."""

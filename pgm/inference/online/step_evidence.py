@@ -100,10 +100,12 @@ def _same_runs(belief: Place, bound: BoundEvidence) -> BoundEvidence:
 
 
 def _constant(value: Any) -> Constant:
+    """A value as a constant of the step."""
     return value if isinstance(value, Constant) else constant(value)
 
 
 def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> Any:
+    """A sensor's value as sightings, whose step is the belief's; an input's as a constant."""
     if variable not in model.sensors:
         return _constant(value)
     if not isinstance(value, Sightings):
@@ -120,6 +122,7 @@ def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> A
 
 
 def _single(variable: Variable, value: Any) -> Any:
+    """One measurement, as the only row of several."""
     if not isinstance(variable, Discrete):
         return as_rows(variable, value, None)[..., None, :]
     if isinstance(value, Soft):
@@ -165,6 +168,7 @@ def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
 
 
 def _is_finite(row: Array) -> bool:
+    """Whether the sum of a row is finite; if that overflows, the general way takes over."""
     return isfinite(sum((row if row.ndim == 1 else row.ravel()).tolist()))
 
 
@@ -186,6 +190,7 @@ def numbers(value: Any, axes: int) -> Array | None:
 
 
 def _numbers(value: Any) -> Array | None:
+    """The value as floats; None where it is refused, which the general way words."""
     try:
         return as_floats(value, "a value", EvidenceError)
     except EvidenceError:  # which the general way words
@@ -295,6 +300,7 @@ class Layouts:
         return chain, parts
 
     def _add(self, key: Key, belief: OnlineBelief, values: Values) -> _Layout:
+        """The layout of a kind of evidence, made of the first of its kind and kept."""
         plan, where = self._make(belief, values), places(values)
         locals_ = [_local(link.family, None, 1, where) for link in plan.transition]
         if plan.sensors:
@@ -315,6 +321,7 @@ def _local(
     count: int,
     where: Mapping[tuple[Variable | None, Variable], int],
 ) -> _Local:
+    """The places of a CPD's inputs in the values of a step."""
     inputs = []
     for parent in family.inputs:
         own = sensor is not None and (sensor, parent) in where

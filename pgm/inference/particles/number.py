@@ -124,6 +124,7 @@ class KLDSampling(InCode, Immutable):
             found = np.concatenate([found, draw(min(due, len(found)))])
 
     def _rows(self, model: ParticleModel) -> tuple[list[int], Array]:
+        """The rows of the components that are divided into bins, and the widths of these."""
         parts = model.parts
         labels = [part.label for part in parts]
         for name in self.widths:

@@ -16,7 +16,7 @@ from pgm.factors.scope import Scope, as_scope, listed, namesake
 from pgm.inference.argument_checks import require_gaussian
 from pgm.inference.associations import is_open
 from pgm.inference.chain.association import associated
-from pgm.inference.chain.marginals import KeptPosterior
+from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
 from pgm.inference.parts.join import joined, one_status, swept_once

@@ -75,6 +75,10 @@ class EliminationPlan:
         weights: Sequence[int],
         stages: Sequence[int],
     ) -> EliminationPlan:
+        """The plan in min-fill order, stage after stage: variables of the last stage are kept.
+
+        `families` are the variables of each table, as vertices of the graph `adjacent`.
+        """
         found = min_fill(adjacent, weights, stages)
         position = [0] * len(found)
         for k, vertex in enumerate(found):

@@ -23,7 +23,7 @@ from pgm.factors.scope import names, unknown_name
 from pgm.inference import limits
 from pgm.inference.discrete.allowed import RAISE, allows
 from pgm.inference.discrete.run import of_tree
-from pgm.inference.discrete.storage import pieces
+from pgm.inference.discrete.run_pieces import pieces
 from pgm.inference.query.elimination import NOTHING, eliminate, require_possible
 from pgm.inference.query.plan import EliminationPlan
 from pgm.inference.query.requisite import Requisite, certain
@@ -117,6 +117,7 @@ def query(
 
 
 def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
+    """The network that is asked, and the graph that was compiled of it, if one was given."""
     if isinstance(network, DynamicBayesianNetwork | DynamicGraph):
         raise GraphError(
             "query is for discrete networks, and this one is dynamic; its beliefs are "
@@ -137,6 +138,7 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
 
 
 def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -> States:
+    """The variables that are asked for, none of which may be observed in all runs."""
     several = None if is_unordered(variables) else as_tuple(variables)
     found = (variables,) if several is None else several
     for variable in found:
@@ -176,6 +178,7 @@ def _answer(
 
 
 def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
+    """The joint of some variables, (sizes..., runs or 1), by summing the others out."""
     plan.require_size()
     some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
     parts = [eliminate(plan, piece) for piece in some]
@@ -188,5 +191,6 @@ def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
 
 
 def _read(graph: ClusterGraph, evidence: BoundStates, scope: States, *, allow: bool) -> Array:
+    """The joint of some variables, (sizes..., runs or 1), from the posterior of a tree."""
     values = of_tree(graph, evidence, limits.Room.of(None, graph), allow=allow).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.arguments import public
+from pgm.io.dropped import Dropped
 from pgm.io.sources import Origin, Source
 from pgm.kernels.arrays import Array
-from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files
+from pgm.recordings.readers.matlab import matlab
 from pgm.recordings.recording import POSE, Recording
 from pgm.recordings.stream import Stream
 
@@ -56,7 +57,7 @@ def read_barfoot(path: Source) -> Recording:
     (array([0.1]), array([0.1, 0.2, 0.2]))
     """
     kind = "a recording of Barfoot's"
-    found, origin = files.matlab(path, kind, TABLES, (*VARIANCES, VALID, OFFSET))
+    found, origin = matlab(path, kind, TABLES, (*VARIANCES, VALID, OFFSET))
     places = found["l"]
     steps, marks = found["t"].size, len(places)
     for key in ("r", "b"):
