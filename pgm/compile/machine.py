@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.display import InCode, Told
@@ -27,6 +28,7 @@ from pgm.linearisers.regression import FEW
 from pgm.resources import optional
 
 
+@public
 @dataclass(frozen=True)
 class Compiled(InCode):
     """Sweeps along a chain in machine code, the runs shared by threads.

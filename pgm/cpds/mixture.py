@@ -9,6 +9,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple
 from pgm.cpds.base import CPD, Known, Values
 from pgm.cpds.conditional import ConditionalGaussian, Noise
@@ -26,6 +27,7 @@ from pgm.variables import Variable
 _ROUNDING = 1e-9
 
 
+@public
 class MixtureCPD(CPD):
     r"""A weighted sum of densities of one child: one of some CPDs holds, by chance.
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import count, islice
 
 import numpy as np
 
@@ -361,7 +362,10 @@ class Family(Rows):
         """Call the functions once with axes that give wrong indexing away, before inference."""
         if self.template is None or not self.step.size:
             return
-        axes = (2, 3)
+        # No axis is as long as a vector of components: function(x) that takes x[0] for a component
+        # of a row, or x[:, 0] for one of a table, would return the shape that is due.
+        taken = {self.cpd.child.dimension, *(v.dimension for v in self.template.given)}
+        axes = tuple(islice((k for k in count(2) if k not in taken), 2))
         known = [
             None if value is None else np.broadcast_to(value, (*axes, value.size))
             for value in self._observed

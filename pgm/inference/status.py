@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.display import InCode, Shown, Summary, few, number
-from pgm.errors import ModelError, PrecisionWarning
+from pgm.errors import ModelError, PrecisionWarning, levels_to_user
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 
 
+@public
 @dataclass(frozen=True)
 class Kind(InCode):
     r"""The kind of a chain's beliefs: each knows the measurements up to a lag after its step.
@@ -81,18 +82,6 @@ def digits(error: Array, lead: tuple[int, ...]) -> Array:
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)
     return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))
-
-
-def _levels_to_user() -> int:
-    """The number of calls up to a user's own line, for a warning to point at."""
-    frame, levels = sys._getframe(1), 1
-    while frame.f_back is not None:
-        name = frame.f_globals.get("__name__", "")
-        # contextlib and NumPy's errstate stand in decorators.
-        if not name.startswith(("pgm.", "numpy.")) and name != "contextlib":
-            break
-        frame, levels = frame.f_back, levels + 1
-    return levels
 
 
 class Status(Shown, Immutable):
@@ -187,7 +176,7 @@ class Status(Shown, Immutable):
                 "not known at all cov=np.inf in the prior of a chain, or read a repeated or "
                 "redundant measurement once"
             )
-            warnings.warn(message, PrecisionWarning, stacklevel=_levels_to_user())
+            warnings.warn(message, PrecisionWarning, stacklevel=levels_to_user())
         return self._with(digits=digits)
 
     def with_compilation(self, words: str) -> Status:

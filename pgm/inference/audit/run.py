@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
 from pgm.inference.audit.batches import estimate
@@ -21,6 +22,7 @@ from pgm.inference.posterior import Posterior
 from pgm.progress import Progress, reporting
 
 
+@public
 def audit(
     posterior: Posterior,
     *,

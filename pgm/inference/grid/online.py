@@ -12,6 +12,7 @@ from pgm.boundary import as_mapping
 from pgm.display import InCode, NoArray, Shown, Summary, titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
+from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
 from pgm.inference.associations import by_density
 from pgm.inference.grid.belief import GridBelief, scope_axes
@@ -79,7 +80,8 @@ class OnlineGridBelief(Shown, NoArray):
         lattice, template = self._lattice, require_variable(variable).template
         if template not in lattice.states or variable.step not in (None, self.step):
             raise EvidenceError(
-                f"the belief at step {self.step} is over {list(lattice.states)}, not {variable!r}",
+                f"the belief at step {self.step} is over {list(lattice.states)}, not {variable!r}"
+                f"{namesake(variable, lattice.states)}",
                 variable=variable,
                 step=self.step,
             )

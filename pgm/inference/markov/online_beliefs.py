@@ -12,6 +12,7 @@ from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors import Table
 from pgm.factors.axes import discrete
+from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
 from pgm.inference.markov.chain import TINY, BackwardChain, smallest
 from pgm.inference.markov.plan import SlicePlan, TableSlices
@@ -117,7 +118,8 @@ class OnlineStates(Shown, NoArray, Immutable):
         hidden = plan.slice if self.step else plan.states
         if template not in hidden or variable.step not in (None, self.step):
             raise EvidenceError(
-                f"the belief at step {self.step} is over {list(hidden)}, not {variable!r}",
+                f"the belief at step {self.step} is over {list(hidden)}, not {variable!r}"
+                f"{namesake(variable, hidden)}",
                 variable=variable,
                 step=self.step,
             )

@@ -350,4 +350,5 @@ class TableSlices:
             variable=variable,
             cpd=culprit,
             step=step,
+            run=run if self.lead else None,
         )

@@ -8,6 +8,7 @@ from typing import Any, Self, overload
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.compile import compile
 from pgm.compile.machine import COMPILED, GATE, Choice, as_choice
 from pgm.cpds import NonlinearGaussianCPD
@@ -61,6 +62,7 @@ _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged 
 _quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
 
+@public
 class OnlineFilter(InCode, Immutable):
     """A filter for one step at a time; immutable, and so are its beliefs.
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.display import Summary, axes
 from pgm.errors import ModelError
 from pgm.factors.scope import listed, places_of
@@ -114,6 +115,7 @@ class ParticleBelief(PointMassBelief):
         each = [self._parts[k] for k in places]
         return ParticleBelief(each, self._clouds, self._runs, self.steps)
 
+    @public
     def histogram(
         self,
         *components: str,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from pgm.inference.particles.model import ParticleModel
 
 
+@public
 class KLDSampling(InCode, Immutable):
     r"""As many particles as keep their divergence from the belief they are drawn of small.
 
@@ -151,6 +153,7 @@ class KLDSampling(InCode, Immutable):
         )
 
 
+@public
 class LikelihoodSampling(InCode, Immutable):
     r"""As many particles as explain a step's measurements together.
 

@@ -12,6 +12,7 @@ from pgm.compile import DynamicGraph, compile
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
+from pgm.factors.scope import namesake
 from pgm.inference.grid.online import PointFilter
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.chain import ParticleChain
@@ -88,7 +89,8 @@ class OnlineParticleBelief(Shown, NoArray):
         early = self.step == 0 and template in self._filter.model.controls
         if template not in places or early or variable.step not in (None, self.step):
             raise EvidenceError(
-                f"the belief at step {self.step} is over {list(places)}, not {variable!r}",
+                f"the belief at step {self.step} is over {list(places)}, not {variable!r}"
+                f"{namesake(variable, places)}",
                 variable=variable,
                 step=self.step,
             )
