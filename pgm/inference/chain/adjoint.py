@@ -30,6 +30,7 @@ from pgm.inference.chain.careful_belief import (
     diagonal,
     moments,
     rounded,
+    rounded_belief,
     through,
 )
 from pgm.inference.chain.plan import ChainPlan
@@ -108,30 +109,39 @@ class CarefulSmoothed:
     """Both passes in twice the digits.
 
     `slices` are given all measurements, or those up to a lag after each; `beliefs` their moments,
-    rounded.
+    rounded, and `proper` (T+1, runs, n, n) their covariances along all directions that are known,
+    where variances are infinite.
     """
 
     careful: Careful
     slices: list[Smooth]
     beliefs: Beliefs
     layout: SliceLayout
+    proper: Array | None = None
 
     @classmethod
     def of(cls, plan: ChainPlan, careful: Careful, lag: int | None = None) -> CarefulSmoothed:
         """The backward pass, from the last step, or to each step from a lag after it."""
         shape = careful.forward.mean.shape
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
+        proper: dict[int, Array] = {}
         last = shape[0] - 1
         lag = last if lag is None else lag
         slices = smoothed(careful, last, max(last - lag, 0))
         slices = [smoothed(careful, step + lag, step)[0] for step in range(last - lag)] + slices
         for step, each in enumerate(slices):
             known = careful.steps[min(step + lag, last)].taken
-            mean, cov = moments(each.belief, known.unknown)
-            if not np.isfinite(mean.sum()) or np.isnan(cov.sum()):
+            mean, spread = rounded_belief(each.belief, known.unknown)
+            if not np.isfinite(mean.sum() + spread.cov.sum()):
                 refusals.infinite("the smoothed belief", plan.first + step)
-            beliefs.mean[step], beliefs.cov[step] = mean, cov
-        return cls(careful, slices, beliefs, plan.layout)
+            beliefs.mean[step], beliefs.cov[step] = mean, spread.shown
+            if spread.open.any():
+                proper[step] = spread.cov
+        whole = None
+        if proper:
+            whole = beliefs.cov.copy()
+            whole[list(proper)] = list(proper.values())
+        return cls(careful, slices, beliefs, plan.layout, whole)
 
     @property
     def error(self) -> Array:
@@ -148,7 +158,7 @@ class CarefulSmoothed:
     def point(self) -> Point:
         """The moments of slices and of pairs, as a point of linearisation."""
         pairs = None if self.layout.single else self.pairs()
-        return Point(self.beliefs.mean, self.beliefs.cov, pairs)
+        return Point(self.beliefs.mean, self.beliefs.cov, pairs, self.proper)
 
     def pairs(self) -> Array:
         """The covariances of the states before each step with its slice."""
