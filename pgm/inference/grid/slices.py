@@ -20,6 +20,7 @@ from pgm.cpds.mixture import by_run
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
+from pgm.inference.grid import resolution
 from pgm.inference.grid.densities import EVEN, Uneven
 from pgm.inference.grid.dependence import Dependence
 from pgm.inference.grid.grouping import Kept, groups
@@ -38,6 +39,8 @@ from pgm.variables import Variable
 TINY = 1e-15
 # An edge with more than this was not cut: the belief ends there.
 _TAIL = 1e-13
+# So much likelier the last cells at a bound have to become to speak for what is beyond.
+_REMARKABLE = 30.0
 # Evidence that is less likely than its best by this is compared with that of all cells.
 _DOUBT = 20.0
 
@@ -85,7 +88,8 @@ class Tails:
 
     The cut part is taken to become as much likelier as the last cells within. If the model is true
     these gains are a martingale: a share of ε becomes one of 10⁻³ with a probability of 10³ε at the
-    most (Ville's inequality).
+    most (Ville's inequality). So is what left the bounds at a step, where its measurements make the
+    last cells much likelier.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -94,10 +98,14 @@ class Tails:
         self._share = np.full(ends, TINY)
         self._cells = np.zeros(ends, dtype=np.intp)
         self._open = np.zeros(ends, dtype=bool)
+        self._left = np.zeros(ends)
         self._before = self._taken = np.ones(ends)
 
-    def predicted(self, marginals: list[Array]) -> None:
-        """Look at a predicted belief, by its marginals along the axes of the lattice."""
+    def predicted(self, marginals: list[Array], left: float) -> None:
+        """Look at a predicted belief, by its marginals along the axes of the lattice.
+
+        `left` is the share of it that is beyond the bounds.
+        """
         for k, (axis, marginal) in enumerate(zip(self.lattice.axes, marginals, strict=True)):
             (used,) = np.nonzero(marginal > TINY / axis.cells * marginal.sum())
             gap = 0
@@ -109,10 +117,11 @@ class Tails:
                 self._open[k] = 0 < used.size < axis.cells
             else:
                 self._open[k] = self._cells[k, 0] > 0, self._cells[k, 1] + 1 < axis.cells
+            self._left[k] = 0.0 if axis.angle else np.where(self._open[k], 0.0, left)
         self._before = self._at(marginals)
         # Motion leads away from an end that was not cut, as a wall is.
-        left = np.minimum(self._before / np.maximum(self._taken, 1e-300), 1.0)
-        kept = np.where(self._before > _TAIL, self._share * left, self._share)
+        fallen = np.minimum(self._before / np.maximum(self._taken, 1e-300), 1.0)
+        kept = np.where(self._before > _TAIL, self._share * fallen, self._share)
         self._share = np.maximum(kept, TINY)
 
     def taken(self, marginals: list[Array]) -> float:
@@ -120,7 +129,8 @@ class Tails:
         self._taken = self._at(marginals)
         gain = self._taken / np.maximum(self._before, 1e-300)
         self._share = np.minimum(self._share * gain, 1.0)
-        return float(self._share.max(initial=0.0, where=self._open))
+        beyond = np.where(gain > _REMARKABLE, np.minimum(self._left * gain, 1.0), 0.0)
+        return max(float(self._share.max(initial=0.0, where=self._open)), float(beyond.max()))
 
     def _at(self, marginals: list[Array]) -> Array:
         return np.array(
@@ -216,6 +226,8 @@ class GridSlices:
         cut off.
     added: (axes,): the variance that the lattice has added in all steps, in cells.
     worst: The sensor, beliefs and density that the cells have served the least so far.
+    unresolved: The expected square of the error of the log-evidence, since centres stand where they
+        do; see `resolution`.
     """
 
     lead: tuple[int, ...] = ()
@@ -227,11 +239,14 @@ class GridSlices:
         self.added = np.zeros(len(self.lattice.axes))
         self.split: frozenset[int] = frozenset()
         self.worst, self._tails = Worst(), Tails(self.lattice)
+        self.unresolved = 0.0
         # By step, where something was measured: the density of no residuals, and how many numbers.
         self._ceilings: dict[int, tuple[float, int]] = {}
         # By step: the windows before and after its motion, and the weights of its measurements.
         self.windows: dict[int, tuple[Window, Window]] = {}
         self._weights: dict[int, tuple[Array | None, float]] = {}
+        # The belief that waits for the measurements of its step, in its window.
+        self._awaiting: tuple[int, Array] | None = None
 
     def prior(self) -> Array:
         """See `Slices`."""
@@ -245,14 +260,16 @@ class GridSlices:
                 f"run {self.run}: the prior has {total:.2g} of its probability inside the grid, "
                 f"{self._bounds()}; widen the bounds, or move them to where the states begin"
             )
-        self.begin(0, found)
+        self.begin(0, found, self.outside[0])
         return found
 
-    def begin(self, step: int, predicted: Array) -> None:
-        """Go on from the predicted belief of a step."""
+    def begin(self, step: int, predicted: Array, left: float) -> None:
+        """Go on from the predicted belief of a step, of which a share has left the bounds."""
         each = marginals(predicted)
-        self.windows[step] = (active(self.lattice, each)[0],) * 2
-        self._tails.predicted(each)
+        window = active(self.lattice, each)[0]
+        self.windows[step] = (window,) * 2
+        self._awaiting = step, self.lattice.cut(predicted, window)
+        self._tails.predicted(each, left)
 
     def look(self, step: int, belief: Array) -> Window:
         """The window of a step's belief, whose deviations are looked at."""
@@ -292,13 +309,15 @@ class GridSlices:
                 run=self.run,
             )
         self.windows[step] = source, made.target
+        self._awaiting = step, part
         self._tails.predicted(
             [
                 spread(each, span, axis.cells)
                 for each, span, axis in zip(
                     marginals(part), made.target, self.lattice.axes, strict=True
                 )
-            ]
+            ],
+            self.outside[step],
         )
         return self.lattice.put(part, made.target)
 
@@ -320,6 +339,10 @@ class GridSlices:
             if weights is not None:
                 self._ceilings[step] = found.ceiling, found.components
             self._note(sharpest=found.sharpest)
+            if self._awaiting is not None and self._awaiting[0] == step:
+                given = self.model.sensors, self._awaiting[1], found, target, step, self.run
+                self.unresolved += resolution.error(*given)
+                self._awaiting = None
             if self._keep is not None:
                 kept: Array | None = None
                 if weights is not None:
