@@ -246,7 +246,7 @@ class GridSlices:
         self.windows: dict[int, tuple[Window, Window]] = {}
         self._weights: dict[int, tuple[Array | None, float]] = {}
         # The belief that waits for the measurements of its step, in its window.
-        self._awaiting: tuple[int, Array] | None = None
+        self._awaiting: tuple[int, Window, Array] | None = None
 
     def prior(self) -> Array:
         """See `Slices`."""
@@ -268,7 +268,7 @@ class GridSlices:
         each = marginals(predicted)
         window = active(self.lattice, each)[0]
         self.windows[step] = (window,) * 2
-        self._awaiting = step, self.lattice.cut(predicted, window)
+        self._awaiting = step, window, self.lattice.cut(predicted, window)
         self._tails.predicted(each, left)
 
     def look(self, step: int, belief: Array) -> Window:
@@ -309,7 +309,7 @@ class GridSlices:
                 run=self.run,
             )
         self.windows[step] = source, made.target
-        self._awaiting = step, part
+        self._awaiting = step, made.target, part
         self._tails.predicted(
             [
                 spread(each, span, axis.cells)
@@ -339,10 +339,10 @@ class GridSlices:
             if weights is not None:
                 self._ceilings[step] = found.ceiling, found.components
             self._note(sharpest=found.sharpest)
-            if self._awaiting is not None and self._awaiting[0] == step:
-                given = self.model.sensors, self._awaiting[1], found, target, step, self.run
+            if self._awaiting is not None and self._awaiting[:2] == (step, target):
+                given = self.model.sensors, self._awaiting[2], found, target, step, self.run
                 self.unresolved += resolution.error(*given)
-                self._awaiting = None
+            self._awaiting = None
             if self._keep is not None:
                 kept: Array | None = None
                 if weights is not None:

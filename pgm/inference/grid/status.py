@@ -210,13 +210,12 @@ class GridStatus(Shown, Immutable):
                 "where between centres it stands (status.uneven): take narrower cells, or a "
                 "Gaussian CPD, or a mixture of such, which is moved by displacements"
             )
-        if self.coarse and not told.coarse:
+        if self.coarse and not told.coarse and not self.lost:  # which piles a belief up at its edge
             _warn(
                 "measurements are too sharp for the cells: the log-evidence may be off by "
                 f"{float(self.unresolved.max()):.2g}, in {int((self.unresolved > COARSE).sum())} "
-                f"of {self.unresolved.size} runs, and beliefs are those of the few centres that "
-                f"{self._to_blame} (status.unresolved): take narrower cells, which "
-                'refine="log_evidence" finds, particles, or a Gaussian belief'
+                f"of {self.unresolved.size} runs (status.unresolved), since {self._sharpness}: take "
+                'narrower cells, which refine="log_evidence" finds, particles, or a Gaussian belief'
             )
         if self.lost and not told.lost:
             _warn(
@@ -241,13 +240,13 @@ class GridStatus(Shown, Immutable):
             )
 
     @property
-    def _to_blame(self) -> str:
+    def _sharpness(self) -> str:
         if self.sharp is None:
             near = self.narrowest
-            return f"are left where {near.component} is known to {near.cells:.2g} cells"
+            return f"{near.component} at step {near.step} is known to {near.cells:.2g} cells"
         return (
-            f"{self.sharp!r} at step {self.sharpest.step}, {self.sharpest.cells:.2g} deviations "
-            "from a cell to the next, happens to meet"
+            f"{self.sharp!r} at step {self.sharpest.step} differs by {self.sharpest.cells:.2g} "
+            "deviations from a cell to the next"
         )
 
     @property
