@@ -28,7 +28,7 @@ from pgm.inference.grid.groups import Members
 from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.measured import MeasuredSensor, Shape, Sharpness
 from pgm.inference.grid.motion import Motion
-from pgm.inference.grid.sensors import DensitySensor, GridSensor, likelihood
+from pgm.inference.grid.sensors import DensitySensor, GridSensor, Weights, likelihood
 from pgm.inference.options import require_density
 from pgm.kernels.arrays import Array
 from pgm.kernels.lattice import Span
@@ -339,16 +339,23 @@ class GridSlices:
             if weights is not None:
                 self._ceilings[step] = found.ceiling, found.components
             self._note(sharpest=found.sharpest)
-            if self._awaiting is not None and self._awaiting[:2] == (step, target):
-                given = self.model.sensors, self._awaiting[2], found, target, step, self.run
-                self.unresolved += resolution.error(*given)
-            self._awaiting = None
+            self._resolve(step, found, target)
             if self._keep is not None:
                 kept: Array | None = None
                 if weights is not None:
                     kept = weights.astype(self._keep, copy=False)
                 self._weights[step] = kept, scale
         return None if weights is None else self.lattice.put(weights, target), scale
+
+    def _resolve(self, step: int, found: Weights, window: Window) -> None:
+        """Add the error of a step's evidence, once, on the way there."""
+        waiting, self._awaiting = self._awaiting, None
+        if waiting is None or self.unresolved >= resolution.ENOUGH**2:
+            return
+        awaited, own, predicted = waiting
+        if (awaited, own) == (step, window):
+            given = self.model.sensors, predicted, found, window, step, self.run
+            self.unresolved += resolution.error(*given)
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
         """See `Slices`."""

@@ -71,8 +71,9 @@ class GridStatus(Shown, Immutable):
         the component, where a displacement has a variance of less than f(1 − f)h².
     unresolved : ndarray
         (*runs): the expected error of the log-evidence, in nats, for want of narrower cells: sums
-        over centres change by so much with where between centres the measurements stand. Above
-        .2 a `GridWarning` has said so. Beliefs are then no better than a cell.
+        over centres change by so much with where between centres the measurements stand. Beyond
+        ten it is not counted on. Above .2 a `GridWarning` has said so; beliefs are then no better
+        than a cell.
     sharpest : Sharpness
         The sensor whose measurement differs by the most deviations from one cell to the next, where
         it is the likeliest. Above two it is sharper than half a cell, and the density at centres
@@ -214,8 +215,9 @@ class GridStatus(Shown, Immutable):
             _warn(
                 "measurements are too sharp for the cells: the log-evidence may be off by "
                 f"{float(self.unresolved.max()):.2g}, in {int((self.unresolved > COARSE).sum())} "
-                f"of {self.unresolved.size} runs (status.unresolved), since {self._sharpness}: take "
-                'narrower cells, which refine="log_evidence" finds, particles, or a Gaussian belief'
+                f"of {self.unresolved.size} runs (status.unresolved), since {self._sharpness}; "
+                'take narrower cells, which refine="log_evidence" finds, particles, or a Gaussian '
+                "belief"
             )
         if self.lost and not told.lost:
             _warn(
