@@ -1,5 +1,6 @@
 """pgm: cluster-graph inference for (dynamic) Bayesian networks."""
 
+from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,7 @@ from pgm.cpds import (
     noise,
     shifts,
 )
+from pgm.display.notebook import hand_in as _hand_in
 from pgm.errors import (
     ArrayError,
     EvidenceError,
@@ -148,6 +150,23 @@ _LATER = {
     "pgm.recordings.recording": ("Recording",),
     "pgm.viewer": ("view",),
 }
+
+
+def _pictures() -> Callable[[Any], str]:
+    from pgm.plot.diagrams.notebook import svg
+
+    return svg
+
+
+def _pages() -> Callable[[Any], str]:
+    from pgm.viewer import html
+
+    return html
+
+
+# Networks and posteriors are shown by modules of layers above theirs, loaded when a notebook asks.
+_hand_in(pictures=_pictures, pages=_pages)
+
 
 if not TYPE_CHECKING:  # to type checkers it would say that every name exists
 

@@ -19,8 +19,8 @@ from pgm.evidence import Evidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import as_scope, labels, listed
 from pgm.inference import Filtering, FixedLag, Grid, Kind, Smoothing, infer
+from pgm.inference.argument_checks import require_lineariser
 from pgm.inference.chain.run import bind_chain
-from pgm.inference.options import require_lineariser
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Cubature, Lineariser, Taylor, Unscented
 from pgm.networks import DynamicBayesianNetwork

@@ -12,8 +12,9 @@ from pgm.errors import ModelError, NumericalError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
 from pgm.inference import GridBelief, Innovations, ParticleBelief
-from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, Mask, block, difference, independent, inner
+from pgm.kernels import roots, solving
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner
 
 
 def check_gaussian(belief: Any) -> Gaussian:
@@ -234,7 +235,7 @@ def nees_and_dof(
     faulty = ~(np.diagonal(lower, axis1=-2, axis2=-1) > 0.0)
     if faulty.any():
         raise _no_scale(belief, [labels(belief.scope)[k] for k in chosen], faulty)
-    white = roots.whiten(lower, np.where(known, errors, 0.0))
+    white = solving.whiten(lower, np.where(known, errors, 0.0))
     dof = known.sum(axis=-1)
     return np.where(dof > 0, inner(white, white), np.nan), dof
 

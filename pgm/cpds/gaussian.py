@@ -361,6 +361,11 @@ class NonlinearGaussianCPD(ConditionalGaussian):
         # What is traced and compiled for one graph serves the next.
         return {}
 
+    def _renew(self) -> None:
+        """Have the function, and its derivatives, traced anew when they are next asked for."""
+        for tracer in (self._tracer, *(each.whole for each in self._templates.values())):
+            tracer.renew()
+
     def _new_template(self, hidden: Scope) -> FunctionTemplate:
         return FunctionTemplate(
             child=self.child,

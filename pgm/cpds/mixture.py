@@ -17,7 +17,7 @@ from pgm.display import Listing, few, number
 from pgm.errors import ModelError
 from pgm.factors.arrays import Shape, clash, unflat
 from pgm.factors.scope import Scope
-from pgm.kernels import roots
+from pgm.kernels import mahalanobis, roots
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.tables import log_sum
 from pgm.variables import Variable
@@ -271,7 +271,7 @@ class UnidentifiedCPD(CPD):
         seen = ~np.isnan(child)
         middle = np.where(seen, unflat(mean, known.lead, 1), np.nan)
         square = 2.0 * (self.sensor._log_density(middle, known) - density)
-        limit = roots.square_within(gate, np.maximum(seen.sum(axis=-1), 1))
+        limit = mahalanobis.square_within(gate, np.maximum(seen.sum(axis=-1), 1))
         return np.where(square > limit, -np.inf, density)
 
     def __repr__(self) -> str:

@@ -334,9 +334,12 @@ def _refuse(variable: Discrete, column: Column, bad: Mask) -> None:
         if column.categories is not None:
             cell = column.categories[cell]
         shown = cell.item() if isinstance(cell, np.generic) else cell
+        hint = ""
+        if not isinstance(shown, str) and str(shown) in variable.states:
+            hint = "; states are texts, of which the column has some by column.astype(str)"
         raise EvidenceError(
             f"column {variable!r} has {shown!r} in record {first}, which is none of the states "
             f"({listed(variable.states)}), 0 to {variable.size - 1}, nor missing (None, NaN, −1 or "
-            "an empty text)",
+            f"an empty text){hint}",
             variable=variable,
         )

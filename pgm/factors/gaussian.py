@@ -44,8 +44,9 @@ from pgm.factors.scope import (
     positions,
 )
 from pgm.immutable import Immutable, unlocked
-from pgm.kernels import moments, roots
-from pgm.kernels.arrays import Array, Integers, block, deviation, difference, frozen, wrap
+from pgm.kernels import moments, normal_density, roots
+from pgm.kernels.angles import difference, wrap
+from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
 from pgm.resources import require_memory
 from pgm.variables import Variable
 
@@ -322,7 +323,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         if not roots.is_proper(lower):
             raise NumericalError(f"Gaussian over {names(self.scope)}: no draws, since {IMPROPER}")
         white = as_generator(rng).standard_normal((*shape, *self.mean.shape))
-        return roots.draw(self.mean, lower, white)
+        return normal_density.draw(self.mean, lower, white)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
         """The log-density at values (..., n), in nats, (...); differences of angles are wrapped.

@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING, TypedDict, Unpack, overload
 from pgm.compile import Balanced, compile
 from pgm.compile.machine import Choice
 from pgm.evidence import Evidence
+from pgm.inference.argument_checks import require_lineariser
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.damping import Damping
 from pgm.inference.engine import PointMasses, TemporalPosterior, runner
+from pgm.inference.gates import Gate
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.value import Grid
-from pgm.inference.options import Damping, Gate, Start, require_lineariser
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import Filtering, FixedLag, Smoothing
+from pgm.inference.starting_points import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.progress import Progress, reporting

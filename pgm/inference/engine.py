@@ -12,25 +12,26 @@ from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import BoundEvidence, Evidence
 from pgm.inference import discrete, gaussian
+from pgm.inference.argument_checks import require_lineariser
 from pgm.inference.associations import by_density
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.posterior import GridPosterior
-from pgm.inference.grid.posterior import run as run_grid
+from pgm.inference.grid.run import run as run_grid
 from pgm.inference.grid.value import Grid
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.markov.run import run as run_tables
-from pgm.inference.options import Start, require_lineariser
 from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.posterior import ParticlePosterior
-from pgm.inference.particles.posterior import run as run_particles
+from pgm.inference.particles.run import run as run_particles
 from pgm.inference.particles.value import Particles
 from pgm.inference.parts.run import Keep
 from pgm.inference.parts.run import run as run_moments
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import ONCE, Filtering, FixedLag, Loopy, Schedule, Smoothing
+from pgm.inference.starting_points import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.progress import Progress, reporting

@@ -14,6 +14,7 @@ from pgm.cpds import AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, dimension
 from pgm.inference.rows import At, Rows, failure, own_noise, require_finite
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -22,7 +23,6 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     cut,
-    nearest_branch,
     quiet,
     times,
     vacant,
@@ -38,6 +38,7 @@ from pgm.linearisers import (
 )
 from pgm.linearisers.function import Source
 from pgm.linearisers.lineariser import Misfit, Prepared, needs_cov, prepare
+from pgm.tracing import Answers, Judge, Tracer
 from pgm.variables import Variable
 
 Some = int | slice
@@ -48,11 +49,14 @@ class Family(Rows):
     """A CPD at its rows, and its linearisation there.
 
     `noise` (rows, runs, d, d) is the CPD's own and the lineariser's error; an array of its own
-    where it is `approximate`.
+    where it is `approximate`. The `judge` of a call looks at the answers of traces when it is done;
+    `compiled` are those of the trace in machine code, which has the given derivatives, too.
     """
 
     noise: Array = field(init=False, repr=False)
     approximate: bool = False
+    judge: Judge | None = field(default=None, repr=False)
+    compiled: Answers | None = field(default=None, repr=False)
 
     @classmethod
     def make(
@@ -368,17 +372,41 @@ class Family(Rows):
             if len(self.template.missing) < self.template.size:
                 function.jacobian(x)
 
-    def confirm(self, means: Mapping[Variable, Array]) -> None:
-        """Compare the function with its trace, about the means and its first evidence."""
+    def trace(self, means: Mapping[Variable, Array], judge: Judge | None) -> None:
+        """Have the function traced about the means and its first evidence, unless it is already.
+
+        The answers are judged after the call; or each is compared with the function at once.
+        """
         template = self.template
-        if template is None or template.tracer is None or not template.missing:
+        if template is None:
             return
-        template.tracer.confirm(
-            [
+        self.judge = judge
+        if judge is not None and not judge.trusting:
+            self.template = replace(template, tracer=None)
+        elif template.tracer is not None and template.missing:
+            centres = [
                 means.get(parent.template, np.zeros(parent.dimension)) if value is None else value
                 for parent, value in zip(template.given, self._observed, strict=True)
             ]
-        )
+            if judge is None:
+                template.tracer.confirm(centres)
+            else:
+                self.answers = self._asked(judge, template.tracer, centres)
+
+    def trace_whole(self) -> Answers | str:
+        """The answers in machine code of function and given derivatives, or why there are none."""
+        assert self.template is not None
+        if self.judge is None or self.template.tracer is None:
+            return "its trace has been given up for this call"
+        tracer = self.template.whole
+        self.compiled = self._asked(self.judge, tracer, list(map(np.zeros, tracer.widths)))
+        return self.compiled or str(tracer.reason)
+
+    def _asked(self, judge: Judge, tracer: Tracer, centres: list[Array]) -> Answers | None:
+        template, count = self.template, math.prod(self.noise.shape[:2])
+        assert template is not None
+        columns, places = template.missing_columns, template.missing
+        return judge.asked(tracer, centres, columns, places, template.variances, count)
 
     @property
     def _observed(self) -> list[Array | None]:

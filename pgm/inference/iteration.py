@@ -7,7 +7,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 
-from pgm.inference.options import LevenbergMarquardt
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.schedule import Filtering, Smoothing
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Index, Mask, block

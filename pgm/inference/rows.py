@@ -18,6 +18,7 @@ from pgm.kernels.arrays import Array, Integers, block_diagonal
 from pgm.linearisers import ArrayLineariser, BoundFunction, FunctionTemplate, Line, Lineariser
 from pgm.linearisers.function import Source
 from pgm.linearisers.lineariser import Misfit
+from pgm.tracing import Answers
 from pgm.variables import Variable
 
 
@@ -53,7 +54,7 @@ class Rows:
     time; `inputs` (rows, runs or 1, d) are the values of the other parents; `template` is None of
     an affine CPD, whose F (d, n) and b (rows or 1, runs or 1, d) are `affine`; `own_noise` is (rows
     or 1, runs or 1, d, d); `first_run` is for messages; `batch` are the axes of runs in `at`, none
-    of one run.
+    of one run. `answers` are those of the function's trace, where somebody judges them.
     """
 
     cpd: ConditionalGaussian
@@ -67,6 +68,7 @@ class Rows:
     first_run: int
     batch: tuple[int, ...]
     affine: tuple[Array, Array] = field(init=False, repr=False)
+    answers: Answers | None = field(default=None, repr=False)
 
     @property
     def exact(self) -> bool:
@@ -92,12 +94,7 @@ class Rows:
     @cached_property
     def source(self) -> Source:
         """Whose function it is, for messages."""
-        return Source(self.cpd, self.timed, self.first_run)
-
-    @cached_property
-    def _live(self) -> Source:
-        """The same, of calls between which the caller's program goes on."""
-        return self.source._replace(live=True)
+        return Source(self.cpd, self.timed, self.first_run, self.answers)
 
     def at(self, first: int, last: int) -> At:
         """Some rows, a step's, to be linearised as one."""
@@ -136,7 +133,9 @@ class Rows:
             return At(None, np.tile(matrix, (count, 1)), offset, noise, 0, count)
         arguments = [None if place is None else inputs[place] for place in self.order]
         group = None if count == 1 else count
-        function = BoundFunction(self.template, arguments, 0, step, group, self.grouped, self._live)
+        function = BoundFunction(
+            self.template, arguments, 0, step, group, self.grouped, self.source
+        )
         return At(function, None, None, noise, 0, count)
 
     def _wide(self, inputs: Sequence[Array], count: int) -> dict[Variable, Array]:

@@ -7,14 +7,9 @@ from dataclasses import dataclass
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
-from pgm.inference.options import (
-    Damping,
-    Gate,
-    as_gate,
-    require_count,
-    require_damping,
-    require_tolerance,
-)
+from pgm.inference.argument_checks import require_count, require_tolerance
+from pgm.inference.damping import Damping, require_damping
+from pgm.inference.gates import Gate, as_gate
 from pgm.inference.status import FILTERED, SMOOTHED, Kind
 
 

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from pgm.kernels import moments, roots
+from pgm.kernels import moments, roots, solving
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -74,7 +74,7 @@ def compose(first: Element, then: Element) -> Element:
     white, upper = _meet(first.cov, then.K)
     reach = multiply(multiply(white, then.K), first.F)
     kept = first.F - multiply(transpose(white), reach)
-    gained = roots.solve_upper(upper, reach)
+    gained = solving.solve_upper(upper, reach)
     rest = then.h - apply(then.K, first.b)
     shift = apply(white, rest)
     spread = multiply(white, transpose(then.F))
@@ -96,7 +96,7 @@ def _meet(cov: Array, precision: Array) -> tuple[Array, Array]:
     lower = roots.root(cov)
     back = transpose(lower)
     upper = roots.root(multiply(multiply(back, precision), lower) + np.eye(cov.shape[-1]))
-    return roots.solve_lower(upper, back), upper
+    return solving.solve_lower(upper, back), upper
 
 
 def _gram(a: Array) -> Array:
@@ -106,7 +106,7 @@ def _gram(a: Array) -> Array:
 def _log_weight(mean: Array, h: Array, rest: Array, white: Array, upper: Array) -> Array:
     """The log-integral of N(x; m, L Lᵀ) exp(−½ xᵀK x + hᵀx), for rest h − K m, and white X rest."""
     level = 0.5 * (inner(h + rest, mean) + inner(white, white))
-    return level - 0.5 * roots.log_determinant(upper)
+    return level - 0.5 * solving.log_determinant(upper)
 
 
 def push(belief: Belief, element: Element) -> Belief:
@@ -134,7 +134,7 @@ class Known(NamedTuple):
     @property
     def moved(self) -> Array:
         """By how much the mean has moved, in units of P: of squared length dᵀP⁺d, (..., n)."""
-        return roots.solve_upper(self.U, self.white[..., None])[..., 0]
+        return solving.solve_upper(self.U, self.white[..., None])[..., 0]
 
 
 def condition(belief: Belief, likelihood: Likelihood) -> Known:

@@ -9,22 +9,26 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Mask, apply, transpose, wrap
+from pgm.kernels.angles import wrap
+from pgm.kernels.arrays import Array, Mask, apply, transpose
 
 
-def steps(x: Array, std: Array) -> Array:
-    """The steps of `jacobian`."""
-    found: Array = np.maximum(np.maximum(1e-2 * std, 1e-4), 1e-9 * np.abs(x))
+def steps(x: Array, std: Array, finer: float = 1.0) -> Array:
+    """The steps of `jacobian`: max(finer max(10⁻² std, 10⁻⁴), 10⁻⁹ |x|)."""
+    found: Array = np.maximum(finer * np.maximum(1e-2 * std, 1e-4), 1e-9 * np.abs(x))
     return found
 
 
-def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: Mask) -> Array:
+def jacobian(
+    function: Callable[[Array], Array], x: Array, std: Array, angles: Mask, finer: float = 1.0
+) -> Array:
     """The Jacobian of a vectorised function at x, (..., n) to (..., d, n), in one call.
 
-    Steps are max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|); differences of angles are wrapped.
+    It is that of fourth-order central differences, with the steps of `steps`; differences of angles
+    are wrapped.
     """
     lead, size = x.shape[:-1], x.shape[-1]
-    step = (x + steps(x, std)) - x  # the step that is taken in floating point
+    step = (x + steps(x, std, finer)) - x  # the step that is taken in floating point
     values = function(x[..., None, :] + _stencil(size) * step[..., None, :])
     each = values.reshape(*lead, size, 4, -1)
     near, far = each[..., 0, :] - each[..., 1, :], each[..., 2, :] - each[..., 3, :]

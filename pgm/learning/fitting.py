@@ -12,7 +12,7 @@ from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError, PgmError
 from pgm.evidence import Evidence
 from pgm.inference import Smoothing
-from pgm.inference.options import require_lineariser
+from pgm.inference.argument_checks import require_lineariser
 from pgm.kernels.arrays import Array
 from pgm.learning.model import Expected, Learner, Point
 from pgm.learning.values import Fit, FitStatus, Learn

@@ -11,7 +11,8 @@ from typing import NoReturn
 import numpy as np
 
 from pgm.errors import LinearisationError, NumericalError
-from pgm.kernels import gaussian, roots
+from pgm.kernels import gaussian, roots, solving
+from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -20,7 +21,6 @@ from pgm.kernels.arrays import (
     deviation,
     times_transposed,
     transpose,
-    wrap,
 )
 from pgm.kernels.slopes import range_inverse, regress
 from pgm.linearisers.function import BoundFunction
@@ -334,7 +334,7 @@ def _divide(slope: Array, lower: Array, function: BoundFunction, mean: Array, co
     """F with F L = J; in the null directions of L, measured in its own units, the Jacobian."""
     fixed = roots.determined(lower)
     if not fixed.any():
-        return transpose(roots.solve_upper(lower, transpose(slope)))
+        return transpose(solving.solve_upper(lower, transpose(slope)))
     std = deviation(cov)
     inverse, null = range_inverse(lower, std)
     return slope @ inverse + function.jacobian(mean, std) @ null

@@ -11,7 +11,8 @@ from pgm.cpds import CPD
 from pgm.cpds.base import Known, Values
 from pgm.errors import ModelError
 from pgm.kernels import rigid
-from pgm.kernels.arrays import TURN, Array, Integers, Mask
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 if TYPE_CHECKING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Hashable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -14,13 +15,13 @@ from pgm.display import TITLE, Listing, NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
+from pgm.io.dropped import Dropped
 from pgm.io.poses import Poses
 from pgm.io.stamped import SAME
 from pgm.io.timeline import Timeline, joined
-from pgm.kernels import rigid
+from pgm.kernels import twists
 from pgm.kernels.arrays import Array
 from pgm.recordings import checks, handing, mending, motion, reference, summaries
-from pgm.recordings.mending import Dropped
 from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
 from pgm.variables import Variable
@@ -116,6 +117,7 @@ class Recording(Shown, NoArray, Immutable):
     ) -> None:
         told = list(dropped)
         if isinstance(truth, Poses):
+            told += [dataclasses.replace(each, stream="truth") for each in truth.dropped]
             truth = Stream(truth.times, truth.planar, POSE)
         streams: dict[str, Stream | None] = {}
         for key, given, mend in (
@@ -259,7 +261,7 @@ class Recording(Shown, NoArray, Immutable):
         pose = as_floats(start, "start=", EvidenceError)
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise EvidenceError(f"start= is (east, north, heading), not {start!r}")
-        return Stream(axis, rigid.path(pose, spans.between(axis)), POSE)
+        return Stream(axis, twists.path(pose, spans.between(axis)), POSE)
 
     def truth_at(self, times: npt.ArrayLike, *, longest: float | None = None) -> Stream:
         """The truth at given times (m,), between its own on a line; headings are not wrapped.
@@ -307,6 +309,7 @@ class Recording(Shown, NoArray, Immutable):
         velocities: Variable | None = None,
         sensors: Mapping[Variable, str] | None = None,
         landmark: Variable | None = None,
+        variances: Mapping[Variable, Variable] | None = None,
         tolerance: float | None = None,
     ) -> Timeline:
         """Evidence of a network: the streams handed to `pgm.timeline` under its variables.
@@ -325,6 +328,10 @@ class Recording(Shown, NoArray, Immutable):
         landmark : Variable, optional
             The observed parent of the sensors whose rows have subjects: the place of each, which
             they must have (`located`).
+        variances : mapping of Variable to Variable, optional
+            Of sensors, the observed parent that the variances of each reading are evidence of,
+            whose components are called like the sensor's: with ``variances={z: r}`` and
+            ``cov=pgm.noise(lambda r: r, given=r, diagonal=True)`` a reading is as sure as its row.
         tolerance : float, optional
             As of `pgm.timeline`.
 
@@ -332,6 +339,7 @@ class Recording(Shown, NoArray, Immutable):
         named = as_mapping(sensors, "sensors=")
         for variable in named:
             handing.require_variable(variable, "sensors=")
+        spread = handing.require_variances(variances, named)
         if times is None:
             axis = self.stamps(*named.values(), tolerance=tolerance or 0.0)
         else:
@@ -343,6 +351,7 @@ class Recording(Shown, NoArray, Immutable):
             velocities=velocities,
             sensors=named,
             landmark=landmark,
+            variances=spread,
             tolerance=tolerance,
         )
 

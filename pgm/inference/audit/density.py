@@ -14,18 +14,9 @@ from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
 from pgm.inference.audit.draws import Afresh, log_ratio, stretch
 from pgm.inference.family import Family
-from pgm.kernels import roots
-from pgm.kernels.arrays import (
-    LOG_2PI,
-    Array,
-    Integers,
-    Mask,
-    difference,
-    independent,
-    inner,
-    nearest_branch,
-    transpose,
-)
+from pgm.kernels import normal_density, roots, solving
+from pgm.kernels.angles import difference, nearest_branch
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, independent, inner, transpose
 
 Stack = TypeVar("Stack", Array, Mask)
 
@@ -102,7 +93,7 @@ class Term:
         if afresh is not None:
             proposed = self._redrawn(value, own, proposed, afresh)
         white = self._white(row, proposed - value)
-        log_density = roots.log_density(own, white)
+        log_density = normal_density.log_density(own, white)
         free = self.free()
         if not free.all():
             implied = value + white @ transpose(own)
@@ -140,7 +131,9 @@ class Term:
         if self.family.cpd.noise is not None:
             log_density = self._robust(self.family.cpd.noise, rows, residual)
         else:
-            log_density = roots.log_density(_at(self.own, rows), self._white(rows, residual))
+            log_density = normal_density.log_density(
+                _at(self.own, rows), self._white(rows, residual)
+            )
             log_density = self._relative(rows, parents, moved[..., None, :], log_density)
         if self.taken is not None and not self.relative and self.family.cpd.noise is None:
             missing = (~self.taken[rows]).sum(axis=-1)
@@ -156,18 +149,18 @@ class Term:
             count = self.taken[rows].sum(axis=-1)[..., None]
         white = self._white(rows, residual)
         found: Array = noise.log_scale(count) - noise.loss(inner(white, white), count)
-        return found - 0.5 * roots.log_determinant(_at(self.own, rows))[..., None]
+        return found - 0.5 * solving.log_determinant(_at(self.own, rows))[..., None]
 
     def _white(self, rows: int | slice, residual: Array) -> Array:
         """White residuals (..., S, d) of the CPD's own noise, zero where determined."""
         if self._inverse is None:
-            return roots.whitened(_at(self.own, rows), residual)[0]
+            return normal_density.whitened(_at(self.own, rows), residual)[0]
         white: Array = residual @ transpose(_at(self._inverse, rows))
         return white
 
     @cached_property
     def _inverse(self) -> Array | None:
-        return roots.whitener(self.own)
+        return normal_density.whitener(self.own)
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
         """Residuals (..., S, d), zero in components that were not read."""
@@ -261,4 +254,4 @@ def _at(stacked: Stack, rows: int | slice) -> Stack:
 
 
 def _log_density(lower: Array, residual: Array) -> Array:
-    return roots.log_density(lower, roots.whitened(lower, residual)[0])
+    return normal_density.log_density(lower, normal_density.whitened(lower, residual)[0])

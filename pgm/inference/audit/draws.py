@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.kernels import moments, roots
+from pgm.kernels import moments, normal_density, roots, solving
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 from pgm.kernels.moments import Conditional
 
@@ -67,19 +67,19 @@ class Proposal:
         """The white noise (runs, S, n) of draws."""
         off = values - self._mean(row, given)
         if self._inverse is None:
-            return roots.whitened(self.lower[row], off)[0]
+            return normal_density.whitened(self.lower[row], off)[0]
         white: Array = off @ transpose(self._inverse[row])
         return white
 
     @cached_property
     def _inverse(self) -> Array | None:
-        return roots.whitener(self.lower)
+        return normal_density.whitener(self.lower)
 
     @cached_property
     def _constants(self) -> tuple[Integers, Array]:
         """The number of free components, and the constant of the Gaussian's log-density."""
         size = (~self._fixed).sum(axis=-1)
-        return size, -0.5 * (roots.log_determinant(self.lower) + size * LOG_2PI)
+        return size, -0.5 * (solving.log_determinant(self.lower) + size * LOG_2PI)
 
     def log_density(self, row: int, squared: Array) -> Array:
         """The log-density (runs, S) of draws by the Gaussian, at their |s|²."""

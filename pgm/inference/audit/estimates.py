@@ -10,17 +10,9 @@ import numpy as np
 from pgm.errors import NumericalError
 from pgm.factors import Gaussian
 from pgm.inference.audit.draws import Draws
-from pgm.kernels import roots
-from pgm.kernels.arrays import (
-    Array,
-    Index,
-    Integers,
-    Mask,
-    difference,
-    frozen,
-    symmetric,
-    transpose,
-)
+from pgm.kernels import roots, solving
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Index, Integers, Mask, frozen, symmetric, transpose
 from pgm.variables import Variable
 
 # Weights that differ by no more than this part are equal but for rounding, and have no tail.
@@ -333,8 +325,8 @@ def _moments(offsets: Array, squares: Array) -> tuple[Array, Array]:
 def _from_gaussian(lower: Array, offset: Array, cov: Array) -> Array:
     """KL of Gaussians by the second one's root; infinite where the first has no covariance."""
     fixed = roots.determined(lower)
-    white = roots.whiten(lower, offset)
-    inner = roots.solve_lower(lower, transpose(roots.solve_lower(lower, cov)))
+    white = solving.whiten(lower, offset)
+    inner = solving.solve_lower(lower, transpose(solving.solve_lower(lower, cov)))
     alone = fixed[..., :, None] | fixed[..., None, :]
     inner = np.where(alone, fixed[..., None] * np.eye(fixed.shape[-1]), symmetric(inner))
     values = np.linalg.eigvalsh(inner)

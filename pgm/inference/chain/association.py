@@ -27,7 +27,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.vector import vector
 from pgm.inference.schedule import ONCE, Filtering
-from pgm.kernels import roots
+from pgm.kernels import mahalanobis, roots, solving
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
 from pgm.kernels.tables import log_sum
 from pgm.linearisers import Lineariser
@@ -137,7 +137,7 @@ class _Pending:
         square, count = pairs.square, pairs.size
         terms = pairs.density + unknown.log_shares[:-2]
         if unknown.gate is not None:
-            limit = roots.square_within(unknown.gate, np.maximum(count, 1))
+            limit = mahalanobis.square_within(unknown.gate, np.maximum(count, 1))
             terms = np.where(square > limit, -np.inf, terms)
         others = np.broadcast_to(unknown.log_outliers, (len(rows), runs, 2))
         terms = np.concatenate([terms, others], axis=-1)
@@ -294,11 +294,11 @@ def _innovations(
             step=step,
         )
     left = residual.reshape(height, -1).T
-    white = roots.whiten(lower, left)
+    white = solving.whiten(lower, left)
     square = np.einsum("bi,bi->b", white, white)
     count = reading.taken[0].sum(axis=-1)
     # A missing component is one of unit variance without a residual.
-    density = -0.5 * (square + roots.log_determinant(lower) + count * LOG_2PI)
+    density = -0.5 * (square + solving.log_determinant(lower) + count * LOG_2PI)
     shape = rows, bound.runs, -1
     return _Pairs(
         density.reshape(shape),

@@ -14,7 +14,7 @@ import numpy as np
 from pgm.inference import sweep as loops
 from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.plan import ChainPlan
-from pgm.kernels import moments, roots
+from pgm.kernels import moments, roots, solving
 from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich, symmetric, transpose
 from pgm.kernels.elements import (
     Moments,
@@ -180,7 +180,7 @@ def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
     size, front = layout.slice_size, layout.state_size
     gain = np.zeros((*forward.mean.shape[:-1], size, front))
     gain[..., states, :] = np.eye(front)
-    gain[..., controls, :] = roots.gain(block(forward.cov, controls, states), lower, known)
+    gain[..., controls, :] = solving.gain(block(forward.cov, controls, states), lower, known)
     rest = np.eye(size) - gain @ np.eye(size)[states]
     offset = forward.mean - apply(gain, forward.mean[..., states])
     return Conditional(gain, offset, symmetric(sandwich(rest, forward.cov)))

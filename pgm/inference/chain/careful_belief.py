@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pgm.inference.chain.diffuse import Diffuse
 from pgm.inference.chain.vector import Measured
-from pgm.kernels import extended, roots
+from pgm.kernels import extended, semidefinite
 from pgm.kernels.arrays import (
     Array,
     Kind,
@@ -247,7 +247,7 @@ def rounded_belief(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
     slope = belief.columns.hi[..., 1:]
     found, size = slope @ unknown.open, np.abs(slope) @ np.abs(unknown.open)
     open_ = np.where(np.abs(found) > NEGLIGIBLE * size, found, 0.0)
-    return mean, Diffuse(roots.semidefinite(cov.hi, 1.0 / CLEAR), open_, size)
+    return mean, Diffuse(semidefinite.semidefinite(cov.hi, 1.0 / CLEAR), open_, size)
 
 
 class Component(NamedTuple):

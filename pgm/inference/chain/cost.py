@@ -16,11 +16,12 @@ from pgm.errors import ModelError, NumericalError
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.sensor import Sensor
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.family import Family
 from pgm.inference.iteration import Point
-from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Filtering, Smoothing
-from pgm.kernels import roots
+from pgm.kernels import roots, solving, tridiagonal
+from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -28,12 +29,11 @@ from pgm.kernels.arrays import (
     apply,
     block,
     components_last,
-    difference,
     inner,
     multiply,
     transpose,
 )
-from pgm.kernels.roots import Tridiagonal
+from pgm.kernels.tridiagonal import Tridiagonal
 
 # A relation that is missed by no more than this part of the numbers in it is obeyed.
 OBEYED = 1e-10
@@ -145,7 +145,7 @@ def _squares(residual: Array, cov: Array) -> Array | None:
     lower = roots.root(cov)
     if not roots.is_proper(lower):
         return None
-    white = roots.whiten(lower, residual)
+    white = solving.whiten(lower, residual)
     total: Array = inner(white, white).sum(axis=0)
     return total
 
@@ -214,7 +214,9 @@ def projected(plan: ChainPlan, mean: Array, std: Array) -> tuple[Array, Mask]:
             break
         # Each pass moves along the relations alone, and leaves less to the next: what is hard to
         # see in these units needs the great weights, which would cost digits where all is seen.
-        nearer = mean + unit * roots.solve_tridiagonal(_equations(relations, mean, unit, weight))
+        nearer = mean + unit * tridiagonal.solve_tridiagonal(
+            _equations(relations, mean, unit, weight)
+        )
         mean = np.where(obeyed[:, None], mean, nearer)
         obeyed = obeyed | _obeyed(relations, mean)
     return mean, obeyed
@@ -285,7 +287,7 @@ def _left_open(family: Family, noise: Array) -> Array | None:
     if not family.exact or not fixed.any():
         return None
     eye = np.eye(lower.shape[-1])
-    explained = np.where(fixed[..., None], 0.0, roots.solve_lower(lower, eye + 0.0 * lower))
+    explained = np.where(fixed[..., None], 0.0, solving.solve_lower(lower, eye + 0.0 * lower))
     return np.where(fixed[..., None], eye - multiply(lower, explained), 0.0)
 
 

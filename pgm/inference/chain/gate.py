@@ -23,8 +23,8 @@ from pgm.inference.chain.readings import Reading
 from pgm.inference.chain.sensor import GateRecord
 from pgm.inference.chain.vector import Measured
 from pgm.inference.chain.weights import by_sighting, own_blocks
-from pgm.inference.options import gate_of
-from pgm.kernels import roots
+from pgm.inference.gates import gate_of
+from pgm.kernels import mahalanobis
 from pgm.kernels.arrays import Array, Integers, Mask, independent, within
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -181,10 +181,10 @@ def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array,
     residual = np.broadcast_to(seen.residual(mean), (count * height, *batch))
     residual = residual.reshape(count, height, *batch)
     if taken is None:
-        return roots.squares(residual, spread), np.full((count, *batch), height)
+        return mahalanobis.squares(residual, spread), np.full((count, *batch), height)
     both = taken[:, :, None] & taken[:, None]
     eye = np.eye(height).reshape(1, height, height, *(1 for _ in batch))
-    square = roots.squares(np.where(taken, residual, 0.0), np.where(both, spread, eye))
+    square = mahalanobis.squares(np.where(taken, residual, 0.0), np.where(both, spread, eye))
     return square, np.broadcast_to(taken.sum(axis=1), (count, *batch))
 
 
@@ -205,7 +205,9 @@ def _diffuse_squares(seen: Measured, mean: Array, belief: Diffuse) -> tuple[Arra
         residual, noise = np.where(taken, residual, 0.0), independent(noise, taken)
         number = taken.sum(axis=-1)
     residual, spread, unknown = belief.of(sensor.parents).innovations(matrix, residual, noise)
-    square = roots.squares(np.moveaxis(residual, -1, 1), np.moveaxis(spread, (-2, -1), (1, 2)))
+    square = mahalanobis.squares(
+        np.moveaxis(residual, -1, 1), np.moveaxis(spread, (-2, -1), (1, 2))
+    )
     count = np.broadcast_to(number - unknown, square.shape)
     return square.reshape(-1, *batch), count.reshape(-1, *batch)
 
@@ -217,5 +219,5 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 @lru_cache(maxsize=64)
 def _limits(gate: float, height: int) -> Array:
     limits = np.full(height + 1, np.inf)
-    limits[1:] = roots.square_within(gate, np.arange(1, height + 1))
+    limits[1:] = mahalanobis.square_within(gate, np.arange(1, height + 1))
     return limits

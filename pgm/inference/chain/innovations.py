@@ -13,14 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.display import NoArray, Shown, Summary, number, stacked
-from pgm.inference.associations import Found, Rejections, RejectionsBySensor
+from pgm.inference.associations import Found
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import stacks
 from pgm.inference.lost import Lost, Read
 from pgm.inference.posterior import EachSensor
-from pgm.kernels import roots
+from pgm.inference.rejections import Rejections, RejectionsBySensor
+from pgm.kernels import roots, solving
 from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, quiet, sandwich
 from pgm.variables import Variable
 
@@ -139,7 +140,7 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
         else:
             ahead = forward.diffuse.at(steps)
             residual, spread, unknown = ahead.innovations(matrix, residual, noise)
-        white = roots.whiten(roots.root(spread), residual)
+        white = solving.whiten(roots.root(spread), residual)
         seen = white.shape[-1] - missing - unknown
         dof[steps] = seen
         nis[steps] = np.where(seen > 0, inner(white, white), np.nan)
@@ -154,7 +155,7 @@ def whitened(innovations: Innovations) -> Array:
     cov = innovations.cov.reshape(*residual.shape, shape[-1])
     rejected = np.broadcast_to(innovations.rejected, shape[:-1]).reshape(residual.shape[:2])
     taken = ~np.isnan(residual) & ~rejected[..., None]
-    white = roots.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
+    white = solving.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
 
     order = np.argsort(innovations.step, kind="stable")
     _, first, step, counts = np.unique(

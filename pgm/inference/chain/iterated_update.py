@@ -18,16 +18,9 @@ from pgm.inference.chain.vector import Measured
 from pgm.inference.chain.weights import SETTLED
 from pgm.inference.iteration import Anchor, Point, Solution, iterate
 from pgm.inference.schedule import Filtering
-from pgm.kernels import roots
-from pgm.kernels.arrays import (
-    Array,
-    Kind,
-    Mask,
-    components_first,
-    components_last,
-    difference,
-    inner,
-)
+from pgm.kernels import roots, solving
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, inner
 
 # Reweighings of a step's measurements at the most.
 _REWEIGHINGS = 200
@@ -145,7 +138,7 @@ class UpdateProblem(ABC, Generic[U]):
         """The cost of means, (runs,)."""
         mean, cov = self._moments(at)
         spread = _as_point(self.cov, 2)[0]
-        white = roots.whiten(roots.root(spread), at.mean[0] - _as_point(self.mean, 1)[0])
+        white = solving.whiten(roots.root(spread), at.mean[0] - _as_point(self.mean, 1)[0])
         total: Array = inner(white, white)
         for part in self.parts:
             seen = part.seen

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import roots
+from pgm.kernels import mahalanobis
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 
 # Hypotheses, whole ones and parts, that a step of a run may take to look at.
@@ -49,7 +49,7 @@ def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
     TooManyError with the number of a run that has more hypotheses than may be looked at.
     """
     every = int(pairs.size.sum(axis=0).max(initial=0))
-    limits = np.concatenate([[0.0], roots.square_within(gate, np.arange(1, every + 1))])
+    limits = np.concatenate([[0.0], mahalanobis.square_within(gate, np.arange(1, every + 1))])
     number = pairs.compatible.sum(axis=-1)
     chosen = np.where(number > 0, np.argmax(pairs.compatible, axis=-1), NOTHING)
     # Where no sighting has a choice, and no two have the same, the whole is looked at first.

@@ -16,7 +16,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import Stack, stacks
 from pgm.inference.iteration import Anchor
-from pgm.kernels import moments, roots
+from pgm.kernels import moments, roots, solving
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
@@ -114,7 +114,7 @@ def know(before: Belief, likelihood: Likelihood) -> Known:
     −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) − ½ ln |I + P WᵀW|, which does not subtract.
     """
     after = condition(before, likelihood)
-    evidence = -0.5 * (inner(after.moved, after.moved) + roots.log_determinant(after.U))
+    evidence = -0.5 * (inner(after.moved, after.moved) + solving.log_determinant(after.U))
     return Known(after.mean, multiply(transpose(after.X), after.X), evidence)
 
 
@@ -151,8 +151,10 @@ class Whitened:
         lower = roots.root(noise)
         if not roots.is_proper(lower) or roots.determined(lower).any():
             return None
-        white = roots.solve_lower(lower, np.broadcast_to(np.eye(noise.shape[-1]), noise.shape))
-        return cls(sensor, reference, white, -0.5 * (roots.log_determinant(lower) + size * LOG_2PI))
+        white = solving.solve_lower(lower, np.broadcast_to(np.eye(noise.shape[-1]), noise.shape))
+        return cls(
+            sensor, reference, white, -0.5 * (solving.log_determinant(lower) + size * LOG_2PI)
+        )
 
     def likelihood(self) -> Likelihood:
         """The likelihood of all measurements of each step, (T+1, runs, ...)."""

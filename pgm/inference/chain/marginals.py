@@ -15,11 +15,12 @@ from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, listed, positions
-from pgm.inference.associations import Found, Rejections
+from pgm.inference.associations import Found
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.lost import Lost
 from pgm.inference.posterior import Posterior, require_variable
+from pgm.inference.rejections import Rejections
 from pgm.inference.status import FILTERED, Kind, Status
 from pgm.inference.summaries import marginals_over_time, over_time
 from pgm.kernels.arrays import Array, Integers, block, transpose

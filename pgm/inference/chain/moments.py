@@ -14,7 +14,8 @@ from pgm.inference.iteration import Anchor
 from pgm.inference.rows import At, require_finite
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels import gaussian
-from pgm.kernels.arrays import TURN, Array, Mask, components_first, components_last, times, within
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Mask, components_first, components_last, times, within
 
 _HALF_TURN = 0.5 * TURN
 

@@ -16,10 +16,10 @@ from pgm.inference.chain.likelihoods import Readings, shortened
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.iteration import Point
-from pgm.kernels import roots
+from pgm.kernels import normal_density, roots, tridiagonal
 from pgm.kernels.arrays import Array, apply, block, multiply, transpose
 from pgm.kernels.elements import in_chunks
-from pgm.kernels.roots import Tridiagonal
+from pgm.kernels.tridiagonal import Tridiagonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
     system = _equations(plan, readings)
     if system is None:
         return None
-    found = roots.solve_tridiagonal(system)
+    found = tridiagonal.solve_tridiagonal(system)
     if not np.isfinite(found.sum()):
         return None
     variance = 1.0 / np.diagonal(system.diagonal, axis1=-2, axis2=-1)
@@ -121,5 +121,5 @@ def _terms(move: _Move, precision: _Precision) -> _Terms:
 def precision(cov: Array) -> Array | None:
     """The inverses of covariances, (..., n, n); None where one is singular."""
     lower = roots.root(cov)
-    white = roots.whitener(lower) if roots.is_proper(lower) else None
+    white = normal_density.whitener(lower) if roots.is_proper(lower) else None
     return None if white is None else multiply(transpose(white), white)

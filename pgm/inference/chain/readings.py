@@ -16,9 +16,9 @@ from pgm.inference.chain.weights import Weights, by_sighting, own_blocks, scale
 from pgm.inference.iteration import Anchor
 from pgm.inference.rows import At, require_finite
 from pgm.kernels import gaussian
+from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import (
     LOG_2PI,
-    TURN,
     Array,
     Mask,
     block,

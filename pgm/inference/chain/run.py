@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,12 +25,13 @@ from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
-from pgm.inference.options import Start, over_runs, require_hidden
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.inference.starting_points import Start, over_runs, require_hidden
 from pgm.inference.status import FILTERED, SMOOTHED, Kind, Status, digits
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
+from pgm.tracing import Judge, judged
 
 
 class Solver(ABC):
@@ -223,7 +225,21 @@ def run(
             f"a start is for smoothing all at once, not {schedule!r}, which linearises at beliefs"
         )
     given = None if start is None else _start(graph.layout, bound, start)
-    plan = ChainPlan.make(graph, bound, lineariser)
+    return judged(partial(_solved, graph, bound, lineariser, schedule, solver, given, room))
+
+
+def _solved(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    schedule: Schedule,
+    solver: Solver,
+    given: Array | None,
+    room: Room | None,
+    judge: Judge,
+) -> ChainPosterior:
+    """The solution in float64, or where that loses too many digits, in twice as many."""
+    plan = ChainPlan.make(graph, bound, lineariser, judge=judge)
     gates = getattr(schedule, "gate", None)  # a plain calibration has none
     gate.prepare(plan, gates)
     if not certificate.is_flat(plan):
@@ -236,7 +252,7 @@ def run(
                 return found
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
-        plan = ChainPlan.make(graph, bound, lineariser, probe=False)
+        plan = ChainPlan.make(graph, bound, lineariser, probe=False, judge=judge)
         gate.prepare(plan, gates)
     found = solver.carefully(plan, given)
     _refuse_infinite(found)

@@ -15,6 +15,7 @@ from pgm.inference.chain.weights import Weights
 from pgm.inference.family import Family
 from pgm.inference.rows import At
 from pgm.kernels import along_runs, roots
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Index,
@@ -27,7 +28,6 @@ from pgm.kernels.arrays import (
     components_last,
     cut,
     independent,
-    nearest_branch,
 )
 from pgm.linearisers import BoundFunction
 from pgm.variables import Variable

@@ -15,6 +15,7 @@ from pgm.inference.chain import backward, careful, cost, forward, newton, parall
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
 from pgm.inference.chain.compiled import sweep as compiled
+from pgm.inference.chain.compiled.judged import judge_at
 from pgm.inference.chain.compiled.table import Uncompiled, is_known
 from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.moments import on_chart, turns_far
@@ -22,11 +23,12 @@ from pgm.inference.chain.newton import Means
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reweighting import reweigh, settled
 from pgm.inference.chain.sensor import linearise_grouped
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.iteration import Anchor, Point, iterate
-from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Smoothing
 from pgm.inference.status import Status
 from pgm.kernels import moments
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Mask,
@@ -34,7 +36,6 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     deviation,
-    nearest_branch,
     variances,
 )
 from pgm.kernels.elements import gather
@@ -218,6 +219,7 @@ def _compiled(
     last = result.solution.point
     found = swept(plan, last.mean, None)
     std = deviation(found.beliefs.cov)
+    judge_at(plan, newton.at, std)
     off = moments.marginal_error(last.mean, found.means, std)
     spread = moments.marginal_error(last.std, std, std)
     if off.max() <= _CLOSE and spread.max() <= _ALIKE:

@@ -20,15 +20,16 @@ from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.place import steps
 from pgm.inference.discrete.storage import Distinct, some_runs, tree_pieces
-from pgm.inference.discrete.tree_passes import collect, enter, require_possible
+from pgm.inference.discrete.tree_passes import collect, enter
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs
-from pgm.inference.markov.chain import require_chain
-from pgm.inference.markov.marginals import most_probable_path
+from pgm.inference.markov.most_probable_path import most_probable_path
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.run import require_beliefs
+from pgm.inference.markov.schedule_kinds import require_chain
 from pgm.inference.parts.workers import Workers
 from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import spread

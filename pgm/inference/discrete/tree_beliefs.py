@@ -10,8 +10,10 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
+from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.storage import Distinct, Storage, pieces, tree_pieces
-from pgm.inference.discrete.tree_passes import Calibrated, TreeMessages, calibrate, require_possible
+from pgm.inference.discrete.tree_messages import TreeMessages
+from pgm.inference.discrete.tree_passes import Calibrated, calibrate
 from pgm.inference.discrete.tree_plan import TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs
 from pgm.kernels.arrays import Array

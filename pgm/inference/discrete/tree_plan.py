@@ -23,15 +23,9 @@ from pgm.clustergraph.structure import Forest
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference.discrete.place import LARGE, Place, positions, steps
+from pgm.inference.discrete.products import BlockProduct, GatheredProduct, Product
 from pgm.inference.discrete.storage import Storage, at_once, sepset_between
-from pgm.inference.discrete.sums import (
-    BlockProduct,
-    GatheredProduct,
-    Marginals,
-    Product,
-    Sum,
-    summed,
-)
+from pgm.inference.discrete.sums import Marginals, Sum, summed
 from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.tables import SUM_PRODUCT

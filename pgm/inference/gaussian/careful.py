@@ -2,16 +2,8 @@
 
 The linearised CPDs are conditionals of a dense joint (`dense`), taken to all digits, so that only
 the rounding of a lineariser is lost: of F μ + b the last places of its summands. Where these go, to
-first order, says how many digits of a posterior mean they leave.
-
-Whether float64 keeps digits enough is told by how far apart the deviations of a tree lie. Rows are
-divided by their noise and multiplied by the prior's deviations: the size a of their entries is by
-how much a CPD or measurement is sharper than the prior. A factorisation moves each row by some
-10⁻¹⁶ a, and a mean by as many of its deviations, times its distance from the prior's mean in
-deviations of the prior. A covariance pushed down the tree keeps what is small to 10⁻¹⁶ of the
-prior's, 10⁻¹⁶ a² of itself. What relations without noise put into rows counts as they do, and the
-reciprocals of what they are divided by; where it is not certain how many of them are independent,
-no digits are. Residuals, being differences, are compared with the noise, or else the prior.
+first order, says how many digits of a posterior mean they leave. Residuals, being differences, are
+compared with the noise, or else the prior.
 """
 
 from __future__ import annotations
@@ -23,14 +15,16 @@ import numpy as np
 
 from pgm.inference.family import Family
 from pgm.inference.gaussian.beliefs import Beliefs
-from pgm.inference.gaussian.dense import Conditional, Conditionals, Joint, Root
+from pgm.inference.gaussian.conditionals import Conditional, Conditionals, Root
+from pgm.inference.gaussian.dense import Joint
 from pgm.inference.gaussian.layout import Layout
-from pgm.inference.gaussian.messages import Buffer
-from pgm.inference.gaussian.model import SHARE, Frame, Model, contradiction
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.prior import SHARE, Frame
+from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.tree import TreePlan
-from pgm.kernels import extended, slopes
+from pgm.kernels import decimals, slopes
 from pgm.kernels.arrays import Array, Integers, apply, deviation, variances
-from pgm.kernels.extended import ONE, ZERO, Decimals
+from pgm.kernels.decimals import ONE, ZERO, Decimals
 from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
 
@@ -89,7 +83,7 @@ def predictive(
 ) -> Frame:
     """As `prior_predictive` without a start, but that moments are rounded once, at the end."""
     conditionals = Conditionals(layout, families, runs, shared)
-    with extended.precision(MANY):
+    with decimals.precision(MANY):
         joint = Joint.empty(
             conditionals.stacked, layout.size, runs if shared else 1, Decimal(10) ** -(MANY // 2)
         )
@@ -97,7 +91,7 @@ def predictive(
             group, family = layout.groups[g], families[g]
             parents = group.parents[row]
             if not family.exact:
-                inside = extended.floats(joint.cov[:, parents[:, None], parents])
+                inside = decimals.floats(joint.cov[:, parents[:, None], parents])
                 mean = conditionals.by_float(joint.mean[:, parents])
                 family.linearise(row, mean, np.broadcast_to(inside, (runs, *inside.shape[1:])))
             if not group.observed:
@@ -105,7 +99,7 @@ def predictive(
                 made = conditional.matrix, conditional.offset, conditional.noise
                 joint.add(group.child[row], parents, *made)
         mean = conditionals.by_float(joint.mean)
-        variance = extended.floats(variances(joint.cov))
+        variance = decimals.floats(variances(joint.cov))
     scale = np.sqrt(variance.max(axis=0, initial=0.0))
     scale = np.maximum(scale, SHARE * np.abs(mean).max(axis=0, initial=0.0))
     return Frame(mean, np.where(scale > 0.0, scale, 1.0), (variance == 0.0).all(axis=0))
@@ -114,9 +108,9 @@ def predictive(
 def solve(plan: TreePlan, model: Model) -> Solution:
     """The beliefs of a network as it is linearised."""
     conditionals = Conditionals(plan.layout, model.families, model.runs, model.shared)
-    with extended.precision(FEW):
+    with decimals.precision(FEW):
         count = min(2 * (2 * conditionals.span() + FEW), MOST_DIGITS)
-    with extended.precision(count):
+    with decimals.precision(count):
         return _solve(plan, model, conditionals, Decimal(10) ** -(count // 2))
 
 
@@ -136,12 +130,12 @@ def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: De
     for conditional in conditionals:
         group, row, lost = conditional.group, conditional.row, rounding[conditional.g]
         offset = np.concatenate(
-            [conditional.offset, extended.zeros(conditionals.stacked, group.height, columns)],
+            [conditional.offset, decimals.zeros(conditionals.stacked, group.height, columns)],
             axis=-1,
         )
         if lost is not None:
             own = np.arange(group.height)
-            offset[:, own, done + own] = extended.exact(lost[row])
+            offset[:, own, done + own] = decimals.exact(lost[row])
             done += group.height
         parents = group.parents[row]
         if not group.observed:
@@ -151,7 +145,7 @@ def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: De
             log_density += said
             moved = np.maximum(moved, lost_of_it)
     size = layout.size
-    mean, cov = joint.mean[:, :size, :sides], extended.floats(joint.cov[:, :size, :size])
+    mean, cov = joint.mean[:, :size, :sides], decimals.floats(joint.cov[:, :size, :size])
     found = DenseBeliefs(plan.places, model.frame, conditionals.by_float(mean), cov)
     return Solution(found, log_density, _digits(model, joint, sides, moved))
 
@@ -170,7 +164,7 @@ def _read(
     group, row, g = conditional.group, conditional.row, conditional.g
     reading, taken = model.moved[g], model.taken[g]
     assert reading is not None
-    value = conditionals.by_run(extended.exact(reading[row]))
+    value = conditionals.by_run(decimals.exact(reading[row]))
     matrix, noise = conditional.matrix, conditional.noise
     open_ = np.ones((conditionals.stacked, group.height), dtype=bool)
     if taken is not None:
@@ -179,7 +173,7 @@ def _read(
         matrix, offset, value = (
             np.where(open_[..., None], part, ZERO) for part in (matrix, offset, value)
         )
-        alone = np.where(open_, ZERO, ONE)[..., None] * extended.exact(np.eye(group.height))
+        alone = np.where(open_, ZERO, ONE)[..., None] * decimals.exact(np.eye(group.height))
         noise = np.where(open_[..., None] & open_[..., None, :], noise, alone)
     each = [root for root in map(Root.of, noise) if root is not None]
     matrix, offset, value = (
@@ -190,16 +184,16 @@ def _read(
     pivots = np.stack([root.pivots for root in each])
     parents = group.parents[row]
     places = np.arange(model.layout.size, model.layout.size + group.height)
-    diagonal = pivots[..., None] * extended.exact(np.eye(group.height))
+    diagonal = pivots[..., None] * decimals.exact(np.eye(group.height))
     joint.add(places, parents, matrix, offset, diagonal)
     sides = value.shape[-1]
     total, moved = np.zeros((conditionals.stacked, sides)), np.zeros(conditionals.stacked)
     for k, place in enumerate(places.tolist()):
         at = np.abs(joint.mean[:, parents, :sides])
-        numbers = extended.product(np.abs(matrix[:, k : k + 1]), at)[:, 0]
+        numbers = decimals.product(np.abs(matrix[:, k : k + 1]), at)[:, 0]
         numbers = numbers + np.abs(offset[:, k, :sides]) + np.abs(value[:, k])
         allowed = CONTRADICTION * (numbers + joint.edge[:, place, None])
-        rounded = extended.total(np.abs(joint.mean[:, place, sides:]))
+        rounded = decimals.total(np.abs(joint.mean[:, place, sides:]))
         allowed = allowed + OF_ROUNDING * rounded[:, None]
         read = joint.read(place, value[:, k], allowed)
         if read.contradiction.any():
@@ -237,40 +231,17 @@ def _rounding(model: Model, g: int) -> Array:
 def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     """The digits that rounding of linearised values leaves of each run's means, and of ln p."""
     size = model.layout.size
-    lost = extended.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))
+    lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))
     if joint.mean.shape[-1] == sides:
         return np.full(model.runs, ALL_DIGITS)
     variance = variances(joint.cov[:, :size, :size])
-    std = extended.floats(extended.sqrt(np.maximum(variance, ZERO)))
+    std = decimals.floats(decimals.sqrt(np.maximum(variance, ZERO)))
     # Where there is no deviation a billionth of the numbers is as good.
     unit = np.where(std > 0.0, std, 1e-3 * model.frame.scale)
     share = np.maximum((lost / unit).max(axis=-1, initial=0.0), moved)
     if model.first:
         # Far from where it was linearised a slope's rounding counts the more.
-        mean, frame = extended.floats(joint.mean[:, :size, 0]), model.frame
+        mean, frame = decimals.floats(joint.mean[:, :size, 0]), model.frame
         share = share * (np.abs(mean - frame.mean) / frame.scale).max(axis=-1, initial=1.0)
     digits = np.minimum(-np.log10(np.maximum(share, 1e-300)), ALL_DIGITS)
     return np.broadcast_to(digits, (model.runs,)).copy()
-
-
-# What float64 holds; a sum of many roundings takes a digit of it.
-_DIGITS, _OF_SUMS = 15.6, 14.6
-# Digits, counted from the deviations, that answers have where nothing is said.
-SAFE_DIGITS = 6.6
-# Units whose squares are in range.
-_RANGE = 1e-140, 1e140
-
-
-def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
-    """The digits, counted from the deviations."""
-    frame = buffer.model.frame
-    total = beliefs.cov.sum() + log_evidence.sum() + frame.mean.sum()
-    scale = frame.scale
-    if scale.size and not (_RANGE[0] < scale.min() and scale.max() < _RANGE[1]):
-        return 0.0
-    far = float(np.abs(beliefs.mean).max(initial=1.0))
-    if not np.isfinite(total + far + buffer.largest + buffer.coarse):
-        return 0.0
-    moved = max(buffer.largest * far, buffer.coarse, 1.0)
-    spread = max(buffer.largest, 1.0) ** 2
-    return float(min(_OF_SUMS - np.log10(moved), _DIGITS - np.log10(spread)))

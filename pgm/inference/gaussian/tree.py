@@ -14,8 +14,9 @@ import numpy as np
 
 from pgm.clustergraph.structure import Forest
 from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, Places
-from pgm.inference.gaussian.layout import Layout, Rounds, Stack
-from pgm.inference.gaussian.messages import Buffer
+from pgm.inference.gaussian.layout import Layout
+from pgm.inference.gaussian.rounds import Rounds, Stack
+from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.kernels.arrays import Array, Integers, frozen, transpose
 from pgm.kernels.rows import Eliminated
 from pgm.progress import counted

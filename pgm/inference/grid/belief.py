@@ -19,7 +19,8 @@ from pgm.factors.scope import Scope, places_of, whole_variables
 from pgm.immutable import Immutable
 from pgm.inference.grid.lattice import Axis
 from pgm.inference.summaries import moments_of
-from pgm.kernels.arrays import Array, Integers, wrap
+from pgm.kernels.angles import wrap
+from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
 
 

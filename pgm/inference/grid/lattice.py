@@ -12,7 +12,8 @@ import numpy as np
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, listed
 from pgm.inference.grid.value import Extent, Grid
-from pgm.kernels.arrays import TURN, Array, Integers, Mask
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import Span
 from pgm.variables import Variable
 

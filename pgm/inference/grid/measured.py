@@ -13,7 +13,8 @@ from pgm.errors import ModelError
 from pgm.evidence import Reading
 from pgm.inference.grid.dependence import Dependence
 from pgm.inference.grid.lattice import Lattice, Window
-from pgm.kernels.arrays import TURN, Array, Integers, Mask
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 # Values (d,) of a sensor's observed parents.

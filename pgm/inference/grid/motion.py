@@ -15,12 +15,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgm.errors import ModelError
-from pgm.inference.grid.densities import DensityGroup, wide
+from pgm.inference.grid.densities import DensityGroup
 from pgm.inference.grid.dependence import MOVED, Dependence, within
-from pgm.inference.grid.grouping import Kept, Mixed, MixedGroup, Step, joined
-from pgm.inference.grid.groups import Group, Members, Spread, quadrature
+from pgm.inference.grid.grouping import Kept, joined
+from pgm.inference.grid.groups import Group, Members, Spread
 from pgm.inference.grid.lattice import Axis, Lattice, Window
+from pgm.inference.grid.mixture_moves import Mixed, MixedGroup, Step
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
+from pgm.inference.grid.quadrature import quadrature
+from pgm.inference.grid.wide_prior import wide
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import REACH, Span, kernels, reached, tap_count
 from pgm.resources import require_memory

@@ -16,7 +16,7 @@ from pgm.immutable import Immutable
 from pgm.inference.associations import by_density
 from pgm.inference.grid.belief import GridBelief, scope_axes
 from pgm.inference.grid.lattice import Lattice, resolve
-from pgm.inference.grid.posterior import require_room
+from pgm.inference.grid.run import require_room
 from pgm.inference.grid.slices import GridModel, GridSlices, Tested, Worst
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid

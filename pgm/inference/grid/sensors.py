@@ -16,6 +16,7 @@ import numpy as np
 
 from pgm.cpds import CPD, ConditionalGaussian
 from pgm.cpds.mixture import UnidentifiedCPD
+from pgm.inference.argument_checks import require_whole
 from pgm.inference.grid.dependence import MEASURED, Reduced, blocks, centres, within
 from pgm.inference.grid.lattice import Window
 from pgm.inference.grid.measured import (
@@ -40,8 +41,8 @@ from pgm.inference.grid.values import (
     root_of,
     settled,
 )
-from pgm.inference.options import require_whole
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, wrap
+from pgm.kernels.angles import wrap
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 
 # Exponents below this are none: products of such numbers would be slow, denormal ones.
 _LEAST = -600.0

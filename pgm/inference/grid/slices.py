@@ -20,8 +20,9 @@ from pgm.cpds.mixture import by_run
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
+from pgm.inference.argument_checks import require_density
 from pgm.inference.grid import resolution
-from pgm.inference.grid.densities import EVEN, Uneven
+from pgm.inference.grid.densities import Uneven
 from pgm.inference.grid.dependence import Dependence
 from pgm.inference.grid.grouping import Kept, groups
 from pgm.inference.grid.groups import Members
@@ -29,7 +30,7 @@ from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.measured import MeasuredSensor, Shape, Sharpness
 from pgm.inference.grid.motion import Motion
 from pgm.inference.grid.sensors import DensitySensor, GridSensor, Weights, likelihood
-from pgm.inference.options import require_density
+from pgm.inference.grid.wide_prior import EVEN
 from pgm.kernels.arrays import Array
 from pgm.kernels.lattice import Span
 from pgm.networks import DynamicBayesianNetwork

@@ -12,7 +12,7 @@ from pgm.boundary import as_tuple, is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
-from pgm.inference.options import require_count, require_tolerance
+from pgm.inference.argument_checks import require_count, require_tolerance
 from pgm.variables import Variable
 
 # An interval, (lo, hi, cells), or the number of cells of a full circle.

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from pgm.cpds import CPD
-from pgm.inference.markov.marginals import pair
+from pgm.inference.markov.joints import pair
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.kernels.arrays import Array, Integers
 

@@ -17,7 +17,8 @@ from pgm.evidence import BoundEvidence
 from pgm.factors.axes import discrete, sizes
 from pgm.factors.scope import in_run
 from pgm.inference.markov.contraction import Contraction, Factor, Label, Move
-from pgm.inference.markov.weights import InputTables, Weights, smallest_entry
+from pgm.inference.markov.input_tables import InputTables, smallest_entry
+from pgm.inference.markov.weights import Weights
 from pgm.kernels.arrays import Array
 from pgm.kernels.stochastic import Dense
 from pgm.kernels.tables import SUM_PRODUCT, Semiring

@@ -18,7 +18,8 @@ from pgm.factors.scope import Scope
 from pgm.inference.chain.marginals import require_at_steps
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
-from pgm.inference.markov.marginals import Beliefs, StateMarginals, joint, pair, potential
+from pgm.inference.markov.joints import joint, pair, potential
+from pgm.inference.markov.marginals import Beliefs, StateMarginals
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import FILTERED, PREDICTED, SMOOTHED, Kind, Status

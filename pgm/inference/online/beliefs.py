@@ -15,7 +15,7 @@ from pgm.display import NoArray, Shown, Summary, titled
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
-from pgm.inference.associations import NONE, Found, Rejections, RejectionsBySensor
+from pgm.inference.associations import NONE, Found
 from pgm.inference.chain import certificate
 from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.gate import Asked
@@ -25,6 +25,7 @@ from pgm.inference.lost import PageTest
 from pgm.inference.online.judged import Decided, Watch
 from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
+from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.inference.schedule import Filtering, FixedLag
 from pgm.inference.status import Kind, Status, digits
 from pgm.inference.summaries import at_a_step

@@ -10,6 +10,7 @@ import numpy as np
 
 from pgm.compile import compile
 from pgm.compile.machine import Choice, as_choice
+from pgm.cpds import NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence
@@ -21,6 +22,7 @@ from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.engine import PointMasses, online_points
+from pgm.inference.gates import Gate
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.value import Grid
 from pgm.inference.markov.online import online_tables
@@ -44,7 +46,6 @@ from pgm.inference.online.settings import require_neither, require_settings
 from pgm.inference.online.slid import slid
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.window import Passed, Sliding, Trail, look_again, trailing
-from pgm.inference.options import Gate
 from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
@@ -87,10 +88,10 @@ class OnlineFilter(InCode, Immutable):
         same methods, and takes neither lineariser nor schedule, of which it has no use.
     compiled : bool or Compiled
         Whether steps are made in machine code, by Numba, for which functions have to be traced, as
-        they are at the first step of a kind. Steps that are not plain (of many runs, with a lag, a
-        gate, a watch or iterations, in twice the digits, with noise that depends on inputs, or of
-        functions that refer to a number that has changed, or to what may change unseen) are made
-        without, with equal results. One run has one thread. False unless said, since loading and
+        they are when the filter is made (see `renewed`). Steps that are not plain (of many runs,
+        with a lag, a gate, a watch or iterations, in twice the digits, with noise that depends on
+        inputs, or of functions that make floats of their input) are made without, with equal
+        results. One run has one thread. False unless said, since loading and
         compiling take the time of 10,000 steps.
 
     Raises
@@ -160,6 +161,9 @@ class OnlineFilter(InCode, Immutable):
         found = object.__new__(cls)
         found._set(model=model, lineariser=lineariser, schedule=schedule, watch=watch is True)
         found._set(compiled=bool(as_choice(compiled, "OnlineFilter(...)")))
+        for cpd in (*model.transition, *model.observation):
+            if isinstance(cpd, NonlinearGaussianCPD):
+                cpd._renew()
         if found.compiled:
             found._compile()
         return found
@@ -209,6 +213,24 @@ class OnlineFilter(InCode, Immutable):
             plans, ends = (self._ahead, self._seen), (_DONE, _LINEARISED)
             steps = CompiledSteps(self._graph.layout, *plans, self.predict, self.update, *ends)
             self._set(_steps=steps, predict=steps.predict, update=steps.update)
+
+    def renewed(self) -> OnlineFilter:
+        """The same filter, which reads its functions anew, with what they refer to.
+
+        A belief of this filter goes on with it.
+
+        Examples
+        --------
+        >>> from pgm.examples import walk
+        >>> robot = pgm.OnlineFilter(walk)
+        >>> belief = robot.initial()
+        >>> robot = robot.renewed()
+        >>> robot.predict(belief).step
+        1
+        """
+        make, arguments = self.__reduce__()
+        found: OnlineFilter = make(*arguments)
+        return found
 
     def initial(self) -> OnlineBelief:
         """The prior, at step 0; runs are those of the model."""

@@ -15,9 +15,9 @@ from pgm.inference.chain.innovations import by_step
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.sensor import GateRecord
 from pgm.inference.chain.vector import vector
+from pgm.inference.gates import gate_of
 from pgm.inference.lost import PageTest, Read
-from pgm.inference.options import gate_of
-from pgm.kernels import roots
+from pgm.kernels import mahalanobis
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
@@ -80,7 +80,7 @@ def of_update(
     else:
         spread = np.einsum("ijr,jkr,lkr->ilr", matrix, cov, matrix, optimize=_PATH) + noise
         residual = np.broadcast_to(residual, (len(residual), *mean.shape[1:]))
-    nis = roots.squares(residual[None], spread[None]).reshape(-1)
+    nis = mahalanobis.squares(residual[None], spread[None]).reshape(-1)
     dof = np.full(nis.shape, len(residual), dtype=np.intp)
     if missing is not None:
         dof -= np.asarray(missing, dtype=np.intp)

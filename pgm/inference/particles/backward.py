@@ -23,7 +23,8 @@ from pgm.inference.particles.cloud import BACKWARD, Cloud, stream, uniform
 from pgm.inference.particles.laws import GaussianLaw, Law, Root, Some, States
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.value import FULL, Particles
-from pgm.kernels.arrays import TURN, Array, Integers, Mask
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices, systematic
 from pgm.progress import counted
 

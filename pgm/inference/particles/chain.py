@@ -25,11 +25,11 @@ from pgm.inference.particles.cloud import (
     stream,
     uniform,
 )
+from pgm.inference.particles.guided_proposal import Guide
 from pgm.inference.particles.laws import Drawing, Some, States
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
-from pgm.inference.particles.proposals import Guide
-from pgm.inference.particles.status import Record
+from pgm.inference.particles.record import Record
 from pgm.inference.particles.value import IGNORE, RAISE, RESTART, Injection, Particles
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices

@@ -19,8 +19,9 @@ from pgm.cpds.conditional import evaluate
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.arrays import IMPROPER
 from pgm.inference.particles.cloud import Block
-from pgm.kernels import roots
-from pgm.kernels.arrays import LOG_2PI, TURN, Array, Integers, Mask
+from pgm.kernels import normal_density, roots
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
@@ -347,11 +348,11 @@ class Root:
         lower = self.lower[0] if len(self.lower) == 1 else self.lower[self.of(some)]
         points = (-1, 1, len(residual)) if lower.ndim > 2 else (-1, len(residual))
         wide = np.broadcast_to(residual, (len(residual), some.size)).T.reshape(points)
-        white, left = roots.whitened(lower, wide)
-        found = roots.log_density(lower, white)
+        white, left = normal_density.whitened(lower, wide)
+        found = normal_density.log_density(lower, white)
         if left is not None:
             errors = np.broadcast_to(error, (len(error), some.size)).T.reshape(points)
-            found = np.where(roots.off(lower, left, errors), -np.inf, found)
+            found = np.where(normal_density.off(lower, left, errors), -np.inf, found)
         return found.reshape(-1)
 
 

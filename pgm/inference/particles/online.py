@@ -16,10 +16,12 @@ from pgm.inference.grid.online import PointFilter
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
-from pgm.inference.particles.model import ParticleModel, parts
+from pgm.inference.particles.components import parts
+from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.number import LikelihoodSampling
-from pgm.inference.particles.posterior import require_fitting, require_room
-from pgm.inference.particles.status import ParticleStatus, Record
+from pgm.inference.particles.record import Record
+from pgm.inference.particles.run import require_fitting, require_room
+from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import FILTERED, PREDICTED, Kind

@@ -8,9 +8,9 @@ from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
-from pgm.inference.options import require_lineariser
+from pgm.inference.argument_checks import require_lineariser
+from pgm.inference.particles.cell_proposal import CellProposal
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
-from pgm.inference.particles.proposals import CellProposal
 from pgm.kernels.arrays import Array
 from pgm.kernels.resampling import RESAMPLERS
 from pgm.linearisers import Lineariser

@@ -12,7 +12,7 @@ from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import Kind
-from pgm.kernels.arrays import difference
+from pgm.kernels.angles import difference
 from pgm.plot.axes import (
     Unit,
     along,

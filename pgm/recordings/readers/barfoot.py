@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.io.dropped import Dropped
 from pgm.io.sources import Origin, Source
 from pgm.kernels.arrays import Array
-from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files
 from pgm.recordings.recording import POSE, Recording
 from pgm.recordings.stream import Stream

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,12 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 
+from pgm.boundary import as_tuple
 from pgm.errors import EvidenceError, FileError
 from pgm.io import sources
-from pgm.io.sources import Content, Origin, Source
+from pgm.io.dropped import Dropped
+from pgm.io.networks.cursor import shown
+from pgm.io.sources import Content, Line, Origin, Source
 from pgm.kernels.arrays import Array
 
 # Bytes that a file may hold once unpacked.
@@ -48,6 +51,45 @@ def folder(path: Any) -> Path:
 def name(source: Source) -> str:
     """The name of a recording: of its file or folder, without the ending."""
     return Path(source).stem if isinstance(source, str | os.PathLike) else ""
+
+
+class Skipped:
+    """Lines of a file that are left out by their first words, and the record of them."""
+
+    def __init__(self, skip: Any) -> None:
+        words = as_tuple(skip)
+        if words is None or not all(isinstance(word, str) and word for word in words):
+            raise EvidenceError(
+                f"skip= names the first words of lines to leave out, like ('EQUIV',), not {skip!r}"
+            )
+        self._words = frozenset(words)
+        self._lines: dict[str, list[int]] = {}
+
+    def others(self, lines: Iterable[Line]) -> Iterator[Line]:
+        """The lines that are not left out."""
+        for line in lines:
+            if line.words[0] in self._words:
+                self.leave(line, line.words[0])
+            else:
+                yield line
+
+    def leave(self, line: Line, kind: str) -> None:
+        """Leave a line out, as one of a kind."""
+        self._lines.setdefault(kind, []).append(line.number)
+
+    def told(self, name: str) -> list[Dropped]:
+        """The lines left out, by kind, of a file or stream of this name."""
+        return [
+            Dropped(name, f"{kind}, lines from 1", np.array(rows))
+            for kind, rows in self._lines.items()
+        ]
+
+
+def stranger(line: Line, kinds: Iterable[str]) -> FileError:
+    """The error of a line of a kind that is not read, which can be left out."""
+    word = shown(line.words[0])
+    hint = f"; skip=({word},) leaves such lines out" if line.words[0][0].isalpha() else ""
+    return line.fault(f"{word}; {', '.join(kinds)} was due{hint}")
 
 
 @contextmanager

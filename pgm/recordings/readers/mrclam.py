@@ -10,9 +10,9 @@ import numpy as np
 from pgm.boundary import is_whole
 from pgm.errors import EvidenceError
 from pgm.io import sources
+from pgm.io.dropped import Dropped
 from pgm.io.sources import Content
 from pgm.kernels.arrays import Array
-from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files
 from pgm.recordings.recording import POSE, Recording
 from pgm.recordings.stream import Stream

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pgm.compile.machine import Compiled
+from pgm.inference.chain.compiled.judged import judge
 from pgm.inference.chain.compiled.table import (
     Integers64,
     Rows,
@@ -21,7 +22,7 @@ from pgm.inference.chain.compiled.table import (
 )
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.options import LevenbergMarquardt
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.compiled import tables as t
@@ -104,6 +105,8 @@ def forward(
     begin = MomentChain(first, schedule, keep=keep).start()
     chain.put(t.BEGIN_MEAN, _by_row(first, begin.mean, 1))
     chain.put(t.BEGIN_COV, _by_row(first, begin.cov, 2))
+    if not predicted and any(f.compiled and not f.compiled.sampled for f in plan.families):
+        predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
     chain.out = *known, *predicted
     for place, array in zip((t.MEAN, t.COV, t.DENSITY, *_PREDICTED), chain.out, strict=False):
         chain.put(place, array)
@@ -117,6 +120,8 @@ def forward(
         chain.fields[t.SETTINGS] = chain.rows.at(settings)
         chain.fields[t.RESIDUALS] = address(record)
     left = chain.run((s.forward, s.forward_together))
+    if schedule is not None:
+        judge(plan, known, predicted or known, chain.status == t.DONE, again=asked.iterations > 1)
     longest = int(record[-2].max(initial=0.0))
     converged = np.full(plan.runs, plan.linear)
     if asked.iterations > 1 and not plan.linear:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.compile.machine import RULES
-from pgm.inference.chain.compiled.functions import Functions, compiled
+from pgm.inference.chain.compiled.functions import compiled
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
@@ -159,11 +159,12 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
     template, rule = family.template, family.lineariser
     assert template is not None
     known, together = template.compiled, rows.together
-    alone = bool(family.hidden) and type(rule) is not Taylor
-    functions = compiled(template, known.get(together), alone=alone, together=together)
+    alone, answers = bool(family.hidden) and type(rule) is not Taylor, family.trace_whole()
+    if isinstance(answers, str):
+        raise Uncompiled(f"{family.cpd!r}: {answers}")
+    before = known.get(together)
+    functions = compiled(template, answers.trace, before, alone=alone, together=together)
     known[together] = functions
-    if not isinstance(functions, Functions):
-        raise Uncompiled(f"{family.cpd!r}: {functions}")
     rows.kept.append(functions)
     table[t.VALUE], table[t.FUNCTION] = functions.value, functions.slope
     inputs = [
