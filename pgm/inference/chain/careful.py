@@ -121,7 +121,8 @@ def sweep(
         before = belief
         mean, spread = rounded_belief(belief, unknown)
         out.predicted_mean[step], out.predicted_cov[step] = mean, spread.shown
-        ahead.append(spread)
+        if spread.open.shape[-1]:
+            ahead.append(spread)
         reading = CarefulReading.of(
             plan, step, mean, spread, belief, information, schedule, gated=gated
         )

@@ -25,7 +25,7 @@ MUCH = 1e-3
 REMARKABLE = 1e-9
 # The error of the log-evidence, in nats, above which cells are too wide for the measurements; and
 # that which is told.
-COARSE, TOLD = 0.2, 0.01
+COARSE, TOLD = 0.25, 0.01
 # Deviations between neighbouring centres above which a sensor is sharper than half a cell.
 SHARP = 2.0
 # The share above which a density has another shape on the cells.
@@ -72,7 +72,7 @@ class GridStatus(Shown, Immutable):
     unresolved : ndarray
         (*runs): the expected error of the log-evidence, in nats, for want of narrower cells: sums
         over centres change by so much with where between centres the measurements stand. Beyond
-        ten it is not counted on. Above .2 a `GridWarning` has said so; beliefs are then no better
+        ten it is not counted on. Above .25 a `GridWarning` has said so; beliefs are then no better
         than a cell.
     sharpest : Sharpness
         The sensor whose measurement differs by the most deviations from one cell to the next, where
