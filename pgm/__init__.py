@@ -37,6 +37,7 @@ from pgm.display.notebook import hand_in as _hand_in
 from pgm.errors import (
     ArrayError,
     EvidenceError,
+    EvidenceWarning,
     ExecutorError,
     FileError,
     GraphError,
@@ -207,6 +208,7 @@ __all__ = [
     "Discrete",
     "DynamicBayesianNetwork",
     "EvidenceError",
+    "EvidenceWarning",
     "ExecutorError",
     "FileError",
     "Filtering",

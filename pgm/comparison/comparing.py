@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pgm import consistency
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple
 from pgm.comparison.oracle import Compared, Oracle, Reference, references, require_oracle
 from pgm.comparison.row import FAILURES, Name, Row, failed, judge
@@ -35,6 +36,7 @@ SCHEDULES: tuple[OverTime, ...] = (Filtering(), Smoothing())
 _WORDS = {Filtering: "filter", Smoothing: "smoother"}
 
 
+@public
 def compare(
     model: DynamicBayesianNetwork,
     evidence: Evidence,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.consistency.averages import Average, average
 from pgm.consistency.errors import check_innovations
 from pgm.display import Listing, Shown, Summary, count, number
@@ -134,6 +135,7 @@ class Ranking(Shown):
         return Summary(self._title, [Listing(heads, rows)])
 
 
+@public
 def ranking(
     innovations: Mapping[Variable, Innovations],
     *,

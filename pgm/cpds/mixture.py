@@ -9,6 +9,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple
 from pgm.cpds.base import CPD, Known, Values
 from pgm.cpds.conditional import ConditionalGaussian, Noise
@@ -19,13 +20,14 @@ from pgm.factors.arrays import Shape, clash, unflat
 from pgm.factors.scope import Scope
 from pgm.kernels import mahalanobis, roots
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.kernels.tables import log_sum
+from pgm.kernels.semirings import log_sum
 from pgm.variables import Variable
 
 # Weights whose sum is this far from one are those of no mixture.
 _ROUNDING = 1e-9
 
 
+@public
 class MixtureCPD(CPD):
     r"""A weighted sum of densities of one child: one of some CPDs holds, by chance.
 

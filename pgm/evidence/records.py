@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_number, masked_whole
 from pgm.display import titled
 from pgm.errors import EvidenceError
@@ -34,6 +35,7 @@ class HasVariables(Protocol):
         ...
 
 
+@public
 def records(
     table: Any,
     network: HasVariables | Iterable[Variable],

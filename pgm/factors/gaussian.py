@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import (
     as_generator,
     as_lengths,
@@ -110,6 +111,7 @@ def confidence_ellipse(
     return Ellipse(mean[..., [i, j]], half_axes, orientation)
 
 
+@public
 class Gaussian(Framed, Shown, NoArray, Immutable):
     r"""A normal density in moment form.
 
@@ -294,6 +296,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         mean[..., self.angles] = wrap(mean[..., self.angles])
         return self._make(self.scope, mean, self.cov, self.steps)
 
+    @public
     def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
         """Draws; the covariance may be singular, and angles stay on the mean's chart.
 
@@ -360,6 +363,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
             )
         return value
 
+    @public
     def ellipse(
         self, confidence: float = 0.95, components: tuple[str, str] | None = None
     ) -> Ellipse:

@@ -3,7 +3,8 @@
 from pgm.inference.associations import Associations
 from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
-from pgm.inference.chain.marginals import KeptPosterior, Marginals
+from pgm.inference.chain.kept_posterior import KeptPosterior
+from pgm.inference.chain.marginals import Marginals
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, TypedDict, Unpack, overload
 
+from pgm.arguments import public
 from pgm.compile import Balanced, compile
 from pgm.compile.machine import Choice
 from pgm.evidence import Evidence
 from pgm.inference.argument_checks import require_lineariser
-from pgm.inference.chain.marginals import KeptPosterior
+from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.damping import Damping
@@ -92,6 +93,7 @@ def filter(
 ) -> ParticlePosterior: ...
 
 
+@public
 def filter(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
@@ -204,6 +206,7 @@ def smooth(
 ) -> ParticlePosterior: ...
 
 
+@public
 def smooth(
     model: DynamicBayesianNetwork,
     evidence: Evidence,

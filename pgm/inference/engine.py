@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
+from pgm.arguments import public
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import titled
@@ -14,7 +15,7 @@ from pgm.evidence import BoundEvidence, Evidence
 from pgm.inference import discrete, gaussian
 from pgm.inference.argument_checks import require_lineariser
 from pgm.inference.associations import by_density
-from pgm.inference.chain.marginals import KeptPosterior
+from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.grid.online import OnlineGrid
@@ -153,6 +154,7 @@ class _Options(TypedDict, total=False):
     lineariser: Lineariser
     start: Start | None
     progress: Progress
+    impossible: str
 
 
 @overload
@@ -206,6 +208,7 @@ def infer(
 ) -> ParticlePosterior: ...
 
 
+@public
 def infer(
     graph: ClusterGraph,
     evidence: Evidence,
@@ -218,6 +221,7 @@ def infer(
     memory: float | None = None,
     belief: PointMasses | None = None,
     progress: Progress = False,
+    impossible: str = "raise",
 ) -> Posterior | GridPosterior | ParticlePosterior:
     """Send the messages of a schedule on a cluster graph.
 
@@ -269,6 +273,11 @@ def infer(
         Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
         function, ``progress(done, total)``, called at the start of each stage and after each of its
         items: steps, linearisations, rounds, runs or parts. An error that it raises ends the call.
+    impossible : str
+        Of a discrete network without time and a graph without loops, what is done where evidence
+        has probability zero: ``"raise"``, or ``"allow"``, where such runs, as of `records` of
+        which some contradict the tables, have a log-evidence of −∞ and beliefs of NaN, and the
+        others theirs.
 
     Returns
     -------
@@ -312,6 +321,11 @@ def infer(
     if schedule is not None and (type(schedule) is Loopy or not isinstance(schedule, Schedule)):
         raise ModelError(
             f"{schedule!r} is no schedule; give one like pgm.Smoothing() or pgm.Flooding()"
+        )
+    if impossible != "raise" and (isinstance(graph, DynamicGraph) or not graph.network.discrete):
+        raise GraphError(
+            "impossible= is for the runs of discrete networks without time, not for "
+            f"{titled(graph)}"
         )
     if isinstance(graph, DynamicGraph):
         if memory is not None:
@@ -357,7 +371,7 @@ def infer(
         if start is not None:
             raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
         with reporting(progress):
-            return discrete.run(graph, evidence, schedule, memory)
+            return discrete.run(graph, evidence, schedule, memory, impossible)
     if memory is not None:
         raise GraphError(CONTINUOUS)
     with reporting(progress):

@@ -7,13 +7,15 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import count, islice
 
 import numpy as np
 
 from pgm.cpds import AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, dimension
-from pgm.inference.rows import At, Rows, failure, own_noise, require_finite
+from pgm.inference.linearisation_failures import failure, require_finite
+from pgm.inference.rows import At, Rows, own_noise
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
@@ -27,7 +29,7 @@ from pgm.kernels.arrays import (
     times,
     vacant,
 )
-from pgm.kernels.elements import by_rows
+from pgm.kernels.prefixes import by_rows
 from pgm.linearisers import (
     ArrayLineariser,
     BoundFunction,
@@ -321,6 +323,7 @@ class Family(Rows):
 
     @staticmethod
     def _put(kept: Array, rows: Some | Integers, new: Array, active: Mask | None) -> None:
+        """Keep new values at some rows, for the active runs alone."""
         if active is not None:
             tail = (1,) * (kept.ndim - 2)
             new = np.where(active.reshape(-1, *tail), new, kept[rows])
@@ -359,7 +362,10 @@ class Family(Rows):
         """Call the functions once with axes that give wrong indexing away, before inference."""
         if self.template is None or not self.step.size:
             return
-        axes = (2, 3)
+        # No axis is as long as a vector of components: function(x) that takes x[0] for a component
+        # of a row, or x[:, 0] for one of a table, would return the shape that is due.
+        taken = {self.cpd.child.dimension, *(v.dimension for v in self.template.given)}
+        axes = tuple(islice((k for k in count(2) if k not in taken), 2))
         known = [
             None if value is None else np.broadcast_to(value, (*axes, value.size))
             for value in self._observed
@@ -425,5 +431,6 @@ def _unplaced(function: BoundFunction) -> At:
 
 
 def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    """The value of a function without hidden parents, as a line without slope."""
     value = components_first(function(components_last(mean, 1)), 1)
     return Line(np.zeros((len(value), 0, *mean.shape[1:])), value, None)

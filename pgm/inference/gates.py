@@ -52,6 +52,7 @@ def as_gate(owner: str, gate: object) -> float | Gates | None:
 
 
 def _probability(owner: str, value: object, of: str) -> float:
+    """A probability between 0 and 1, checked; `of` names the sensor of a gate, if it has one."""
     if not is_number(value) or not 0.0 < value < 1.0:
         none = "left out for no gate" if of else "or None for no gate"
         raise ModelError(

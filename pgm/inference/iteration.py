@@ -214,6 +214,12 @@ class _Control:
     def _accepted(
         self, rule: LevenbergMarquardt, point: Point, found: Point, active: Mask
     ) -> Array:
+        """Means whose cost is no higher than the point's; those of the point where none is found.
+
+        A Gauss–Newton step that raises the cost is tried again with the weight of an anchor at the
+        point, of which each try takes `factor` times as much (Levenberg, 1944; Marquardt, 1963). A
+        run whose step was good begins its next one with a weight less by that factor.
+        """
         cost = self.problem.cost(point)
         # A point outside a function's domain, where it has no cost, is worse than any other.
         limit = np.where(np.isnan(cost), np.inf, cost + _NO_WORSE * np.abs(cost))

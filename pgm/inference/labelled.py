@@ -65,6 +65,7 @@ Arrays = dict[str, tuple[list[str], Any]]
 def _tables(
     marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
 ) -> tuple[Arrays, dict[str, Any]]:
+    """The probabilities of discrete variables, and the names of their states."""
     data: Arrays = {}
     states: dict[str, Any] = {}
     for variable, table in marginals.items():
@@ -77,6 +78,7 @@ def _tables(
 def _moments(
     marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
 ) -> tuple[Arrays, dict[str, Any]]:
+    """The moments of continuous variables as arrays, and the names of their components."""
     each = [_at_all_steps(belief.mean, -2, steps) for belief in marginals.values()]
     lead = each[0].shape[:-1] if each else (0,) * len(dims)
     size = dimension(marginals)
@@ -102,6 +104,7 @@ def _moments(
 
 
 def _at_all_steps(values: Any, axis: int, steps: int | None) -> Array:
+    """Arrays by step; with NaN at step 0, where their variables begin at step 1."""
     if steps is None or values.shape[axis] == steps + 1:
         return np.asarray(values)
     before = [(0, 0)] * values.ndim

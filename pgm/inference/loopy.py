@@ -100,7 +100,7 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
     gate = np.full(messages.runs, max(_SETTLED, schedule.tolerance))
     residuals: list[Array] = []
     along: list[Array] = []
-    for _ in counted(range(schedule.max_iterations), "rounds"):
+    for _ in counted(range(schedule.iterations), "rounds"):
         if not active.any():
             break
         each = step(active)

@@ -1,16 +1,15 @@
-"""The interface of posteriors of any network, and results by sensor."""
+"""The interface of posteriors of any network."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from typing import ClassVar, TypeVar, overload
+from typing import ClassVar, overload
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.display import NoArray, Shown, Viewed
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
-from pgm.factors.scope import Scope, listed
+from pgm.factors.scope import Scope
 from pgm.inference.labelled import Labelled
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
@@ -160,36 +159,3 @@ def require_variable(variable: Variable) -> Variable:
     if not isinstance(variable, Variable):
         raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")
     return variable
-
-
-Value = TypeVar("Value")
-
-
-class EachSensor(Shown, Mapping[Variable, Value]):
-    """The results of each sensor that was read."""
-
-    _what: ClassVar[str] = "results"
-
-    def __init__(self, found: Mapping[Variable, Value]) -> None:
-        self._found = dict(found)
-
-    def __getitem__(self, variable: Variable) -> Value:
-        if require_variable(variable) not in self._found:
-            raise EvidenceError(self._absent(variable), variable=variable)
-        return self._found[variable]
-
-    def _absent(self, variable: Variable) -> str:
-        return f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
-
-    def __contains__(self, variable: object) -> bool:
-        return variable in self._found
-
-    def __iter__(self) -> Iterator[Variable]:
-        return iter(self._found)
-
-    def __len__(self) -> int:
-        return len(self._found)
-
-    @property
-    def _title(self) -> str:
-        return f"{type(self).__name__}({listed(self._found)})"

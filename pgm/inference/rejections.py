@@ -8,8 +8,8 @@ import numpy as np
 
 from pgm.display import Listing, Shown, Summary, number, places, whereabouts
 from pgm.immutable import Immutable
+from pgm.inference.by_sensor import EachSensor
 from pgm.inference.chain.sensor import GateRecord
-from pgm.inference.posterior import EachSensor
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 

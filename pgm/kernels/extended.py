@@ -36,7 +36,7 @@ class Twofold:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """As of an array."""
+        """The lengths of the axes."""
         return self.hi.shape
 
     @property
@@ -175,6 +175,7 @@ def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
 
 
 def _divided(rows: Twofold, pivots: Twofold) -> Twofold:
+    """Rows divided by their pivots; zero where a pivot is zero, as its component is determined."""
     known = (pivots.hi != 0.0)[..., None]
     return where(known, rows / where(known, pivots[..., None], 1.0), 0.0)
 
@@ -184,24 +185,30 @@ def _twofold(value: Any) -> Twofold:
 
 
 def _normal(high: Array, low: Array) -> tuple[Array, Array]:
-    """The same sum with its parts apart; |high| ≥ |low|."""
+    """The sum of two floats as high and low parts that do not overlap; |high| ≥ |low| is due."""
     total = high + low
     return total, low - (total - high)
 
 
 def _exact_sum(a: Array, b: Array) -> tuple[Array, Array]:
+    """The rounded sum a + b and its rounding error, exactly (TwoSum; Knuth, 1969)."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
 
 
 def _halves(a: Array) -> tuple[Array, Array]:
+    """A number as a sum of two of 26 bits each, whose products are exact (Veltkamp, 1968)."""
     cut = _CUT * a
     high = cut - (cut - a)
     return high, a - high
 
 
 def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
+    """The product (a + a_low) (b + b_low), rounded, and its error to first order (Dekker, 1971).
+
+    The error of a b is exact; a_low b_low is below the digits kept.
+    """
     product = a * b
     a_head, a_tail = _halves(a)
     b_head, b_tail = _halves(b)
@@ -210,11 +217,17 @@ def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Arr
 
 
 def _add(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
+    """The sum (a + a_low) + (b + b_low), as high and low parts."""
     total, error = _exact_sum(a, b)
     return _normal(total, error + (a_low + b_low))
 
 
 def _sum(high: Array, low: Array) -> tuple[Array, Array]:
+    """Sums over the last axis but one, as high and low parts.
+
+    Halves of the axis are added to one another, so that errors grow with log₂ of the number of
+    summands.
+    """
     while (count := high.shape[-2]) > 1:
         half = count // 2
         first, second = (..., slice(half), slice(None)), (..., slice(half, 2 * half), slice(None))

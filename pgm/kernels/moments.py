@@ -27,7 +27,10 @@ ROUNDING = 1e-14
 
 
 class Update(NamedTuple):
-    """As of `gaussian.Update`; `lower` is the root of S, NaN where that is indefinite."""
+    """The moments of a belief after a measurement; see `gaussian.Update`.
+
+    Here `lower` is the root of S, NaN where that is indefinite.
+    """
 
     mean: Array
     cov: Array

@@ -49,6 +49,7 @@ def whitener(lower: Array) -> Array | None:
 
 
 def _without(gone: Mask, vectors: Array) -> Array:
+    """Vectors (..., S, d) with zero in the components that are `gone`."""
     return np.where(gone[..., None, :], 0.0, vectors)
 
 

@@ -82,6 +82,7 @@ RESAMPLERS: Mapping[str, Resampler] = MappingProxyType(
 
 
 def _edges(weights: Array, count: int) -> Array:
+    """The cumulative weights (n,), scaled so that the last is exactly `count`."""
     edges = np.cumsum(weights, dtype=np.float64)
     edges /= edges[-1]
     edges *= count
@@ -89,6 +90,7 @@ def _edges(weights: Array, count: int) -> Array:
 
 
 def _between(below: Array | Integers) -> Integers:
+    """How many draws each particle gets, (n,), from the number of draws below each edge."""
     ends, counts = below.astype(np.intp), np.empty(len(below), dtype=np.intp)
     counts[:1] = ends[:1]
     np.subtract(ends[1:], ends[:-1], out=counts[1:])

@@ -37,4 +37,5 @@ def directions(angles: Array) -> Array:
 
 
 def _stacked(points: Array, headings: Array) -> Array:
+    """Poses (..., 3) of points (..., 2) and headings (...)."""
     return np.concatenate([points, headings[..., None]], axis=-1)

@@ -65,6 +65,12 @@ def regular_root(matrix: Array, least: float, scale: Array | None = None) -> Arr
 
 
 def _semidefinite_root(matrix: Array, diagonal: Array, negligible: float) -> Array:
+    """The root by columns, with zero columns of determined components (Higham, 2002, section 10.3).
+
+    A pivot below the `negligible` part of the scale is zero, and so is its column. A matrix is
+    indefinite, and its root NaN, where a pivot is clearly negative, or where a component whose
+    pivot is zero still varies with a later one.
+    """
     size = matrix.shape[-1]
     lower = np.zeros_like(matrix)
     indefinite = ~np.isfinite(matrix).all(axis=(-2, -1)) | (diagonal < 0.0).any(axis=-1)

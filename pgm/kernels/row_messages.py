@@ -16,7 +16,7 @@ STEADY = 1e-12
 
 
 def product(a: Rows, b: Rows) -> Rows:
-    """Of two stacks of factors: their rows together."""
+    """The product of two stacks of factors: the rows of both together."""
     parts = zip(a, b, strict=True)
     return Rows._make(None if p is None or q is None else _together(p, q) for p, q in parts)
 
@@ -92,6 +92,7 @@ def choose(active: Mask, new: Rows, old: Rows) -> Rows:
 
 
 def _relations(old: Rows, new: Rows) -> tuple[Array, Array, Array, Array] | None:
+    """The exact relations of old rows, as many as the new ones have, and of new; None without."""
     exact, sides, new_exact, new_sides = *old[2:], *new[2:]
     if exact is None or sides is None or new_exact is None or new_sides is None:
         return None
@@ -109,4 +110,5 @@ def _moved(exact: Array, sides: Array, new_exact: Array, new_sides: Array) -> Ar
 
 
 def _together(a: Array, b: Array) -> Array:
+    """The rows of two matrices below one another."""
     return np.concatenate([a, b], axis=-2)

@@ -86,6 +86,12 @@ def largest_first(correlation: Array) -> Integers:
 
 
 def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
+    """Integrate the first `count` variables out of rows without exact relations.
+
+    A QR factorisation makes the rows [E F; 0 G], with sides [e; g]: the rest is G with g, and the
+    variables are E⁻¹ (e − F s) + noise of covariance E⁻¹ E⁻ᵀ, given the others s. The log-scale is
+    ½ count ln 2π − ln |det E| − ½ ‖what is left of r‖².
+    """
     size = matrix.shape[-1]
     factor = triangular(matrix, right)
     inside = factor[..., :count, :count]

@@ -22,6 +22,7 @@ _MANY = 16
 
 
 def _regular(lower: Array, fixed: Mask) -> Array:
+    """The root with ones in place of its zero pivots, so that it can be divided by."""
     if not fixed.any():
         return lower
     return lower + fixed[..., None] * np.eye(lower.shape[-1])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError, PgmError
@@ -200,6 +201,7 @@ _ROUNDED = "rounding alone was left"
 _ONCE = Smoothing()
 
 
+@public
 def fit(
     model: DynamicBayesianNetwork,
     evidence: Evidence | Sequence[Evidence],

@@ -11,7 +11,7 @@ import numpy as np
 from pgm.immutable import set_writeable
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask, components_first, components_last, quiet
-from pgm.kernels.slopes import jacobian as by_differences
+from pgm.kernels.differences import jacobian as by_differences
 from pgm.linearisers.calls import Call
 from pgm.linearisers.template import Function, FunctionTemplate
 from pgm.tracing import Answers
@@ -177,7 +177,7 @@ class BoundFunction(NamedTuple):
             role, function = "derivative", derivative
             slope = function(*arguments)
         except Exception as error:
-            raise self._told(role, x).failure(function, arguments, error) from error
+            raise self._told(role, x).failure(function, arguments, error, None) from error
         due, steep = (*shape, template.height), (*shape, template.height, template.size)
         if not (type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due):
             value = self._told("function", x).array(template.function, arguments, value, due)
@@ -298,7 +298,7 @@ class BoundFunction(NamedTuple):
         try:
             value = function(*arguments)
         except Exception as error:
-            raise self._told(role, x).failure(function, arguments, error) from error
+            raise self._told(role, x).failure(function, arguments, error, due) from error
         if type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due:
             return value
         return self._told(role, x).array(function, arguments, value, due)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import slopes
+from pgm.kernels import regression
 from pgm.kernels.arrays import Array
 
 
@@ -40,9 +40,9 @@ class Points(_Points):
     """
 
     @cached_property
-    def fit(self) -> slopes.Fit:
+    def fit(self) -> regression.Fit:
         """The regression on the points, where all beliefs share them."""
-        return slopes.fit(self.points, self.mean_weights, self.cov_weights)
+        return regression.fit(self.points, self.mean_weights, self.cov_weights)
 
     @cached_property
     def with_centre(self) -> Array:

@@ -22,7 +22,7 @@ from pgm.kernels.arrays import (
     times_transposed,
     transpose,
 )
-from pgm.kernels.slopes import range_inverse, regress
+from pgm.kernels.regression import range_inverse, regress
 from pgm.linearisers.function import BoundFunction
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared, apart
 from pgm.linearisers.points import Points

@@ -19,7 +19,7 @@ import numpy as np
 from pgm.errors import PgmError
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, components_last, quiet
-from pgm.kernels.slopes import jacobian, steps
+from pgm.kernels.differences import jacobian, steps
 from pgm.tracing.program import Column
 from pgm.tracing.trace import Tracer
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import pgm
-from pgm.kernels import slopes
+from pgm.kernels import differences
 from pgm.tracing import Answers, Tracer
 
 NUMBA = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
@@ -179,7 +179,7 @@ def test_a_large_batch_is_judged_at_a_sample_only_where_the_trace_shows_all():
 
 def test_finer_differences():
     x, std = np.array([0.3]), np.array([0.5])
-    each = [slopes.jacobian(np.sin, x, std, np.array([False]), finer) for finer in (1.0, 0.01)]
+    each = [differences.jacobian(np.sin, x, std, np.array([False]), finer) for finer in (1.0, 0.01)]
     assert_allclose(each[0], [[np.cos(0.3)]], rtol=1e-9)
     assert_allclose(each[1], [[np.cos(0.3)]], rtol=1e-9)
-    assert slopes.steps(x, std, 0.01) == [5e-5]
+    assert differences.steps(x, std, 0.01) == [5e-5]

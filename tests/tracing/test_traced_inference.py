@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import pgm
 from models import motion, sensors
-from pgm.kernels import slopes
+from pgm.kernels import differences
 from pgm.linearisers import BoundFunction, FunctionTemplate
 
 X = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
@@ -84,7 +84,7 @@ def test_where_there_is_no_derivative_it_is_taken_by_differences():
     assert dict(cpd.derivatives) == {X: "traced", M: "traced"}
     bound = BoundFunction(template, [None, np.full((2, 2), [1.0, 2.0])], lead=1)
     zeros = np.zeros_like(x)
-    numerical = slopes.jacobian(bound.__call__, x, zeros, Z.angle_mask)
+    numerical = differences.jacobian(bound.__call__, x, zeros, Z.angle_mask)
     slope = bound.tangent(x)[1]
     assert_allclose(slope[1, :, :2], numerical[1, :, :2], rtol=0, atol=0)
     exact = sensors.range_bearing_by_state(x[:1], np.array([[1.0, 2.0]]))
@@ -136,7 +136,7 @@ def test_kinks_and_steps(function, at, due):
     assert dict(cpd.derivatives) == {s: "traced"}
     bound = BoundFunction(cpd._template((s,)), [None], lead=0)
     assert bound.tangent(np.array([at]))[1].tolist() == [[due]]
-    numerical = slopes.jacobian(bound.__call__, np.array([at]), np.zeros(1), t.angle_mask)
+    numerical = differences.jacobian(bound.__call__, np.array([at]), np.zeros(1), t.angle_mask)
     assert_allclose(numerical, [[due]], atol=1e-7)
 
 

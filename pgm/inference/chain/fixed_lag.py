@@ -13,12 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.compile.machine import WINDOWS
 from pgm.errors import NumericalError
 from pgm.inference.chain import backward, careful, certificate, cost, forward
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Begin, Careful
 from pgm.inference.chain.careful_belief import Belief, over
+from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.diffuse import Diffuse
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.moments import largest
@@ -85,6 +87,8 @@ def carefully(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     """Slide a window along the chain."""
+    if compiled.is_used(plan):
+        plan.account.leave(WINDOWS)
     cost.require_cost(schedule.smoothing, plan.families)
     record = _Record(plan)
     begin: Beginning | None = None

@@ -17,6 +17,7 @@ from math import inf
 import numpy as np
 
 from pgm.errors import EvidenceError
+from pgm.factors.scope import namesake
 from pgm.inference.chain.diffuse import Diffuse
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Reading
@@ -38,7 +39,7 @@ def require_sensors(model: DynamicBayesianNetwork, gate: object) -> None:
         if variable not in model.sensors:
             raise EvidenceError(
                 f"gate= names {variable!r}, which is no sensor of the model; it has "
-                f"{list(model.sensors)}",
+                f"{list(model.sensors)}{namesake(variable, model.sensors)}",
                 variable=variable,
             )
 

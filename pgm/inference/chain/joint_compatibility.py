@@ -62,6 +62,7 @@ def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
 
 
 def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Integers) -> Mask:
+    """Whether the hypotheses `chosen`, (sightings, all runs), of some runs lie within the gate."""
     spread, shift = cov[runs], np.zeros((runs.size, cov.shape[-1]))
     square, dof = np.zeros(runs.size), np.zeros(runs.size, dtype=np.intp)
     for k, own in enumerate(chosen[:, runs]):
@@ -85,6 +86,11 @@ class _Step(NamedTuple):
 
 
 def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Step:
+    """Take pairings into beliefs N(shift, cov), (..., n) and (..., n, n), about the mean.
+
+    `matrix` is H (..., d, n). The square is νᵀ S⁻¹ ν, the density −½ (νᵀ S⁻¹ ν + ln |S|), for the
+    innovation ν given the pairings before.
+    """
     cross = matrix @ cov
     spread = cross @ matrix.mT + noise
     left = residual - np.einsum("...dn,...n->...d", matrix, shift)
@@ -126,6 +132,12 @@ class _Search:
         score: float,
         chosen: list[int],
     ) -> None:
+        """Pair the sighting at this depth with each candidate left, likeliest first, or with none.
+
+        Branch and bound (Neira & Tardós, 2001): a branch is left where it cannot pair as many
+        sightings, or as well, as the best hypothesis, or where its squared length is beyond the
+        gate of all that may follow.
+        """
         self.nodes += 1
         if self.nodes > NODES:
             raise TooManyError(self.run)

@@ -18,8 +18,9 @@ from pgm.inference.chain.vector import stacks
 from pgm.kernels import canonical, elements, moments, solving
 from pgm.kernels.arrays import LOG_2PI, Array, apply, block, inner, sandwich, transpose
 from pgm.kernels.canonical import Canonical
-from pgm.kernels.elements import Element, levels, prefixes, take
+from pgm.kernels.elements import Element
 from pgm.kernels.moments import Conditional
+from pgm.kernels.prefixes import levels, prefixes, take
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
@@ -43,6 +44,7 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
 
 
 def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonical:
+    """The messages to all slices, last to first, one step after the other."""
     messages = [message]
     conditionals = transition(plan)
     for later in range(plan.steps, 0, -1):
@@ -73,6 +75,7 @@ class _Message(NamedTuple):
 
 
 def _passed(message: _Message, segment: Element) -> _Message:
+    """The message to the left end of a segment, from that to its right end."""
     K, h, g = canonical.backward(*segment[:3], *message)
     assert segment.g is not None
     return _Message(K + segment.K, h + segment.h, g + segment.g)

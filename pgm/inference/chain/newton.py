@@ -18,7 +18,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.iteration import Point
 from pgm.kernels import normal_density, roots, tridiagonal
 from pgm.kernels.arrays import Array, apply, block, multiply, transpose
-from pgm.kernels.elements import in_chunks
+from pgm.kernels.prefixes import in_chunks
 from pgm.kernels.tridiagonal import Tridiagonal
 
 
@@ -65,6 +65,11 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
 
 
 def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
+    """The normal equations A ξ = r of the means, as moves ξ from the reference of the measurements.
+
+    With x_t = F x_{t−1} + b + n, n ~ N(0, Q), diagonal blocks are Q⁻¹ + Fᵀ Q⁻¹ F + HᵀR⁻¹H, the
+    blocks beside them −Fᵀ Q⁻¹. None where a noise is singular, and has no precision.
+    """
     layout = plan.layout
     states = layout.state_places
     mean, cov = MomentChain(plan, None).start().by_run
@@ -112,6 +117,7 @@ class _Terms(NamedTuple):
 
 
 def _terms(move: _Move, precision: _Precision) -> _Terms:
+    """The products Fᵀ W F, W F, Fᵀ W b and W b of a transition and its precision W."""
     across = multiply(precision.matrix, move.matrix)
     after = apply(precision.matrix, move.offset)
     back = transpose(move.matrix)

@@ -8,7 +8,7 @@ runs second.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,6 +22,7 @@ from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
 from pgm.inference.argument_checks import require_plain
+from pgm.inference.chain.compiled.account import Account
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
 from pgm.kernels.arrays import Array, Index, Integers, cut
@@ -56,7 +57,8 @@ class ChainPlan:
 
     `steps` is T; `runs` are flattened from the user's axes `lead`. `first` is the number of the
     first step, not zero online and of a window; `begin` the belief there given its measurements,
-    (n, *batch) and (n, n, *batch), where it takes the prior's place.
+    (n, *batch) and (n, n, *batch), where it takes the prior's place. `account` is of all sweeps of
+    this plan and of those cut from it.
     """
 
     layout: SliceLayout
@@ -67,6 +69,7 @@ class ChainPlan:
     sensors: list[Sensor]
     first: int = 0
     begin: tuple[Array, Array] | None = None
+    account: Account = field(default_factory=Account)
 
     @cached_property
     def linear(self) -> bool:

@@ -20,8 +20,9 @@ from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Careful
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
-from pgm.inference.chain.innovations import Innovated
-from pgm.inference.chain.marginals import Marginals, joint_moments, require_at_steps
+from pgm.inference.chain.innovated import Innovated
+from pgm.inference.chain.joints import joint_moments
+from pgm.inference.chain.marginals import Marginals, require_at_steps
 from pgm.inference.chain.messages import backward_messages, first_potential, potentials
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reweighting import Weights, evidence_kind

@@ -20,6 +20,7 @@ from pgm.inference.chain import careful, certificate, fixed_lag, forward, gate, 
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.balanced import BalancedPosterior
 from pgm.inference.chain.careful import Careful
+from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.fixed_lag import Lagged, Windows
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
@@ -71,6 +72,7 @@ class Solver(ABC):
         windows: Windows | None = None,
         error: Array | None = None,
     ) -> ChainPosterior:
+        status = status.with_compilation(plan.account.words(plan.runs))
         if error is not None:
             status = status.with_digits(digits(error, plan.lead))
         parts = kind, plan, swept, smoothed, reverse, careful, windows
@@ -254,6 +256,8 @@ def _solved(
             pass  # with twice the digits there may be an answer; if not, the same is refused
         plan = ChainPlan.make(graph, bound, lineariser, probe=False, judge=judge)
         gate.prepare(plan, gates)
+    if compiled.is_used(plan):
+        plan.account.leave("float64 has too few digits, and twice as many are computed by NumPy")
     found = solver.carefully(plan, given)
     _refuse_infinite(found)
     return found

@@ -102,6 +102,11 @@ class Weights:
         return np.asarray(np.where(active, moved, 0.0))
 
     def _weights(self, square: Array) -> tuple[Array, Array]:
+        """The weights at squared lengths, and the stage of graduated non-convexity they are of.
+
+        Truncated least squares begins with a wide loss and sharpens it stage by stage, until the
+        weights are those of the hard loss.
+        """
         noise = self.noise
         hard = noise.weight(square, self.count)
         if not isinstance(noise, TruncatedLeastSquares):

@@ -54,6 +54,7 @@ class FirstBeliefs:
 
     @cached_property
     def _planned(self) -> TreeBeliefs:
+        """The calibrated tables of a plan, made when more than marginals is first asked for."""
         return TreeBeliefs.of(self.graph, self.evidence, self._room)
 
     @property
@@ -83,4 +84,5 @@ def _first(graph: ClusterGraph) -> bool:
 
 
 def _asked(graph: ClusterGraph) -> bool:
+    """The mark that a graph was asked: `derived` keeps it."""
     return True

@@ -64,6 +64,7 @@ def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
 
 @np.errstate(all="raise")
 def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
+    """The beliefs of one run; an underflow raises `FloatingPointError`."""
     return _Tree(graph, evidence).answer()
 
 
@@ -130,6 +131,7 @@ class _Tree:
                         waiting.append(other)
 
     def _of_cpd(self, family: Sequence[int], table: Array) -> Factor:
+        """A CPD as a factor, with its observed variables at their states, on axes of length one."""
         given = [*family[1:], family[0]]
         if not self.shown.keys().isdisjoint(given):
             state = self.shown.get
@@ -141,6 +143,7 @@ class _Tree:
         return scope, table
 
     def _of_weights(self, place: int, weights: Array) -> Factor:
+        """Soft evidence of a variable, (states,), as a factor."""
         state = self.shown.get(place)
         return [place], weights if state is None else weights[state : state + 1]
 
@@ -163,6 +166,11 @@ class _Tree:
         return Answer(self._distribute(tables), log_evidence)
 
     def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
+        """Messages towards the roots: tables times all messages from below, and ln p(evidence).
+
+        Tables are matrices (variables of its own, variables shared with its parent), whose rows a
+        message sums; `shapes` are those of the messages as factors of the parent.
+        """
         tables: list[Array] = [NOTHING] * len(self.order)
         log_evidence = 0.0
         for k in reversed(self.order):
@@ -179,6 +187,7 @@ class _Tree:
         return tables, log_evidence
 
     def _product(self, scope: Sequence[int], factors: Iterable[Factor]) -> Array:
+        """The product of some factors, with an axis for each variable of a scope."""
         sizes = self.sizes
         table: Array | None = None
         for own, values in factors:
@@ -191,6 +200,11 @@ class _Tree:
         return table
 
     def _distribute(self, tables: list[Array]) -> dict[Discrete, Array]:
+        """Messages back from the roots; marginals, each from the smallest table with the variable.
+
+        A table becomes the joint of its variables by the ratio of the parent's joint of the shared
+        ones and the message that went up.
+        """
         sizes = self.sizes
         homes: list[Factor] = [((), NOTHING)] * len(sizes)
         least = [math.inf] * len(sizes)
@@ -215,6 +229,7 @@ class _Tree:
         return self._normalised(hidden, [_to((place,), *homes[place]) for place in hidden])
 
     def _normalised(self, hidden: Sequence[int], sums: Sequence[Array]) -> dict[Discrete, Array]:
+        """The marginals of the hidden variables, divided by their sums."""
         if not hidden:
             return {}
         widths = [self.sizes[place] for place in hidden]
@@ -235,6 +250,7 @@ NOTHING = np.empty(0)
 
 
 def _to(wanted: Sequence[int], scope: Sequence[int], table: Array) -> Array:
+    """The sums of a table over all variables but the wanted ones, which stay in its order."""
     if len(wanted) == len(scope):
         return table
     axes = [axis for axis, place in enumerate(scope) if place not in wanted]

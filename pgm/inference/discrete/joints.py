@@ -48,6 +48,12 @@ def joint(storage: Storage, tables: Array, scope: States) -> Array:
 def _of_tree(
     storage: Storage, forest: Forest, tables: Array, scope: States, homes: set[int]
 ) -> Factor:
+    """The joint of variables of one tree, whose tables are found in the clusters `homes`.
+
+    On the part of the tree that joins these clusters, each table is divided by its sepset with the
+    parent, so that it is conditional, and is multiplied into the parent, of which only the wanted
+    variables and that sepset are kept: p(scope) = Σ p(top) Π p(cluster | sepset).
+    """
     parent = forest.parent
     below: dict[int, int] = {}
     for home in homes:
@@ -93,6 +99,7 @@ def _given(factor: Factor, sepset: States) -> Array:
 
 
 def _product(a: Factor, b: Factor) -> Factor:
+    """The product of two factors over all variables of both, refused where it is too large."""
     scope = a[0] + tuple(v for v in b[0] if v not in a[0])
     runs = a[1].shape[len(a[0]) :]
     entries = math.prod(sizes(scope)) * math.prod(runs)
@@ -114,6 +121,7 @@ def _arranged(factor: Factor, scope: States) -> Array:
 
 
 def _sum(factor: Factor, keep: States) -> Array:
+    """The sums of a factor over all variables but some, on axes in the order of these."""
     scope, values = factor
     total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
     return _arranged((tuple(v for v in scope if v in keep), total), keep)

@@ -12,11 +12,12 @@ from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import sizes
 from pgm.inference import limits
+from pgm.inference.discrete.entered_evidence import enter_everywhere
 from pgm.inference.discrete.impossible import contradicted
 from pgm.inference.discrete.loopy_plan import Group, LoopyPlan, Outlet
-from pgm.inference.discrete.storage import Storage, enter_everywhere
+from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.kernels.tables import exp, log_sum
+from pgm.kernels.semirings import exp, log_sum
 from pgm.variables import Discrete
 
 
@@ -72,12 +73,14 @@ class TableMessages:
         return products.reshape(-1, self.runs)
 
     def _normalised(self, messages: Array, outlet: Outlet) -> Array:
+        """Logarithms of messages, (messages, columns, runs), less those of their sums."""
         total = log_sum(messages, 1)
         self._require_possible(total, outlet.senders)
         normalised: Array = messages - total[:, None]
         return normalised
 
     def _require_possible(self, totals: Array, clusters: Integers) -> None:
+        """Refuse logarithms of sums, (clusters, runs), that are −∞: the evidence is impossible."""
         empty = totals == -np.inf
         if empty.any():
             found = [self.storage.graph.clusters[k] for k in clusters.tolist()]
@@ -123,6 +126,7 @@ class TableMessages:
 
 
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
+    """Refuse a graph and evidence whose tables and products of messages would not fit memory."""
     # A cluster's table is multiplied by the messages of all neighbours but each in turn: where
     # these meet it is laid out for all clusters, the products are made for some at once.
     products = [size * max(1, len(graph.neighbours(k))) for k, size in enumerate(graph.sizes)]
@@ -161,6 +165,7 @@ class LoopyBeliefs:
 
     @cached_property
     def _marginals(self) -> Array:
+        """The marginals of all variables, one after the other, (entries, runs)."""
         return self.storage.marginals.read(self._tables)
 
     def marginal(self, variable: Discrete) -> Array:

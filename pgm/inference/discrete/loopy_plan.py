@@ -85,6 +85,10 @@ class LoopyPlan:
         return groups
 
     def _group(self, clusters: list[int], asked: dict[int, list[tuple[int, int]]]) -> Group:
+        """Clusters of one size as a group: their entries, and the messages to and from them.
+
+        `asked` has the messages of each cluster, with their places in the order of a round.
+        """
         size = self.storage.graph.sizes[clusters[0]]
         total = size * len(clusters)
         places = [self.storage.places[k] for k in clusters]
@@ -108,6 +112,7 @@ class LoopyPlan:
         return Group(np.concatenate(entries), np.concatenate(incoming, axis=1), outlets)
 
     def _incoming(self, cluster: int) -> Integers:
+        """The columns of messages to a cluster that meet its entries, (messages, entries)."""
         return np.array(
             [
                 self.first[message ^ 1] + self._shape(cluster, message)[1]

@@ -11,18 +11,20 @@ from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
 from pgm.factors.axes import States, discrete, sizes
-from pgm.factors.scope import Scope, as_scope, names
+from pgm.factors.scope import Scope, as_scope, names, namesake
 from pgm.inference import limits
+from pgm.inference.discrete.allowed import AllowedBeliefs
+from pgm.inference.discrete.entered_evidence import axes_left, entered, put_in
 from pgm.inference.discrete.first_beliefs import FirstBeliefs
 from pgm.inference.discrete.joints import holder, joint
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs
-from pgm.inference.discrete.storage import axes_left, entered, put_in, sepset_between
+from pgm.inference.discrete.storage import sepset_between
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
 from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, frozen
-from pgm.kernels.tables import exp
+from pgm.kernels.semirings import exp
 from pgm.variables import Discrete, Variable
 
 
@@ -44,7 +46,7 @@ class DiscretePosterior(Posterior):
 
     graph: ClusterGraph
     status: Status
-    _beliefs: TreeBeliefs | FirstBeliefs | LoopyBeliefs
+    _beliefs: TreeBeliefs | AllowedBeliefs | FirstBeliefs | LoopyBeliefs
 
     def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
         """The marginal of a variable that is not observed in all runs, (*runs, size)."""
@@ -52,11 +54,13 @@ class DiscretePosterior(Posterior):
         return self._table((wanted,), self._beliefs.marginal(wanted))
 
     def _require_hidden(self, variable: Variable) -> Discrete:
+        """Refuse a variable that is not of the network, or observed in all runs."""
         require_variable(variable)
         if variable not in self.graph.network._places or not isinstance(variable, Discrete):
             raise EvidenceError(
                 f"{variable!r} is not in the network; its variables are "
-                f"{list(self.graph.network.variables)}",
+                f"{list(self.graph.network.variables)}"
+                f"{namesake(variable, self.graph.network.variables)}",
                 variable=variable,
             )
         if self._is_observed(variable):
@@ -66,6 +70,7 @@ class DiscretePosterior(Posterior):
         return variable
 
     def _is_observed(self, variable: Variable) -> bool:
+        """Whether a variable is observed in all runs."""
         state = self._beliefs.evidence.states.get(discrete((variable,))[0])
         return state is not None and bool(np.min(state) >= 0)
 
@@ -92,6 +97,7 @@ class DiscretePosterior(Posterior):
         return self._table(scope, self._beliefs.read(lambda t: joint(storage, t, scope)))
 
     def _require_room(self, scope: States, what: str) -> None:
+        """Refuse a result over some variables that would not fit for all runs."""
         runs = self._beliefs.evidence.runs
         if runs > 1:
             limits.require_runs(math.prod(sizes(scope)), runs, what)

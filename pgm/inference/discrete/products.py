@@ -10,7 +10,7 @@ import numpy as np
 from pgm.factors.axes import States, sizes
 from pgm.inference.discrete.place import Merged, Place
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.tables import Semiring
+from pgm.kernels.semirings import Semiring
 
 # A product whose last axis is shorter is a loop over so few entries; the message is written out for
 # blocks of at most so many.
@@ -58,7 +58,7 @@ class BlockProduct:
 
     @classmethod
     def of(cls, child: int, place: Place, sepset: States, first: int) -> BlockProduct:
-        """From a child, with the message's columns from one on."""
+        """The product of a large table and a child's message, whose columns begin at `first`."""
         source = slice(first, first + math.prod(sizes(sepset)))
         view = place.merged(sepset)
         wide = len(view.shape)

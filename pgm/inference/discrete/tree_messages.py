@@ -3,13 +3,10 @@
 from collections.abc import Iterable
 
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.storage import (
-    Storage,
-    enter_everywhere,
-    sepset_between,
-)
+from pgm.inference.discrete.entered_evidence import enter_everywhere
+from pgm.inference.discrete.storage import Storage, sepset_between
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import log_sum
+from pgm.kernels.semirings import log_sum
 
 
 class TreeMessages:
@@ -37,6 +34,10 @@ class TreeMessages:
         return self._messages[source, target]
 
     def _sent(self, i: int, j: int, inputs: Iterable[tuple[int, int]]) -> Array:
+        """The logarithm of the message from cluster i to j: Σ potential of i · messages to i.
+
+        The edges `inputs` are those of the other neighbours of i.
+        """
         scope, graph = self.storage.scopes[i], self.storage.graph
         total = self.storage.table(self.potentials, i)
         for edge in inputs:

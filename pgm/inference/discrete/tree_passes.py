@@ -7,12 +7,10 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.storage import (
-    multiply,
-)
+from pgm.inference.discrete.entered_evidence import multiply
 from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +202,7 @@ def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
 
 
 def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Calibrated:
+    """Both passes over a tree in one semiring; only the first, where the evidence is impossible."""
     entry = enter(plan, evidence, semiring)
     done = collect(plan, entry, semiring)
     tables, log_tops = entry.tables, semiring.logs(done.tops)

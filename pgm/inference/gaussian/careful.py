@@ -22,7 +22,7 @@ from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.prior import SHARE, Frame
 from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.tree import TreePlan
-from pgm.kernels import decimals, slopes
+from pgm.kernels import decimals, differences
 from pgm.kernels.arrays import Array, Integers, apply, deviation, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
 from pgm.linearisers import Taylor
@@ -81,7 +81,10 @@ def predictive(
     shared: bool,
     start: Array | None = None,
 ) -> Frame:
-    """As `prior_predictive` without a start, but that moments are rounded once, at the end."""
+    """The prior predictive moments in decimals, rounded once, at the end.
+
+    See `prior_predictive`, without a start.
+    """
     conditionals = Conditionals(layout, families, runs, shared)
     with decimals.precision(MANY):
         joint = Joint.empty(
@@ -115,6 +118,13 @@ def solve(plan: TreePlan, model: Model) -> Solution:
 
 
 def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: Decimal) -> Solution:
+    """Solve with so many decimals: condition the prior's joint on one observed CPD after another.
+
+    A column besides the means, for each component of a nonlinear CPD, carries the rounding of that
+    component's linearisation through the same operations: its last entries say how far a posterior
+    mean moves with it. A number below the share `nothing` of the summands it is made of counts as
+    zero.
+    """
     layout = plan.layout
     sides = model.runs if model.shared else 1
     rounding = [None if f.exact else _rounding(model, g) for g, f in enumerate(model.families)]
@@ -223,7 +233,7 @@ def _rounding(model: Model, g: int) -> Array:
     share = np.ones((*at.shape[:-1], 1))
     if isinstance(rule, Taylor):
         some = list(template.numerical)
-        share += (spread / slopes.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
+        share += (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
         away = away if some else np.zeros_like(away)
     return ROUNDING * (here * share + away)
 

@@ -130,6 +130,7 @@ class RowMessages:
         return self._product(*self.buffer.rounds.potentials([cluster]))
 
     def _product(self, stack: Stack) -> tuple[Rows, Array]:
+        """The rows of a cluster's potential and of the messages to it, and their log-scale."""
         factor = self.buffer.factor(stack)
         # Columns of the stack are in the order of elimination: here, all, in the scope's.
         return row_messages.first(factor), self.buffer.log_scale[:, stack.logs].sum(axis=2)[:, 0]

@@ -130,6 +130,10 @@ class Model:
         self.first = False
 
     def _follow(self, mean: Array, active: Mask) -> None:
+        """Move angles to the branch nearest the means, (runs, size), for the active runs.
+
+        Of an observed child the reading moves; of a hidden one the offset of its linearised CPD.
+        """
         groups = zip(self.layout.groups, self.families, self.readings, self.moved, strict=True)
         for k, (group, family, reading, kept) in enumerate(groups):
             angles = group.cpds[0].child.angle_mask
@@ -146,6 +150,7 @@ class Model:
 
 
 def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
+    """The CPDs of a group as one family, whose rows are the CPDs, with their observed parents."""
     first = group.cpds[0]
     inputs = {
         first.parents[k]: _stacked([cpd.parents[k] for cpd in group.cpds], bound.values)
@@ -158,6 +163,10 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
 
 
 def _taken(group: Group, bound: BoundValues) -> Mask | None:
+    """The mask of components of a group's children that were observed, (CPDs, runs or 1, d).
+
+    None where all were.
+    """
     children = [cpd.child for cpd in group.cpds]
     if bound.taken.keys().isdisjoint(children):
         return None
@@ -168,6 +177,7 @@ def _taken(group: Group, bound: BoundValues) -> Mask | None:
 def _stacked(
     variables: Sequence[Variable], rows: Mapping[Variable, npt.NDArray[Kind]]
 ) -> npt.NDArray[Kind]:
+    """The values of some variables, (variables, runs or 1, d)."""
     values = [rows[v] for v in variables]
     runs = max(value.shape[0] for value in values)
     return np.stack([np.broadcast_to(value, (runs, value.shape[1])) for value in values])

@@ -11,7 +11,7 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import Scope, as_scope, names
+from pgm.factors.scope import Scope, as_scope, names, namesake
 from pgm.inference.gaussian.beliefs import Calibrated, runs_first
 from pgm.inference.gaussian.joints import joint_moments
 from pgm.inference.gaussian.messages import RowMessages
@@ -59,7 +59,9 @@ class GaussianPosterior(Posterior):
             return layout.places[variable]
         if variable in layout.observed:
             raise EvidenceError(
-                f"{variable!r} is observed: its value is its evidence", variable=variable
+                f"{variable!r} is observed: its value is its evidence, and a component that is "
+                "NaN there is left out of the network; for a belief about it give it no evidence",
+                variable=variable,
             )
         if variable in layout.absent:
             raise EvidenceError(
@@ -69,7 +71,7 @@ class GaussianPosterior(Posterior):
             )
         raise EvidenceError(
             f"{variable!r} is not in the network; its variables without evidence are "
-            f"{list(layout.hidden)}",
+            f"{list(layout.hidden)}{namesake(variable, layout.hidden)}",
             variable=variable,
         )
 

@@ -75,6 +75,10 @@ class _Linearised(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, g: int) -> _Linearised:
+        """The CPDs of group g, about the model's frame.
+
+        Of an observed child, e is its reading less F p + b at the frame's means.
+        """
         frame, runs = model.frame, 1 if model.shared else model.runs
         group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
         at = frame.mean[:, group.parents].swapaxes(0, 1)
@@ -115,6 +119,13 @@ class _Factor:
 
 
 def _factor(model: Model, groups: list[int]) -> _Factor:
+    """The rows of the CPDs of some groups of one shape; see `make_potentials`.
+
+    Noise is taken as correlations, its components ordered so that those that vary most come first,
+    and its root in that order. Exact rows are scaled to unit length, so that relations in any units
+    compare; one in which no variable is left is evidence that is met or not, and is scaled by its
+    summands.
+    """
     each = zip(*(_Linearised.of(model, g) for g in groups), strict=True)
     given = _Linearised(*map(np.concatenate, each))
     matrix, noise = given.matrix.swapaxes(0, 1), given.noise.swapaxes(0, 1)

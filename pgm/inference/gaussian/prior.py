@@ -84,6 +84,7 @@ class _Frontier:
         self.free = list(range(8))
 
     def covariance(self, places: Integers) -> tuple[Array, Array]:
+        """The covariance of components, (V, m, m), and theirs with all slots, (V, m, slots)."""
         rows = [self.slots[int(place)] for place in places]
         across = self.cov[:, rows]
         return across[:, :, rows], across
@@ -102,6 +103,7 @@ class _Frontier:
         self.cov[:, np.array(rows)[:, None], rows] = own
 
     def drop(self, places: list[int]) -> None:
+        """Forget components that no later CPD needs; their slots are free."""
         rows = [self.slots.pop(place) for place in dict.fromkeys(places)]
         self.cov[:, rows, :] = 0.0
         self.cov[:, :, rows] = 0.0

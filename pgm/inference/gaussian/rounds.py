@@ -136,6 +136,12 @@ class Rounds:
         return self.beliefs(range(len(self.layout.scopes)))
 
     def _stacks(self, tasks: Iterable[tuple[int, int, list[int], list[int]]]) -> list[Stack]:
+        """Lay out eliminations: tasks of a member, its cluster, messages to it, and variables kept.
+
+        Clusters with as many components, as many of them kept, and about as many rows make one
+        stack. Their indices into the buffer put the eliminated components first; missing rows point
+        at a zero.
+        """
         count = len(self.layout.scopes)
         zero, zero_row = int(self.entry_starts[-1]), int(self.row_starts[-1])
         zero_log = count + len(self.layout.directed)

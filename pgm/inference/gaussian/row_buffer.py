@@ -68,6 +68,7 @@ class Buffer:
         return self._rows(stack.entries, stack.rows)
 
     def _rows(self, entries: Integers, rows: Integers) -> Rows:
+        """The rows at some entries and sides of the buffer, with exact relations if it has any."""
         exact = () if self.exact is None else self.exact.at(entries, rows)
         return Rows(*self.proper.at(entries, rows), *exact)
 

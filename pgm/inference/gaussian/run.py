@@ -103,10 +103,12 @@ def _solved(
 def _plan(
     graph: ClusterGraph, observed: frozenset[Variable], absent: frozenset[Variable]
 ) -> TreePlan:
+    """The plan of messages of a tree, for evidence of these variables; made once for a graph."""
     return TreePlan(Layout(graph, observed, absent))
 
 
 def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
+    """The posterior of a graph of any shape, by messages that are sent until none changes."""
     graph, model = plan.layout.graph, buffer.model
     messages = RowMessages.make(buffer, plan.places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
@@ -119,6 +121,7 @@ class _Tree:
     solver: Callable[[], Calibrated]
 
     def linearise(self, at: TreePoint, active: Mask) -> None:
+        """Linearise every CPD anew at its cluster's belief, for the runs that are active."""
         relinearise(at.beliefs, self.model, active)
 
     def settled(self) -> bool:
@@ -126,6 +129,7 @@ class _Tree:
         return True
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
+        """Calibrate the tree with the CPDs as they are linearised now."""
         return self.solver()
 
 
@@ -143,6 +147,7 @@ def _iterated(
 
 
 def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
+    """Solve the network as it is linearised in as many decimals as its numbers need."""
     found = careful.solve(plan, model)
     return Calibrated(found.beliefs, found.log_evidence, found.digits)
 

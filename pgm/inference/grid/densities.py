@@ -54,6 +54,9 @@ class Uneven(NamedTuple):
     step: int
 
 
+EVEN = Uneven(0.0, None, 0)
+
+
 @dataclass(frozen=True, eq=False)
 class Dense:
     """Weights from each cell to each along some axes, for each cell of those depended on.
@@ -88,6 +91,7 @@ class Dense:
 
     @property
     def _order(self) -> tuple[int, ...]:
+        """Axes as the weights have them: those depended on, those that stay, those moved."""
         moved = {*self.axes, *self.by}
         return (*self.by, *(k for k in range(len(self.source)) if k not in moved), *self.axes)
 
@@ -98,6 +102,7 @@ class Dense:
         return np.ascontiguousarray(array.transpose(self._order)).reshape(groups, -1, count)
 
     def _whole(self, lines: Array, window: Window) -> Array:
+        """Lines of a product, (G, rest, cells), as an array with the axes of the window."""
         shape = [window[k].length for k in self._order]
         found: Array = lines.reshape(shape).transpose(np.argsort(self._order))
         return found
@@ -148,6 +153,7 @@ class DensityGroup(Members):
         return self._cut(self.kept[self.key], window)
 
     def _cut(self, dense: Dense, window: Window) -> Dense:
+        """The part of the weights from all cells that are from a window."""
         lattice = self.lattice
         own = dense.weights.shape[1] > 1
         each = (*dense.by, *self.axes) if own else dense.by
@@ -180,6 +186,7 @@ class _Maker:
         self.share = 0.0
 
     def made(self) -> Dense:
+        """The weights from a window to all cells, refused where they would not fit memory."""
         group, lattice, window = self.group, self.lattice, self.window
         used = (*self.by, *self.own)
         count = math.prod(window[k].length for k in used)
@@ -287,9 +294,11 @@ class _Maker:
 
     @property
     def _allowed(self) -> float:
+        """The difference from one that shifting the centres allows a sum over them."""
         return 2.0 * self.share + _ROUNDING
 
     def _error(self, found: str, reason: str) -> ModelError:
+        """An error about the density, which found what is wrong and names the step and the run."""
         states = self.group.states
         named = " and ".join(f"the density of {cpd!r}" for cpd in states)
         return ModelError(
@@ -301,6 +310,7 @@ class _Maker:
         )
 
     def _near_bounds(self, weights: Array) -> Array:
+        """The weights, (rows,), at the last cells within bounds."""
         shape = [self.lattice.shape[k] for k in self.group.axes]
         inner = np.zeros(shape, dtype=bool)
         angles = (self.lattice.axes[k].angle for k in self.group.axes)
@@ -309,12 +319,14 @@ class _Maker:
         return found
 
     def _sums(self, rows: Integers, shift: float, beyond: bool) -> Array:
+        """The sums of the weights of some rows over centres shifted by a part of a cell."""
         places = self._places(shift, beyond)
         length = max(_KEPT // 16 // math.prod(len(each) for each in places), 1)
         parts = [rows[k : k + length] for k in range(0, len(rows), length)]
         return np.concatenate([np.exp(self._logs(part, places)).sum(axis=1) for part in parts])
 
     def _shift(self, rows: Integers, whole: Array, near: Array, parts: Array) -> None:
+        """Find by how much the sums of some rows differ with the shift of the centres."""
         for beyond in (False, True):
             some = rows[near[rows] == beyond]
             if some.size:

@@ -74,6 +74,7 @@ def joined(some: Sequence[Members], kept: Kept) -> Members:
 
 
 def _gaussian(control: CPD) -> ConditionalGaussian:
+    """The CPD of a hidden control, refused unless its noise is Gaussian and constant."""
     if not isinstance(control, ConditionalGaussian) or control.noise is not None:
         raise ModelError(
             f"{control!r} is that of a hidden control, over which a grid sums where it is "

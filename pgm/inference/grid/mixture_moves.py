@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgm.inference.grid.densities import Dense, Uneven
+from pgm.inference.grid.densities import EVEN, Dense, Uneven
 from pgm.inference.grid.groups import Members
 from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.moves import Operator, Split
-from pgm.inference.grid.wide_prior import EVEN
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.lattice import Span
 
@@ -103,6 +102,7 @@ class Mixed:
         return total
 
     def _of(self, step: Step) -> tuple[Integers, ...]:
+        """The indices of a part's target window in the window that holds those of all parts."""
         each = [
             (np.arange(own.length) + own.first - span.first) % axis.cells
             for own, span, axis in zip(step.target, self.target, self.lattice.axes, strict=True)
@@ -126,6 +126,7 @@ class MixedGroup(Members):
 
 
 def _around(spans: Sequence[Span], cells: int, periodic: bool) -> Span:
+    """The shortest span that holds others, on a line or on a circle of so many cells."""
     if all(span == spans[0] for span in spans):
         return spans[0]
     if not periodic:

@@ -12,6 +12,7 @@ from pgm.boundary import as_mapping
 from pgm.display import InCode, NoArray, Shown, Summary, titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
+from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
 from pgm.inference.associations import by_density
 from pgm.inference.grid.belief import GridBelief, scope_axes
@@ -79,7 +80,8 @@ class OnlineGridBelief(Shown, NoArray):
         lattice, template = self._lattice, require_variable(variable).template
         if template not in lattice.states or variable.step not in (None, self.step):
             raise EvidenceError(
-                f"the belief at step {self.step} is over {list(lattice.states)}, not {variable!r}",
+                f"the belief at step {self.step} is over {list(lattice.states)}, not {variable!r}"
+                f"{namesake(variable, lattice.states)}",
                 variable=variable,
                 step=self.step,
             )
@@ -144,6 +146,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         return self._updated(belief, replace(bound, readings=tuple(shifted)))
 
     def _check(self, belief: Any) -> None:
+        """Refuse a belief of another model, or of another family."""
         if not self._owns(belief):
             kind = type(self.belief).__name__.lower()
             raise ModelError(
@@ -273,6 +276,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         found: list[tuple[GridSlices, Array, float]],
     ) -> OnlineGridBelief:
+        """The user's belief of the values of all runs, with a status of all steps so far."""
         lead, lattice = bound.lead, self._lattice
         values = np.array([belief for _, belief, _ in found], dtype=self.belief.dtype)
         log_density = np.array([density for *_, density in found]).reshape(lead)

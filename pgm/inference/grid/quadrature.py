@@ -59,6 +59,11 @@ def quadrature(group: Group, spread: Spread, step: int, run: int) -> tuple[Array
 
 
 def _nodes(extent: float) -> tuple[Array, Array]:
+    """Nodes and weights of a standard normal that spreads over so many cells at one deviation.
+
+    Narrow noise has Gauss–Hermite nodes; wide noise nodes a cell apart, so that no cell is left
+    out, with the weights of a lattice kernel of variance one.
+    """
     if extent < 1e-9:
         return np.zeros(1), np.ones(1)
     if extent <= _NARROW:

@@ -25,9 +25,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from pgm.inference.grid.density_sensors import DensitySensor
 from pgm.inference.grid.lattice import Lattice, Window
 from pgm.inference.grid.measured import MeasuredSensor
-from pgm.inference.grid.sensors import DensitySensor, Weights, likelihood
+from pgm.inference.grid.sensors import Weights, likelihood
 from pgm.kernels.arrays import Array, Integers, Mask
 
 # Shifts of the centres, none among them, and the seed that they are drawn with.

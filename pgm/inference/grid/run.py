@@ -41,6 +41,10 @@ def run(
 
 
 def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
+    """The posterior on the first lattice on which the user's figure stays within its tolerance.
+
+    The number of cells along each axis is doubled until then.
+    """
     if grid.refine is None:
         return _at(graph, bound, kind, grid)
     record = list[Refinement]()
@@ -69,6 +73,7 @@ def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) 
 
 
 def _figure(grid: Grid, found: GridPosterior) -> Array:
+    """The figure that settles: of the function that the user has given, or the log-evidence."""
     if not callable(grid.refine):
         return found.log_evidence
     try:
@@ -86,6 +91,7 @@ def _figure(grid: Grid, found: GridPosterior) -> Array:
 
 
 def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
+    """The posterior on one lattice: filtered, and smoothed where that is asked, run by run."""
     lattice = resolve(grid, graph.model.states)
     smoothing = kind.lag > 0
     require_room(lattice, grid, bound.steps + 1, bound.runs, 3 if smoothing else 1)

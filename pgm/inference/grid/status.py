@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.display import Shown, Summary, brief, number
-from pgm.errors import GridWarning
+from pgm.errors import GridWarning, levels_to_user
 from pgm.immutable import Immutable
+from pgm.inference.grid.cut_off import Cut
 from pgm.inference.grid.densities import Uneven
 from pgm.inference.grid.measured import Sharpness
-from pgm.inference.grid.slices import Cut, Narrowness, Worst
-from pgm.inference.status import _levels_to_user
+from pgm.inference.grid.slices import Narrowness, Worst
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
@@ -297,4 +297,4 @@ class GridStatus(Shown, Immutable):
 
 
 def _warn(message: str) -> None:
-    warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
+    warnings.warn(message, GridWarning, stacklevel=levels_to_user())

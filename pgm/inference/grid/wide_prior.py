@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 
 from pgm.cpds import GaussianCPD
-from pgm.inference.grid.densities import Dense, Uneven
+from pgm.inference.grid.densities import EVEN, Dense
 from pgm.inference.grid.groups import Group
 from pgm.inference.grid.lattice import Window
 from pgm.inference.grid.values import (
@@ -15,9 +15,6 @@ from pgm.inference.grid.values import (
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.lattice import Span
-
-EVEN = Uneven(0.0, None, 0)
-
 
 # From this many cells on, of the deviation of each component given the others, the density at
 # centres is a normal on the lattice: its sum and moments are right to e^(−2π²s²).

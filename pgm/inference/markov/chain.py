@@ -22,7 +22,7 @@ import numpy as np
 
 from pgm.inference import sweep
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.progress import counted
 
 # Beliefs above this, times factors whose product is, are numbers with all their digits.
@@ -96,21 +96,19 @@ class BackwardChain:
         return self._scaled(found)
 
     def _scaled(self, message: Array) -> Array:
+        """A message divided by its total, so that no product of many underflows."""
         scaled: Array = self.semiring.over(message, self.total(message))
         return scaled
 
     def _passed(self, step: int, message: Array) -> Array:
+        """The message to the slice of a step, from that of the next one and its measurements."""
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
             message = self.semiring.times(message, weights)
         return self.slices.backward(step + 1, message)
 
     def back(self, step: int, message: Array) -> Array:
-        """The same, but zero where the filtered belief is, and of sum one elsewhere.
-
-        So scaled it loses but states whose probability given all is too small for a number, however
-        much likelier what comes later would be after an impossible state.
-        """
+        """The backward message of sum one, and zero where the filtered belief is zero."""
         found, zero = self._passed(step, message), self.semiring.zero
         return self._scaled(np.where(self.known[step] > zero, found, zero))
 
@@ -148,7 +146,7 @@ class StateChain(BackwardChain):
         )
 
     def run(self) -> StateChain:
-        """The same, its forward sweep done."""
+        """Make the forward sweep, and return the chain itself."""
         sweep.forward(self, self.slices.steps, self)
         return self
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pgm.cpds import TableCPD
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
-
-if TYPE_CHECKING:
-    pass
 
 
 def smallest_entry(table: Array) -> float:

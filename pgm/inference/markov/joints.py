@@ -88,6 +88,7 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
 
 
 def _behind(values: Array, axes: int, passed: int) -> Array:
+    """Values over a slice with axes of length one for the variables that have passed."""
     return values.reshape(*values.shape[:axes], *(1,) * passed, *values.shape[axes:])
 
 

@@ -8,7 +8,7 @@ from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.contraction import Move
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.tables import MAX_PRODUCT
+from pgm.kernels.semirings import MAX_PRODUCT
 from pgm.progress import counted
 
 
@@ -43,10 +43,12 @@ def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
 
 
 def _axes(controls: tuple[int, ...]) -> tuple[int, ...]:
+    """The axes of controls in a belief whose first axis is of runs."""
     return tuple(k + 1 for k in controls)
 
 
 def _by_run(values: Array, batch: int) -> Array:
+    """Values (..., [runs]) with the runs, or the single one, first."""
     return np.moveaxis(values, -1, 0) if batch else values[None]
 
 
@@ -92,6 +94,7 @@ def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
 
 
 def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Integers | None:
+    """The states of a parent of the same slice, (runs,); None of one of the slice before."""
     return states[labels[0]] if labels[0] < count else None
 
 

@@ -24,7 +24,7 @@ from pgm.inference.online import step_evidence
 from pgm.inference.schedule import Filtering, FixedLag
 from pgm.inference.status import FILTERED, PREDICTED
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
 from pgm.linearisers import TAYLOR
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -180,6 +180,7 @@ class OnlineTables(InCode, Immutable):
         )
 
     def _check(self, belief: OnlineStates) -> None:
+        """Refuse a belief of another filter, or one that is not the newest."""
         mine = isinstance(belief, OnlineStates) and belief._plan.model is self.model
         if not mine or belief.kind.lag > 0 or belief._lag != self.lag:
             raise ModelError(

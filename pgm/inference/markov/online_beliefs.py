@@ -12,6 +12,7 @@ from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors import Table
 from pgm.factors.axes import discrete
+from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
 from pgm.inference.markov.chain import TINY, BackwardChain, smallest
 from pgm.inference.markov.plan import SlicePlan, TableSlices
@@ -19,7 +20,7 @@ from pgm.inference.posterior import require_variable
 from pgm.inference.status import Kind, Status
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array, frozen
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 from pgm.variables import Variable
 
 
@@ -41,7 +42,7 @@ class Held(NamedTuple):
         return SUM_PRODUCT if self.linear else LOG_SUM_PRODUCT
 
     def within(self, semiring: Semiring) -> Held:
-        """The same, in another semiring."""
+        """The held tables and weights, with entries of another semiring."""
         if semiring.linear == self.linear:
             return self
         weights = None if self.weights is None else semiring.entries(self.weights)
@@ -117,7 +118,8 @@ class OnlineStates(Shown, NoArray, Immutable):
         hidden = plan.slice if self.step else plan.states
         if template not in hidden or variable.step not in (None, self.step):
             raise EvidenceError(
-                f"the belief at step {self.step} is over {list(hidden)}, not {variable!r}",
+                f"the belief at step {self.step} is over {list(hidden)}, not {variable!r}"
+                f"{namesake(variable, hidden)}",
                 variable=variable,
                 step=self.step,
             )
@@ -177,8 +179,10 @@ class _Window:
         return chain.posterior(0, message)
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
+        """See `Slices`."""
         return self.held[step].weights, 0.0
 
     def backward(self, step: int, message: Array) -> Array:
+        """See `Behind`."""
         ahead = self.ahead[step - 1].within(self.semiring)
         return ahead.backward(ahead.first, message)  # whose only row is of its own step

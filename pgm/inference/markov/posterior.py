@@ -214,6 +214,7 @@ class StatePosterior(Posterior):
         return message, found, message.max(axis=tuple(range(message.ndim - chain.batch)))
 
     def _message_back(self, step: int, passed: Callable[[int, Array], Array]) -> Array:
+        """The message to the slice of a step from all later measurements that its belief knows."""
         chain = self._chain
         last = self.kind.last(step, self.graph.steps)
         message = np.full(chain.known[last].shape, chain.semiring.one)
@@ -222,6 +223,7 @@ class StatePosterior(Posterior):
         return message
 
     def _states(self, values: Array, *, total: bool = True) -> Array:
+        """Values over the states alone, summed over hidden controls, or of their one entry."""
         axes = self._plan.controls
         if not axes:
             return values
@@ -272,6 +274,7 @@ class StatePosterior(Posterior):
         return self._table(discrete(tuple(v.at(step) for v in scope)), values, scale)
 
     def _table(self, scope: Any, values: Array, weight: Array) -> Table:
+        """Values (sizes..., [runs]) as a table with the log-weight of each run."""
         scale = weight.reshape(self._lead) if self._lead else weight.reshape(())
         return Table._make(scope, self._over_runs(values, len(scope)), scale)
 

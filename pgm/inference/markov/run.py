@@ -16,7 +16,7 @@ from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.markov.single_state import DirectChain
 from pgm.inference.schedule import Schedule
 from pgm.inference.status import FILTERED, Status
-from pgm.kernels.tables import LOG_SUM_PRODUCT
+from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.resources import require_memory
 
 
@@ -38,6 +38,10 @@ def solved(slices: TableSlices) -> StateChain:
 
 
 def _in_numbers(slices: TableSlices) -> StateChain | None:
+    """The forward sweep in plain numbers; None where these may have lost a state to underflow.
+
+    Impossible evidence is refused only where no number was so small.
+    """
     with np.errstate(under="ignore"):
         if slices.single and slices.steps:
             direct = DirectChain(slices).run()

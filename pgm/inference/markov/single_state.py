@@ -87,6 +87,7 @@ class DirectChain(StateChain):
 
     @cached_property
     def _parts(self) -> list[range]:
+        """The steps in parts whose weights fit the room."""
         steps = self.slices.steps
         size = max(1, ROOM // max(1, self.known[0].size))
         return [range(at, min(at + size, steps + 1)) for at in range(1, steps + 1, size)]
@@ -101,11 +102,13 @@ class DirectChain(StateChain):
         return self._latest[1]
 
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
+        """The products by the transition into each step of a part, or by its transpose."""
         if self.slices.constant is not None:
             return repeat(self._apply(part[0], back), len(part))
         return (self._apply(step, back) for step in part)
 
     def _apply(self, step: int, back: bool) -> markov.Apply:
+        """The product of a vector with the transition into a step, or its transpose."""
         transition = self._map(step)
         if not isinstance(transition, Dense):
             moved = transition.backward if back else transition.forward
@@ -121,6 +124,7 @@ class DirectChain(StateChain):
         return matrix.T.dot
 
     def _map(self, step: int) -> Transition:
+        """The transition into a step."""
         move: Any = self.slices.factors(step, "onward")[0]
         found: Transition = move.maps[0][0]
         return found

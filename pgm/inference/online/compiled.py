@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -26,6 +27,12 @@ _CLOSE = 1e-6
 # After the name of a sensor with sightings, before those of the parents given with them.
 _SIGHTED = object()
 _new, _empty = object.__new__, np.empty
+# Why a step is made the general way.
+_OTHER = "the belief is of many runs, in twice the digits, or of another filter"
+_START = "an update at step 0"
+_ODD = "values came in another form than numbers or sightings without steps"
+_JUDGED = "a function's trace, or machine code, answered otherwise than the function"
+_FAR = "numbers are too far apart, or a reading is too sharp"
 
 
 class CompiledSteps:
@@ -58,6 +65,8 @@ class CompiledSteps:
         # The last kinds of updates and of predictions, which are looked at first; all kinds.
         self._last: list[Layout | None] = [None, None]
         self._known: dict[Any, Layout] = {}
+        # Why steps were made the general way, and how many of them.
+        self.left: Counter[str] = Counter()
 
     def predict(self, belief: OnlineBelief, inputs: Values | None = None) -> OnlineBelief:
         """As `OnlineFilter.predict`."""
@@ -119,9 +128,11 @@ class CompiledSteps:
         """A step with any kind of values."""
         core = belief._core if type(belief) is OnlineBelief else None
         make, general, kernel = self._ways[moves]
-        given = None
-        if core and core[0] is self and (moves or core[1]):
-            given = _given(values)
+        given, why = None, _OTHER
+        if core and core[0] is self:
+            why = _START
+            if moves or core[1]:
+                given, why = _given(values), _ODD
         if core and given:
             names, rows = given
             key = make, *names, *(row.shape for row in rows)
@@ -130,6 +141,7 @@ class CompiledSteps:
                 if len(self._known) >= MOST:
                     self._known.clear()
                 kind = self._known[key] = self._laid(make, belief, values, rows)
+            why = kind.why
             if kind.step is not None:
                 if kind.first is None:
                     one = len(rows) == 1
@@ -137,7 +149,7 @@ class CompiledSteps:
                     rows = [row] if moves else [row[None], _NO_ROWS]
                 _, step, known, log_evidence, _, _ = core
                 found = _empty(self._shape)
-                density = kernel(kind.step, known, found, *rows)
+                density, why = kernel(kind.step, known, found, *rows), _FAR
                 if density == density:
                     after: OnlineBelief = _new(OnlineBelief)
                     told = log_evidence + density, PREDICTED if moves else FILTERED, kind.status
@@ -146,7 +158,10 @@ class CompiledSteps:
                         self._last[moves] = kind
                         return after
                     due = general(belief, values)
-                    return after if _tried(kind, found, due) else self.adopted(due)
+                    if _tried(kind, found, due):
+                        return after
+                    return self.adopted(due)
+        self.left[why] += 1
         return self.adopted(general(belief, values))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -164,7 +179,7 @@ class CompiledSteps:
                 judge(plan, here, here, np.ones(1, dtype=bool))
             if made.judge.passes():
                 break
-            made.step = None
+            made.step, made.why = None, _JUDGED
         return made
 
 
@@ -175,7 +190,7 @@ def _tried(kind: Layout, found: Array, due: OnlineBelief) -> bool:
     alike = np.abs(found[1:] - due.cov) <= _CLOSE * np.outer(std, std)
     kind.trials -= 1
     if not (close.all() and alike.all()):
-        kind.step = None
+        kind.step, kind.why = None, _JUDGED
         return False
     return True
 

@@ -8,8 +8,9 @@ from typing import Any, Self, overload
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.compile import compile
-from pgm.compile.machine import Choice, as_choice
+from pgm.compile.machine import COMPILED, GATE, Choice, as_choice
 from pgm.cpds import NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import NumericalError
@@ -61,6 +62,7 @@ _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged 
 _quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
 
+@public
 class OnlineFilter(InCode, Immutable):
     """A filter for one step at a time; immutable, and so are its beliefs.
 
@@ -109,6 +111,8 @@ class OnlineFilter(InCode, Immutable):
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x].mean, belief[x].cov
     (array([2.]), array([[1.]]))
+    >>> pgm.OnlineFilter(walk, gate=0.99, compiled=True).compilation
+    'not compiled: a gate (gate=) decides at one predicted belief after another'
     """
 
     model: DynamicBayesianNetwork
@@ -213,6 +217,28 @@ class OnlineFilter(InCode, Immutable):
             plans, ends = (self._ahead, self._seen), (_DONE, _LINEARISED)
             steps = CompiledSteps(self._graph.layout, *plans, self.predict, self.update, *ends)
             self._set(_steps=steps, predict=steps.predict, update=steps.update)
+
+    @property
+    def compilation(self) -> str:
+        """Whether steps are made in machine code, or why not, as of ``status.compilation``.
+
+        Of a filter that is compiled it tells of the steps so far: how many NumPy made, and why.
+        """
+        if not self.compiled:
+            return "by NumPy: compiled=False"
+        if self._steps is None:
+            schedule, why = self.schedule, []
+            if schedule.gate is not None:
+                why.append(GATE)
+            if self.watch:
+                why.append("a watch (watch=True) judges each step")
+            if isinstance(schedule, FixedLag):
+                why.append("beliefs wait for a lag")
+            if schedule.iterations > 1:
+                why.append("steps are iterated")
+            return f"not compiled: {'; '.join(why)}"
+        left = [f"{count} × {why}" for why, count in self._steps.left.items()]
+        return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
 
     def renewed(self) -> OnlineFilter:
         """The same filter, which reads its functions anew, with what they refer to.

@@ -118,6 +118,7 @@ def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...],
 
 
 def _read(nis: Array, dof: Integers, each: Sequence[tuple[Mask, Mask] | None]) -> Read:
+    """The squares of innovations at a step, and the counts of sightings rejected and judged."""
     rejected, judged = np.zeros_like(dof), np.zeros_like(dof)
     for found in each:
         if found is not None:
@@ -127,6 +128,7 @@ def _read(nis: Array, dof: Integers, each: Sequence[tuple[Mask, Mask] | None]) -
 
 
 def _decided(part: Reading) -> Decided:
+    """The decisions of a gate about a sensor's sightings, with the variable and their order."""
     assert part.gated is not None
     rejected, square = (each.reshape(len(each), -1) for each in part.gated)
     nothing = np.ones((0, 0, 0), dtype=bool)

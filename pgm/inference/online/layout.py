@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from itertools import accumulate
 from math import prod
 
@@ -27,7 +26,8 @@ TRIALS = 5
 class Layout:
     """A plan of one step, of a transition or of measurements, for values in arrays of these shapes.
 
-    `step` is its table, which holds while the layout is kept; None where it is not for a kernel.
+    `step` is its table, which holds while the layout is kept; None where it is not for a kernel,
+    and `why`.
     `first` and `second` are the variables whose arrays a kernel takes as they come: an input alone,
     or a sensor and the parent given with its sightings; others come in one row. `status` is that
     of a belief after the step. The `judge` is of the functions' traces; `trials` is how many more
@@ -35,6 +35,7 @@ class Layout:
     """
 
     step: Integers64 | None = None
+    why: str = ""
     first: Variable | None = None
     second: Variable | None = None
     trials: int = TRIALS
@@ -55,8 +56,10 @@ class Layout:
             self.first, self.second = next(iter(values)), [*self._where][-1][1]
         starts = [*accumulate(map(prod, shapes), initial=0)][:-1]
         self._order = list(range(len(shapes))) if self.first is not None else starts
-        with suppress(Uncompiled):
+        try:
             self.step = self._table(plan)
+        except Uncompiled as error:
+            self.why = str(error)
 
     def _table(self, plan: ChainPlan) -> Integers64:
         from pgm.kernels.compiled import sweeps as s

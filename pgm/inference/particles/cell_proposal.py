@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, is_number
 from pgm.display import InCode
 from pgm.errors import EvidenceError, ModelError
@@ -17,7 +18,7 @@ from pgm.inference.particles.model import ParticleModel, Sensor
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
 from pgm.kernels.resampling import indices, systematic
-from pgm.kernels.tables import log_sum
+from pgm.kernels.semirings import log_sum
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -25,6 +26,7 @@ from pgm.variables import Variable
 _TOUCHING = 1.0 - 1e-6
 
 
+@public
 class CellProposal(InCode, Immutable):
     r"""Draws of a state from the likelihood of a step's measurements, over cells.
 
@@ -103,6 +105,7 @@ class CellProposal(InCode, Immutable):
 
     @property
     def _log_volume(self) -> float:
+        """The logarithm of a cell's volume: minus the log-density of a uniform draw in it."""
         return float(np.log(self.widths).sum())
 
     def sensors(self, model: ParticleModel, step: int) -> list[Sensor]:
@@ -140,7 +143,7 @@ class CellProposal(InCode, Immutable):
         return points.T.astype(model.dtype), levels[chosen] - total - self._log_volume
 
     def _log_likelihood(self, model: ParticleModel, step: int, run: int) -> Array:
-
+        """The log-density of a step's measurements at each cell's centre, (cells,)."""
         sensors = self.sensors(model, step)
         if not sensors:
             raise EvidenceError(

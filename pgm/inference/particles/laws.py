@@ -217,6 +217,7 @@ class GaussianLaw(Law):
         return mean.T
 
     def _called(self, arguments: list[States], due: tuple[int, ...], call: Call) -> States:
+        """The value of the function, (particles, d); of float32 states in their precision."""
         function = getattr(self.cpd, "function", None)
         if function is None:
             known = dict(zip(self.cpd.given, arguments, strict=True))
@@ -224,12 +225,13 @@ class GaussianLaw(Law):
         try:
             value = function(*arguments)
         except Exception as error:
-            raise call.error(f"failed: {type(error).__name__}: {error}") from error
+            raise call.error(f"failed: {call.reason(function, arguments, error, due)}") from error
         if isinstance(value, np.ndarray) and value.dtype == self.dtype and value.shape == due:
             return value
         return call.array(function, arguments, value, due)
 
     def _refuse(self, mean: States, values: Mapping[Variable, States], some: Some) -> None:
+        """Refuse a mean that is not finite, naming the first particle that has one."""
         index = int(np.flatnonzero(~np.isfinite(mean).all(axis=-1))[0])
         run = self.first_run + (0 if some.owner is None else int(some.owner[index]))
         at = {v: a[index].tolist() for v, a in values.items()}
@@ -271,6 +273,7 @@ class GaussianLaw(Law):
         return self._root(lower.reshape(-1, *lower.shape[-2:]), None)
 
     def _root(self, lower: Array, step: int | None) -> Root:
+        """The root of a noise, refused where that is not semidefinite."""
         if not roots.is_proper(lower):
             raise NumericalError(
                 f"{self.cpd!r}: its noise cannot be used: {IMPROPER}",

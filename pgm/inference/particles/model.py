@@ -168,6 +168,7 @@ class Sensor:
         return found
 
     def _require_density(self, found: Array, some: Some) -> None:
+        """Refuse log-densities that are NaN or plus infinity."""
         total = found.sum()
         if np.isfinite(total) or not (np.isnan(found) | (found == np.inf)).any():
             return

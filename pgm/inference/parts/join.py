@@ -81,6 +81,8 @@ def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
         records.append(np.concatenate([record, last]))
     converged = np.concatenate([status.converged.reshape(-1) for status in every])
     status = Status.of(list(np.concatenate(records, axis=1)), converged, lead)
+    told = {part: None for each in every for part in [each.compilation] if part}
+    status = status.with_compilation("; of other runs ".join(told))
     if all(each.digits is None for each in every):
         return status
     digits = [_digits(each) for each in every]

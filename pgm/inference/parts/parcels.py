@@ -12,7 +12,7 @@ import itertools
 import mmap
 import pickle
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,10 +20,6 @@ import numpy.typing as npt
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.inference.parts.shared_memory import Name, Room, address, lines, seen
-
-if TYPE_CHECKING:
-    pass
-
 
 # Bytes from which on an array is large, and put apart.
 _LARGE = 2**12

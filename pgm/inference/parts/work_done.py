@@ -6,7 +6,7 @@ import threading
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from pgm.errors import ExecutorError, PrecisionWarning
 from pgm.inference.parts.parcels import Parcel, loads
@@ -14,10 +14,6 @@ from pgm.inference.parts.shared_memory import (
     Name,
     seen,
 )
-
-if TYPE_CHECKING:
-    pass
-
 
 # The warnings of each file that workers have told of.
 _REGISTRIES: dict[str, dict[Any, Any]] = {}

@@ -8,16 +8,16 @@ from types import MappingProxyType
 import numpy as np
 
 from pgm.cpds import TableCPD
-from pgm.errors import EvidenceError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States
 from pgm.factors.scope import in_run, listed, names
-from pgm.inference.discrete.impossible import ADVICE
-from pgm.inference.discrete.storage import one_hot, some_runs
+from pgm.inference.discrete.entered_evidence import one_hot
+from pgm.inference.discrete.impossible import ADVICE, OF_RUNS, ImpossibleEvidence
+from pgm.inference.discrete.run_pieces import some_runs
 from pgm.inference.query.plan import EliminationPlan, Step
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
 
@@ -40,6 +40,7 @@ def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
 
 
 def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) -> Array:
+    """The table that is left once all steps of a plan are done, (sizes..., runs or 1)."""
     tables = Tables(plan, evidence, semiring)
     for step in plan.steps:
         tables.do(step)
@@ -91,6 +92,7 @@ class Tables:
         return plan.scopes[factor], self.semiring.entries(table)
 
     def _reduced(self, cpd: TableCPD, unknown: Sequence[Discrete], scope: Sequence[int]) -> Array:
+        """A CPD's table at the states of the known variables, (hidden sizes..., runs or 1)."""
         states = self.evidence.states
         index: list[int | slice] = []
         left: list[Discrete] = []
@@ -114,6 +116,7 @@ class Tables:
         return reduced
 
     def _weights(self, variable: Discrete) -> Array:
+        """The weights (states, runs) of evidence for a variable not known in all runs."""
         soft = self.evidence.weights.get(variable)
         if soft is not None:
             return soft.T
@@ -130,15 +133,19 @@ class Tables:
 
 def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
     """Refuse evidence of probability zero, where probabilities (sizes..., runs or 1) are NaN."""
-    lost = np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1)))
+    lost = np.asarray(np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1))))
     if not lost.any():
         return
     first = int(lost.argmax())
     involved, scope = _contradiction(plan, first)
     where = in_run(lost.reshape(plan.requisite.evidence.lead))
-    raise EvidenceError(
+    lead = plan.requisite.evidence.lead
+    raise ImpossibleEvidence(
         f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
-        f"for all states of ({listed(scope)}) are impossible given it. {ADVICE}",
+        f"for all states of ({listed(scope)}) are impossible given it. {ADVICE}"
+        f"{OF_RUNS if lead else ''}",
+        lost,
+        lead,
         variable=involved[0],
     )
 

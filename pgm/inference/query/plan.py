@@ -45,7 +45,7 @@ class EliminationPlan:
 
     @classmethod
     def of(cls, requisite: Requisite, wanted: States) -> EliminationPlan:
-        """By the smaller weighted fill next, or the smaller fill where that is cheaper."""
+        """The plan by weighted min-fill; of a dear one the cheaper of that and plain min-fill."""
         hidden = requisite.hidden
         place = {v: k for k, v in enumerate(hidden)}
         families = [tuple(place[v] for v in scope) for scope in requisite.open]
@@ -75,6 +75,10 @@ class EliminationPlan:
         weights: Sequence[int],
         stages: Sequence[int],
     ) -> EliminationPlan:
+        """The plan in min-fill order, stage after stage: variables of the last stage are kept.
+
+        `families` are the variables of each table, as vertices of the graph `adjacent`.
+        """
         found = min_fill(adjacent, weights, stages)
         position = [0] * len(found)
         for k, vertex in enumerate(found):

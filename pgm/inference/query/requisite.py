@@ -80,6 +80,7 @@ def certain(evidence: BoundStates) -> set[Discrete]:
 
 
 def _part(evidence: BoundStates, members: set[Variable]) -> BoundStates:
+    """The evidence of some variables, without axes of runs where it is the same in all."""
     states = {
         v: s if isinstance(s, int) or s.size > 1 else int(s[0])
         for v, s in evidence.states.items()

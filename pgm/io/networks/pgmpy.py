@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.cpds import TableCPD
 from pgm.errors import ModelError
 from pgm.io.networks.writers import tables
@@ -15,6 +16,7 @@ from pgm.resources import optional
 from pgm.variables import Discrete, Variable
 
 
+@public
 def from_pgmpy(network: Any) -> BayesianNetwork | DynamicBayesianNetwork:
     """The network that a pgmpy network declares.
 
@@ -180,6 +182,7 @@ def _both(
     return first, second
 
 
+@public
 def to_pgmpy(network: BayesianNetwork) -> Any:
     """A network as pgmpy's own class, with its names, states and doubles.
 

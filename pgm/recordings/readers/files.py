@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from pgm.boundary import as_tuple
 from pgm.errors import EvidenceError, FileError
@@ -18,7 +16,6 @@ from pgm.io import sources
 from pgm.io.dropped import Dropped
 from pgm.io.networks.cursor import shown
 from pgm.io.sources import Content, Line, Origin, Source
-from pgm.kernels.arrays import Array
 
 # Bytes that a file may hold once unpacked.
 LIMIT = 2**30
@@ -99,43 +96,3 @@ def told_of(origin: Origin) -> Iterator[None]:
         yield
     except EvidenceError as error:
         raise origin.fault(str(error)) from error
-
-
-def matlab(
-    path: Source,
-    kind: str,
-    tables: Mapping[str, int | None],
-    optional: Sequence[str] = (),
-) -> tuple[dict[str, Array], Origin]:
-    """Tables of numbers from a ``.mat`` file before version 7.3: those needed, by width or None."""
-    held = content(path)
-    data = held.data if isinstance(held.data, bytes) else held.data.encode()
-    try:
-        found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]
-    except Exception as error:  # of many kinds, as the damage is
-        raise held.origin.fault(
-            f"it cannot be read as a .mat file ({type(error).__name__}: {error}); fetch it again"
-        ) from error
-    lost = [key for key in tables if key not in found]
-    if lost:
-        raise held.origin.fault(f"it has no tables {lost}; is it {kind}?")
-    due = {**tables, **{key: None for key in optional if key in found}}
-    read = {key: _table(found[key], key, width, kind, held.origin) for key, width in due.items()}
-    return read, held.origin
-
-
-def _table(value: Any, key: str, width: int | None, kind: str, origin: Origin) -> Array:
-    if (
-        not isinstance(value, np.ndarray)
-        or value.dtype.kind not in "fiu"
-        or value.ndim != 2
-        or width not in (None, value.shape[1])
-    ):
-        found = f"shape {np.shape(value)} of {getattr(value, 'dtype', type(value).__name__)}"
-        due = "numbers" if width is None else f"numbers in {width} columns"
-        raise origin.fault(f"the table {key} has {found}; {due} were due; is it {kind}?")
-    table = np.asarray(value, dtype=float)
-    if not np.isfinite(table).all():
-        row = int(np.argwhere(~np.isfinite(table))[0, 0])
-        raise origin.fault(f"the table {key}, row {row}: {table[row].tolist()} is not finite")
-    return table

@@ -163,7 +163,8 @@ def _table(rows: Sequence[Any], width: int) -> Array:
 
 
 def _yaw(topic: str, turns: Array) -> Array:
-    length = np.linalg.norm(turns, axis=1)
+    with np.errstate(over="ignore"):  # of numbers that are no quaternion either
+        length = np.linalg.norm(turns, axis=1)
     if not (np.abs(length - 1.0) <= _UNIT).all():
         row = int((~(np.abs(length - 1.0) <= _UNIT)).argmax())
         raise EvidenceError(

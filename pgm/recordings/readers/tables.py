@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_whole
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
@@ -49,6 +50,7 @@ class _Column:
     told: bool
 
 
+@public
 def read_csv(
     path: Source,
     columns: Mapping[str, Mapping[str, Any]],

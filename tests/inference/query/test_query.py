@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import pgm
 from models.discrete import asia, cancer, rain, sprinkler, wet, xray
 from pgm.inference.query import elimination, question
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
 
 CLOSE = {"rtol": 0.0, "atol": 1e-12}
 
