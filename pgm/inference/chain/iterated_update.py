@@ -100,7 +100,8 @@ class UpdateProblem(ABC, Generic[U]):
         before = [(copy(part.weights), part.seen) for part in robust]
         active = np.full(found.means.shape[1], bool(robust))
         for _ in range(_REWEIGHINGS if robust else 0):
-            mean, cov = self._moments(found.point)
+            point = found.point
+            mean, cov = self._moments(point._replace(cov=point.known_cov))
             moved = [part.reweigh(mean, cov, active) for part in robust]
             found = self._solved(anchor)
             active = np.max(moved, axis=0) > SETTLED
@@ -147,7 +148,7 @@ class UpdateProblem(ABC, Generic[U]):
             angles = np.tile(family.cpd.child.angle_mask, len(expected) // family.shape[2])
             left = difference(left, np.zeros_like(left), angles)
             if part.weights is not None:
-                total = total + part.loss(left[0], at.cov[0])
+                total = total + part.loss(left[0], at.known_cov[0])
                 continue
             noise = _as_point(seen.noise, 2)
             if seen.taken is not None:
