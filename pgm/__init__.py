@@ -34,6 +34,7 @@ from pgm.cpds import (
 )
 from pgm.errors import (
     ArrayError,
+    ConvergenceWarning,
     EvidenceError,
     ExecutorError,
     FileError,
@@ -184,6 +185,7 @@ __all__ = [
     "ClusterGraph",
     "Comparison",
     "Compiled",
+    "ConvergenceWarning",
     "Cubature",
     "Discrete",
     "DynamicBayesianNetwork",

@@ -17,6 +17,10 @@ from pgm.inference.options import (
 )
 from pgm.inference.status import FILTERED, SMOOTHED, Kind
 
+# Deviations by which a mean still moves at a fixed point: nothing that an estimate could show, and
+# within reach of float64 and of ten linearisations of most recordings.
+TOLERANCE = 1e-6
+
 
 @dataclass(frozen=True)
 class Filtering(InCode):
@@ -59,7 +63,7 @@ class Filtering(InCode):
     """
 
     iterations: int = 1
-    tolerance: float = 1e-9
+    tolerance: float = TOLERANCE
     damping: Damping = 0.0
     gate: Gate = None
 
@@ -109,7 +113,7 @@ class Calibration(InCode):
     """
 
     iterations: int = 1
-    tolerance: float = 1e-9
+    tolerance: float = TOLERANCE
 
     def __post_init__(self) -> None:
         require_count(self, _LINEARISATIONS, self.iterations)
@@ -200,7 +204,7 @@ class FixedLag(InCode):
     Examples
     --------
     >>> FixedLag(5)
-    FixedLag(lag=5, iterations=1, tolerance=1e-09, damping=0.0, gate=None)
+    FixedLag(lag=5, iterations=1, tolerance=1e-06, damping=0.0, gate=None)
 
     References
     ----------
@@ -211,7 +215,7 @@ class FixedLag(InCode):
 
     lag: int
     iterations: int = 1
-    tolerance: float = 1e-9
+    tolerance: float = TOLERANCE
     damping: Damping = 0.0
     gate: Gate = None
 

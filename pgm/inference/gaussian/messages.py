@@ -20,7 +20,7 @@ from pgm.inference.gaussian.beliefs import (
 )
 from pgm.inference.gaussian.layout import Rounds, Stack
 from pgm.inference.gaussian.model import Model, contradiction
-from pgm.inference.loopy import LOST, Directed
+from pgm.inference.loopy import Directed
 from pgm.kernels import moments, rows
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.rows import Eliminated, Rows, eliminate
@@ -173,6 +173,11 @@ class RowMessages:
         """Number of runs."""
         return self.buffer.model.runs
 
+    @property
+    def bounded(self) -> bool:
+        """Means may move any number of deviations."""
+        return False
+
     def round(self, messages: Sequence[int]) -> RowRound:
         """Lay out some messages, in stacks of one shape."""
         return RowRound(list(messages), self.buffer.rounds.messages(messages))
@@ -191,19 +196,17 @@ class RowMessages:
             change[stack.members] = rows.change(old, done.rest, against)
         return change[round.messages]
 
-    def accept(self, round: RowRound, active: Mask) -> None:
+    def accept(self, round: RowRound, active: Mask, lost: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active.
 
         Runs that share matrices go on together: else the right sides of one would no longer fit
-        matrices that settle further for another.
+        matrices that settle further for another. Only those that are lost stay behind.
         """
         for stack, new in self._proposed:
             old = self.buffer.messages(stack.members, stack.kept)
             mixed = rows.damped(old, new, self.damping) if self.damping else new
             mixed = rows.steady(old, mixed)
-            going = active
-            if mixed.matrix.shape[0] == 1:
-                going = active | (np.abs(mixed.right).max(axis=(0, 1, 2), initial=0.0) < LOST)
+            going = ~lost if mixed.matrix.shape[0] == 1 else active
             if not going.all():
                 mixed = rows.choose(going, mixed, old)
             self.buffer.store(stack, mixed, None)
@@ -215,7 +218,7 @@ class RowMessages:
             return None
         found, _ = self.beliefs()
         mean, std = found.components()
-        move = moments.marginal_error(mean[None], self._point[None], std[None])
+        move = moments.moved(mean[None], self._point[None], std[None])
         self._point = np.where(active[:, None], mean, self._point)
         # What runs that are still on their way are linearised at is thrown away, but must exist.
         at = np.where(active[:, None, None], found.mean, 0.0)
