@@ -8,8 +8,8 @@ import numpy as np
 
 from pgm.kernels import roots
 from pgm.kernels.arrays import (
+    LAST_PLACES,
     LOG_2PI,
-    ROUNDING,
     Array,
     apply,
     contiguous,
@@ -171,7 +171,7 @@ def moved(mean: Array, other: Array, std: Array) -> Array:
     rounding, which is no move, means of 10⁸ deviations would never settle.
     """
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
-    rounding = ROUNDING * np.maximum(np.abs(mean), np.abs(other))
+    rounding = LAST_PLACES * np.maximum(np.abs(mean), np.abs(other))
     left = np.maximum(np.abs(mean - other) - rounding, 0.0)  # NaN stays
     largest: Array = (left / unit).max(axis=(0, -1), initial=0.0)
     return largest

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels.arrays import LOG_2PI, ROUNDING, Array, Integers, Mask, transpose
+from pgm.kernels.arrays import LAST_PLACES, LOG_2PI, Array, Integers, Mask, transpose
 
 # A singular value or a pivot below this part of its column is rounding.
 NEGLIGIBLE = 1e-11
@@ -252,7 +252,7 @@ def change(old: Rows, new: Rows, against: Rows) -> Array:
     information = transpose(new.matrix) @ new.matrix - transpose(old.matrix) @ old.matrix
     vector = transpose(new.matrix) @ new.right - transpose(old.matrix) @ old.right
     spread = np.abs(std * information * transpose(std)).max(axis=(-2, -1), initial=0.0)
-    rounding = ROUNDING * np.abs(belief.offset) / np.where(std > 0.0, std, np.inf)
+    rounding = LAST_PLACES * np.abs(belief.offset) / np.where(std > 0.0, std, np.inf)
     shift = np.abs(std * (vector - information @ belief.offset)) - rounding
     shift = np.maximum(shift, 0.0).max(axis=-2, initial=0.0)  # NaN stays
     largest = np.maximum(spread[..., None], shift)
