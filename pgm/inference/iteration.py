@@ -175,7 +175,7 @@ def iterate(
         problem.linearise(point, active)
         solution = problem.solve()
         found = solution.point
-        residual = moments.marginal_error(found.mean, point.mean, found.std)
+        residual = moments.moved(found.mean, point.mean, found.std)
         residuals.append(np.where(active, residual, residuals[-1]) if residuals else residual)
         converged = converged | ((residual <= schedule.tolerance) & problem.settled())
         point = control.step(point, found, active)
