@@ -178,7 +178,7 @@ def _read(value: Any, labels: Sequence[str], missing: bool) -> Array:
 
 
 def _leaves(rows: Sequence[Any], depth: int = 0) -> set[type]:
-    """The types of what stands in nested lists and tuples."""
+    """The types of the elements of nested lists and tuples."""
     if depth > _DEEPEST:
         raise _Unfit(f"lists nested deeper than {_DEEPEST}")
     found = set(map(type, rows))

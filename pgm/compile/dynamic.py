@@ -1,4 +1,4 @@
-"""Cluster graphs of dynamic networks, templates for any number of steps, and slices' vectors."""
+"""Cluster graphs of dynamic networks: one template a step, for any number of steps."""
 
 from __future__ import annotations
 

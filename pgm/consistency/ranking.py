@@ -230,7 +230,10 @@ _Steps = tuple[Integers, Array, Integers]
 
 
 def _by_step(innovations: Innovations) -> _Steps:
-    """The NIS of steps: of sightings taken in by their joint covariance, of rejected ones each."""
+    """NIS of each step, from the joint covariance of the accepted sightings.
+
+    A rejected sighting adds its own νᵀS⁻¹ν, since the filter did not condition the others on it.
+    """
     nis, dof = np.nan_to_num(innovations.nis), innovations.dof
     if innovations.rejected.any():
         own = _by_sighting(innovations, innovations.rejected)

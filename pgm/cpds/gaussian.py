@@ -310,7 +310,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
 
     @property
     def derivatives(self) -> Derivatives:
-        """How the derivative by each parent is found: given, traced or numerical, and why."""
+        """How the Jacobian by each parent is found (given, traced or numerical), and why."""
         return Derivatives(self)
 
     def source(self) -> str:

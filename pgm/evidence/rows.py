@@ -293,7 +293,7 @@ def complete(variable: Variable, rows: Rows, step: Integers | None = None) -> Ro
 
 
 def taken_of(variable: Variable, rows: Rows, step: Integers, threads: int) -> Mask | None:
-    """The mask of what was measured, (..., rows, d); None for all."""
+    """The mask of components that were measured, (..., rows, d); None where every one was."""
     if isinstance(variable, Discrete):
         return _taken_states(rows)
     return taken_readings(variable, rows, step, threads)

@@ -73,7 +73,7 @@ class Messages(Protocol[Round]):
         """Whether no change can grow beyond one, so that messages wander but never diverge."""
 
     def round(self, messages: Sequence[int]) -> Round:
-        """Lay out the computation of some messages, in batches of one shape."""
+        """Lay out the computation of some messages, in batches of equal shape."""
 
     def propose(self, round: Round) -> Array:
         """How much each message asked for would change, (messages, runs)."""

@@ -247,7 +247,7 @@ class Answers:
             self._hold(flat, told, due)
 
     def _compare(self, flat: Array, told: Array) -> None:
-        """Call the function at points, and find a fault where a value is not the trace's."""
+        """Call the user's function at some points; a value unlike the trace's is a fault."""
         due, self.used = self._function(flat), True
         if due is None or due.shape != told.shape:
             self.fault = "its function fails on a batch of the points at which its trace was used"

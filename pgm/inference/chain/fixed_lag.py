@@ -109,7 +109,7 @@ def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 
 class _Record:
-    """A record of what windows leave as they slide along a chain."""
+    """The results that windows produce as they slide along a chain, collected by step."""
 
     def __init__(self, plan: ChainPlan) -> None:
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
@@ -184,7 +184,7 @@ class Beginning(NamedTuple):
         return self.careful is None or certificate.is_ordinary(self.mean, self.cov)
 
     def over(self, runs: int) -> Beginning:
-        """The same for so many runs, where it is of one."""
+        """This belief for several runs, copied where it has one."""
         found: Beginning = self if len(self.mean) == runs else over(self, (), (runs,))
         return found
 

@@ -34,7 +34,7 @@ Asked = float | Mapping[Variable, float]
 
 
 def require_sensors(model: DynamicBayesianNetwork, gate: object) -> None:
-    """Refuse a gate of what is no sensor of a model."""
+    """Refuse a gate declared for a variable that is not a sensor of the model."""
     for variable in gate if isinstance(gate, Mapping) else ():
         if variable not in model.sensors:
             raise EvidenceError(
@@ -129,7 +129,7 @@ def _decided(
 
 
 def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured | None:
-    """Let a whole sighting of one run in, the usual case; None where it may be rejected."""
+    """Accept the one whole sighting of one run, the usual case; None where it may be rejected."""
     sensor, record = part.sensor, part.sensor.gated
     if not sensor.whole:
         mean, cov = mean[sensor.parents], within(cov, sensor.parents)
@@ -190,7 +190,7 @@ def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array,
 
 
 def _diffuse_squares(seen: Measured, mean: Array, belief: Diffuse) -> tuple[Array, Integers]:
-    """The same at a belief of which something is unknown, (runs, n, n): of what is known of each.
+    """The Mahalanobis squares at a diffuse belief, over the components of ν with finite variance.
 
     Directions of a sighting that are unknown do not count.
     """

@@ -209,7 +209,10 @@ def _agree(found: Moments, due: Moments) -> bool:
 
 
 def _from(belief: Belief, reference: Array, steps: int) -> Moments:
-    """Arrays for the moments of all steps, about a reference; those of the first step are there."""
+    """Arrays for the moments of all steps about a reference.
+
+    Row 0 already holds the first step's belief.
+    """
     runs, size = belief.mean.shape
     out = Moments(room((steps + 1, runs), (size,)), room((steps + 1, runs), (size, size)))
     out.mean[0], out.cov[0] = belief.mean - reference, belief.cov

@@ -87,7 +87,10 @@ class ChainPosterior(Innovated, Posterior):
     associations: Found = field(default_factory=dict)
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
-        """The marginal of a hidden variable at all its steps or at one; EvidenceError of others."""
+        """The marginal of a hidden variable, at one step or at all.
+
+        Any other variable raises EvidenceError.
+        """
         return self._marginals(self._beliefs, self.kind)[variable]
 
     @property

@@ -58,7 +58,10 @@ class Solver(ABC):
 
     @abstractmethod
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        """In twice the digits, one step after another."""
+        """The posterior computed in pairs of float64.
+
+        Windows of a fixed lag choose this for themselves.
+        """
 
     def _posterior(
         self,

@@ -30,7 +30,7 @@ class DensitySensor(MeasuredSensor):
     """A sensor of any density."""
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The log-densities of one measurement, and about their largest at any centre."""
+        """The log-densities of one measurement, and nearly their maximum over all centres."""
         count = int(self.taken(row, run).sum())
         if not count:
             return [], 0.0

@@ -31,7 +31,10 @@ class Step:
 
     @property
     def uneven(self) -> Uneven:
-        """The least even density, by its share in all."""
+        """The least even transition density of all operators.
+
+        Each is ranked by the probability that passes through it.
+        """
         each = [
             operator.uneven._replace(share=weight * operator.uneven.share)
             for weight, operator in self.leaves()
@@ -40,7 +43,7 @@ class Step:
         return max(each, key=lambda found: found.share, default=EVEN)
 
     def leaves(self) -> Iterator[tuple[float, Operator]]:
-        """The operators and their weights, those of mixtures too."""
+        """Each operator with the probability of its part, mixtures within mixtures included."""
         for operator in self.operators:
             if isinstance(operator, Mixed):
                 for weight, step in zip(operator.weights.tolist(), operator.steps, strict=True):

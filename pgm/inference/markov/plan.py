@@ -143,7 +143,7 @@ class RowTables:
         )
 
     def _factor(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Any:
-        """The table at these states of the observed parents; kept, as few of them differ."""
+        """The table at some states of its observed parents; cached, since few of them differ."""
         name = (*key, semiring.linear, as_map)
         found = self.index.get(name)
         if found is None:
@@ -213,7 +213,7 @@ class TableSlices:
         ]
 
     def within(self, semiring: Semiring) -> TableSlices:
-        """The same slices, with the numbers of another semiring."""
+        """The same slices in the numbers of another semiring."""
         other = copy.copy(self)
         other.semiring = semiring
         other.__dict__.pop("_fixed", None)

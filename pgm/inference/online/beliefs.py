@@ -190,7 +190,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
 
     def told(self, associations: Found, gate: Asked | None) -> OnlineBelief:
-        """The same belief, with what sightings were taken for."""
+        """The same belief, with the associations of its sightings and the gate's question kept."""
         found = copy(self)
         watch = None if self.watch is None else self.watch.told(associations, gate)
         found._set(associations=MappingProxyType(dict(associations)), watch=watch)

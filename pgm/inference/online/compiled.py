@@ -1,4 +1,4 @@
-"""Steps of one robot in machine code, where they are plain; all others go the general way."""
+"""Online steps of one robot in machine code. Steps that it cannot do take the general way."""
 
 from __future__ import annotations
 

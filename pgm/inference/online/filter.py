@@ -242,7 +242,7 @@ class OnlineFilter(InCode, Immutable):
         return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
 
     def renewed(self) -> OnlineFilter:
-        """The same filter, which reads its functions anew, with what they refer to.
+        """The same filter, with users' functions read anew together with what they refer to.
 
         A belief of this filter goes on with it.
 
@@ -260,7 +260,7 @@ class OnlineFilter(InCode, Immutable):
         return found
 
     def initial(self) -> OnlineBelief:
-        """The prior, at step 0; runs are those of the model."""
+        """The prior belief, at step 0, with the model's leading axes of runs."""
         return self._initial() if self._steps is None else self._first
 
     @cached_property

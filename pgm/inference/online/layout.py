@@ -24,7 +24,7 @@ TRIALS = 5
 
 
 class Layout:
-    """A plan of one step, of a transition or of measurements, for values in arrays of these shapes.
+    """A plan of one step, its values in arrays of fixed shapes that later steps fill anew.
 
     `step` is its table, which holds while the layout is kept; None where it is not for a kernel,
     and `why`.

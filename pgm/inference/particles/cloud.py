@@ -17,7 +17,7 @@ BLOCK = 2**14
 
 
 class Block(NamedTuple):
-    """Some particles that are worked on together: whole runs, or a part of one."""
+    """Particles that are worked on together: whole runs, or a part of one run."""
 
     first: int
     last: int
@@ -92,7 +92,7 @@ class Cloud:
         return found
 
     def weighed(self, log_weights: Array) -> Cloud:
-        """The same particles with other weights."""
+        """The same particles with new log-weights."""
         return replace(self, log_weights=log_weights)
 
     def blocks(self) -> Iterator[Block]:

@@ -1,4 +1,4 @@
-"""The results of parts of the runs, joined to one posterior of them all."""
+"""Posteriors of parts of the runs, joined to one posterior of all runs."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
 
 
 def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
-    """An array with the runs as second axis, or a value of such, from those of its parts."""
+    """Arrays concatenated along the runs, their second axis; nested values by their fields."""
     if parts[0] is None:
         return None
     if kind in (bool, float):  # of all, or the least

@@ -51,10 +51,11 @@ class Pickle(NamedTuple):
 
 
 class Parcel:
-    """Pickles whose large arrays are put in one piece of memory, or stay where they are shared.
+    """A pickle whose large arrays travel apart from it, in one block of memory.
 
-    If `apart`, there is memory to put them in; if `shared`, several processes see it, and arrays
-    that can be written to do not go there. Of arrays in `room` only the places travel.
+    With `apart` there is a block to put arrays in. With `shared` several processes read that block,
+    so writeable arrays stay in the pickle. An array that already lies in the shared `room` travels
+    as its place alone.
     """
 
     def __init__(self, *, apart: bool, shared: bool = False, room: Room | None = None) -> None:

@@ -122,7 +122,10 @@ def _results(
 def _fail_alone(
     whole: Part, failed: Part, schedule: Schedule | None, lineariser: Lineariser, share: Share
 ) -> None:
-    """Raise the error of one process, whose first one is of other runs maybe."""
+    """Raise a worker's error as if the runs had been solved in one process.
+
+    The first error there may stand in other runs.
+    """
     for part in [whole] if share.kept is None else split(whole, lineariser, 1):
         if part.runs.stop > failed.runs.start and part.runs.start < failed.runs.stop:
             run_chain(part.graph, part.bound, schedule, lineariser, part.start)
@@ -185,7 +188,7 @@ class Share:
     def of(
         cls, graph: DynamicGraph, schedule: Schedule | None, start: Start | None, kept: Scope | None
     ) -> Share:
-        """A posterior of one linearisation is found again from its beliefs; others are not."""
+        """A posterior of one linearisation is rebuilt from its beliefs; any other travels whole."""
         once = schedule is None or (
             isinstance(schedule, Filtering | Calibration) and schedule.iterations == 1
         )

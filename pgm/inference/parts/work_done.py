@@ -1,4 +1,4 @@
-"""Work done by a worker, and what it has to tell of it: warnings, an error, the time."""
+"""A worker's result, with its warnings, its error and the time it took."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ class GifWriter(AbstractMovieWriter):
         self._pictures: list[Image.Image] = []
 
     def grab_frame(self, **savefig_kwargs: Any) -> None:
-        """Take the figure as it is now."""
+        """Add the figure, as it looks now, to the film as one frame."""
         drawn = BytesIO()
         self.fig.savefig(drawn, **savefig_kwargs, format="rgba", dpi=self.dpi)
         width, height = self.frame_size
