@@ -232,7 +232,7 @@ _Steps = tuple[Integers, Array, Integers]
 def _by_step(innovations: Innovations) -> _Steps:
     """NIS of each step, from the joint covariance of the accepted sightings.
 
-    A rejected sighting adds its own νᵀS⁻¹ν, since the filter did not condition the others on it.
+    A rejected sighting adds its own νᵀS⁻¹ν.
     """
     nis, dof = np.nan_to_num(innovations.nis), innovations.dof
     if innovations.rejected.any():

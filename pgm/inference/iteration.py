@@ -194,7 +194,7 @@ class _Control:
         self.weight = np.full(runs, first)
 
     def feasible(self, first: Point, found: Point) -> Point:
-        """The first point, with means that have a cost where steps are controlled by theirs."""
+        """The starting point; control by cost moves its means to where the cost is finite."""
         if not isinstance(self.damping, LevenbergMarquardt):
             return first
         return first._replace(mean=self.problem.feasible(first.mean, found))

@@ -170,6 +170,7 @@ class _Growth:
 
 
 def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array]:
+    """The larger of both messages' changes on each edge if all were sent now, (*lead)."""
     directed = messages.directed
     change = messages.propose(messages.round(range(len(directed))))
     edges = zip(directed.source[::2].tolist(), directed.target[::2].tolist(), strict=True)
@@ -178,10 +179,12 @@ def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array
 
 
 def _flooding(messages: Messages[Any]) -> Step:
+    """A round: all messages at once, from the messages of the round before."""
     return _in_turn(messages, [range(len(messages.directed))])
 
 
 def _sequential(messages: Messages[Any]) -> Step:
+    """A round: clusters in order send to later ones, then in reverse order to earlier ones."""
     target = messages.directed.target
     there, back = [], []
     for cluster, outgoing in enumerate(messages.directed.outgoing):
@@ -206,6 +209,10 @@ def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
 
 
 def _residual(messages: Messages[Any]) -> Step:
+    """A round: as many messages as there are, each time the one that would change most (Elidan, 2006).
+
+    After each, only the messages that depend on it are computed anew.
+    """
     directed = messages.directed
     everything = messages.round(range(len(directed)))
     single = [messages.round([m]) for m in range(len(directed))]

@@ -128,10 +128,7 @@ class Reverse:
 
     @property
     def whole(self) -> Conditional:
-        """The conditionals p(x[t] 
-
-        x[t + 1], measurements up to t) of all steps; row t holds step t.
-        """
+        """The conditionals p(x[t] | x[t+1], measurements up to t); row t holds step t."""
         if self.slices is None:
             return self.states
         return compose_conditionals(self.states, Conditional(*(part[:-1] for part in self.slices)))

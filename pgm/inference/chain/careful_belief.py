@@ -160,6 +160,7 @@ def through(matrix: Array, bound: Array) -> Array:
 
 
 def _summed(matrix: Array, cov: Array) -> Array:
+    """Σ_jk |F_ij| |P_jk| |F_ik|, (..., d): the size of the summands of each variance of F P Fᵀ."""
     size = np.abs(matrix)
     found: Array = ((size @ np.abs(cov)) * size).sum(axis=-1)
     return found
@@ -361,4 +362,5 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
+    """An array with the runs as first axis, (runs, ...); an array of one run gets that axis."""
     return array[None] if array.ndim == own else components_last(array, own)

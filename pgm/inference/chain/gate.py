@@ -90,6 +90,11 @@ def _decided(
     cov: Array,
     diffuse: Diffuse | None,
 ) -> Measured:
+    """Gate the sightings of one sensor: rejected if νᵀS⁻¹ν exceeds χ²'s quantile.
+
+    The limit's degrees of freedom are the components measured. Squares (sightings, runs) are
+    recorded, NaN where nothing was measured.
+    """
     one_run = mean.ndim == 1 and diffuse is None
     if one_run and seen.taken is None and len(seen.value) == part.sensor.height:
         one = _one(gate, part, seen, mean, cov)
@@ -219,6 +224,7 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 
 @lru_cache(maxsize=64)
 def _limits(gate: float, height: int) -> Array:
+    """The χ² limits of νᵀS⁻¹ν for 0..height components, (height + 1,); infinite for none."""
     limits = np.full(height + 1, np.inf)
     limits[1:] = mahalanobis.square_within(gate, np.arange(1, height + 1))
     return limits

@@ -119,6 +119,7 @@ class UpdateProblem(ABC, Generic[U]):
         return self._weighed
 
     def _solved(self, anchor: Anchor | None) -> U:
+        """The update about an anchor. If it fails, a reading that is not finite is named first."""
         try:
             return self.taken_in(anchor)
         except NumericalError:
@@ -185,6 +186,7 @@ class MomentUpdate(UpdateProblem[Updated]):
 
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
+    """An array with axes (1, runs, ...), as a point of linearisation has them."""
     if array.ndim == own:
         return array[None, None]
     return components_last(array, own)[None]

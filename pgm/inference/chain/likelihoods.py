@@ -165,6 +165,7 @@ class Whitened:
         """The likelihood of all measurements of each step, (T+1, runs, ...)."""
 
         def said(rows: slice, counts: Integers) -> tuple[Array, Array]:
+            """HᵀR⁻¹H and HᵀR⁻¹ν of each step, summed over its measurements."""
             matrix = self.sensor.family.matrix[rows]
             if self.sensor.taken is not None:
                 matrix = np.where(self.sensor.taken[rows][..., None], matrix, 0.0)
@@ -182,10 +183,11 @@ class Whitened:
         return Likelihood(precision, h)
 
     def log_density(self, mean: Array) -> Array:
-        """Of each step's measurements at the means of the slices, but for their joint part."""
+        """ln N(z − h(x); 0, R) of each step's measurements at the slices' means, (T+1, runs)."""
         taken = self.sensor.taken
 
         def density(rows: slice, counts: Integers) -> tuple[Array]:
+            """Σ ln N(z − h(x); 0, R) of each step, (steps, runs)."""
             left = self._residual(rows, mean)
             scale = self.scale if len(self.scale) == 1 else self.scale[rows]
             if taken is not None:

@@ -88,6 +88,7 @@ class Weights(EachSensor[Array]):
         return cls(found)
 
     def _summary(self) -> Summary:
+        """By sensor: the range and median of the weights, and how many sightings hardly counted."""
         lines = []
         for variable, weight in self.items():
             seen = weight[~np.isnan(weight)]

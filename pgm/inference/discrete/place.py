@@ -34,7 +34,7 @@ class Place:
 
     @classmethod
     def of(cls, scope: States, start: int, least: int) -> Place:
-        """A table in the order of its scope, large from so many entries on."""
+        """A view of the table in flat storage, with its axes, and an axis of runs if any."""
         return cls(scope, start, steps(scope, 1), math.prod(sizes(scope)) >= least)
 
     @cached_property

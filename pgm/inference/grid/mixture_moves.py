@@ -105,7 +105,7 @@ class Mixed:
         return total
 
     def _of(self, step: Step) -> tuple[Integers, ...]:
-        """The indices of a part's target window in the window that holds those of all parts."""
+        """The indices of one part's target window, within the union of all parts' windows."""
         each = [
             (np.arange(own.length) + own.first - span.first) % axis.cells
             for own, span, axis in zip(step.target, self.target, self.lattice.axes, strict=True)

@@ -63,7 +63,7 @@ class Slices(Behind, Protocol):
         ...
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The belief over the slice of step t ≥ 1, predicted and updated from the step before."""
+        """The predicted belief over the slice of step t ≥ 1, from the belief at the step before."""
         ...
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:

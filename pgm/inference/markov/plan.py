@@ -186,7 +186,7 @@ class RowTables:
 
     @cached_property
     def _least(self) -> float:
-        """The smallest entry above zero, which tells whether float64 can multiply many of them."""
+        """The smallest positive entry, which tells whether float64 products underflow."""
         if self.cpd._maps:
             return min(each.smallest for each in self.cpd._maps.values())
         return smallest_entry(self.cpd.table)

@@ -30,7 +30,7 @@ _WINDOWS = 16
 
 
 class DirectChain(StateChain):
-    """The messages of a single-state hidden Markov chain, computed for many steps at once.
+    """A hidden Markov chain of one state variable, whose messages are computed many steps at once.
 
     precise: Whether the forward sweep has lost no digits; else the chain is not to be used.
     """
@@ -179,7 +179,7 @@ class DirectChain(StateChain):
 
 
 def _joined(messages: Array, known: Array) -> bool:
-    """Multiply messages by the filtered beliefs, to sums of one; whether all have their digits."""
+    """Multiply backward messages by filtered beliefs and normalise; False if one underflows."""
     if not markov.masses(messages).min() > TINY:
         return False
     messages *= known

@@ -77,7 +77,7 @@ class Sliding:
         return Sliding(self.schedule, lead, (*kept, Entry(motion)), window, None, left)
 
     def read(self, make: Make, readings: tuple[Reading, ...], lead: tuple[int, ...]) -> Sliding:
-        """With further measurements of the step, taken in together with those before."""
+        """The window with further measurements of its step, taken in together with earlier ones."""
         *others, last = self.entries
         last = last._replace(readings=(*last.readings, *readings))
         found = replace(self, lead=lead, entries=(*others, last), window=None)
@@ -242,7 +242,7 @@ class Trail(NamedTuple):
         return Trail(self.lag, kept[-self.lag :] if self.lag else ())
 
     def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
-        """The first step of the trail, and the moments of its slice from those at the last one."""
+        """The trail's first step and its smoothed moments, from the moments at the last step."""
         first, before = step - len(self.passed), step
         for passed in reversed(self.passed):
             before -= 1
@@ -255,6 +255,7 @@ class Trail(NamedTuple):
         return first, mean, cov
 
     def _refuse(self, first: int, before: int, step: int) -> NoReturn:
+        """Refuse a lagged belief whose deviations lie too far apart for float64."""
         raise NumericalError(
             f"float64 loses the belief at step {first} given the measurements up to step {step}: "
             f"at step {before} or the next, deviations lie too far apart. That at step {step} is "

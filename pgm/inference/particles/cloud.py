@@ -79,7 +79,7 @@ class Cloud:
         return values if self.runs == 1 else np.repeat(values, self.counts)
 
     def normalised(self, log_weights: Array) -> tuple[Cloud, Array]:
-        """The cloud with weights of sum one in each run, and the logarithm of what they were."""
+        """The cloud with weights that sum to one in each run, and the log of their former sum."""
         largest = np.maximum.reduceat(log_weights, self.starts[:-1])
         each = log_weights - self.spread(largest)
         log_total = largest + np.log(self.summed(np.exp(each, out=each)))

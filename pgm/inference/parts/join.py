@@ -106,6 +106,7 @@ def _family(whole: Family, parts: list[Family]) -> None:
 
 
 def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
+    """Concatenate the parts' weights, gate decisions and cross-covariances of one sensor."""
     whole.moved = np.concatenate([part.moved for part in parts], axis=1)
     if whole.robust:
         for name in ("weight", "square"):
@@ -120,6 +121,7 @@ def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
         some = next(part.cross[step] for part in parts if step in part.cross)
 
         def cross(part: Sensor, step: int = step, some: Array = some) -> Array:
+            """A part's cross-covariances of one step; zero in a part that has none."""
             return part.cross.get(step, np.zeros((part.moved.shape[1], *some.shape[1:])))
 
         whole.cross[step] = np.concatenate([cross(part) for part in parts])
@@ -141,4 +143,5 @@ def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
 
 
 def _each(parts: Sequence[Any], name: str) -> list[Any]:
+    """One attribute of every part."""
     return [getattr(part, name) for part in parts]

@@ -102,6 +102,8 @@ class Parcel:
 
 
 class _Pickler(pickle.Pickler):
+    """A pickler that puts large arrays in the parcel's memory, and their places in the pickle."""
+
     def __init__(self, parcel: Parcel, file: io.BytesIO) -> None:
         super().__init__(file, protocol=5)
         self._parcel = parcel
@@ -111,6 +113,8 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
+    """An unpickler that finds large arrays at their places in memory, without a copy."""
+
     def __init__(self, file: io.BytesIO, own: mmap.mmap | None) -> None:
         super().__init__(file)
         self._own = own
@@ -151,6 +155,7 @@ def refuse(named: Sequence[Any], error: Exception) -> ModelError:
 
 
 def _fault(value: Any) -> str | None:
+    """Why a value cannot be pickled, or None if it can."""
     try:
         pickle.dumps(value)
     except Exception as error:

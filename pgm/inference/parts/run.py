@@ -132,6 +132,7 @@ def _fail_alone(
 
 
 def _of(room: Sequence[Array], part: Part) -> list[Array]:
+    """One part's views of arrays (steps, runs, ...)."""
     return [array[:, part.runs] for array in room]
 
 
@@ -151,6 +152,7 @@ def _require_memory(
 
 
 def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
+    """The variables that `keep` names; each must be hidden."""
     kept = as_scope(keep, "keep", ordered=False)
     for variable in kept:
         if variable not in layout.slice:
@@ -165,6 +167,10 @@ def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
 def _gaussians(
     kept: Scope, room: Sequence[Array], bound: BoundEvidence
 ) -> dict[Variable, Gaussian]:
+    """Kept marginals from arrays (steps, runs, ...), as Gaussians (*lead, steps, ...).
+
+    A hidden control has no step 0, hence its step labels begin at 1.
+    """
     found = {}
     for variable, mean, cov in zip(kept, room[::2], room[1::2], strict=False):
         found[variable] = Gaussian._make(

@@ -53,6 +53,10 @@ def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
 
 
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
+    """The number of runs in a part: bounded by memory, and a part or more a worker.
+
+    A step needs about 10 matrices of n (n + 1) floats, a measurement 5 of d (d + 1).
+    """
     model = graph.model
     rules = [lineariser]
     for cpd in (*model.prior, *model.transition, *model.observation):
@@ -85,6 +89,7 @@ def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGr
 
 
 def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> ConditionalGaussian:
+    """A CPD with the offsets and covariances of a part of the runs."""
     changed: dict[str, Any] = {}
     for name, own in (("offset", 1), ("cov", 2)):
         value = getattr(cpd, name, None)
@@ -98,6 +103,8 @@ def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> Condit
 
 
 def _evidence(bound: BoundEvidence, runs: slice) -> BoundEvidence:
+    """The evidence of a part of the runs; `first_run` keys the random numbers of its first."""
+
     def inputs(values: Mapping[Any, Array]) -> dict[Any, Array]:
         return {variable: cut(array, runs) for variable, array in values.items()}
 
