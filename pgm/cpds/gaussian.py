@@ -1,4 +1,4 @@
-"""Gaussian CPDs, whose mean is affine in the parents, or any function of them."""
+"""Gaussian CPDs p(y | x) = N(f(x), R), with an affine f or any function."""
 
 from __future__ import annotations
 

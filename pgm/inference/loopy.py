@@ -196,6 +196,10 @@ def _sequential(messages: Messages[Any]) -> Step:
 
 
 def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
+    """A round that sends groups of messages in turn.
+
+    A group reads the messages of the groups before it.
+    """
     rounds = [(list(turn), messages.round(turn)) for turn in turns]
 
     def step(active: Mask, lost: Mask) -> Array:

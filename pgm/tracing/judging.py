@@ -74,7 +74,7 @@ class _Points(NamedTuple):
 
 
 class Answers:
-    """The answers of one trace in one call.
+    """The values and slopes that one trace gave in one call.
 
     Parameters
     ----------
@@ -290,7 +290,7 @@ class Answers:
         return points.at(np.unique([0, count - 1, *pairs, *(pairs + 1)]))
 
     def _hold_slopes(self, points: _Points) -> None:
-        """Find a fault where a slope is not that of differences, nor of the trace close by.
+        """A slope unlike the function's differences, or the trace's nearby slopes, is a fault.
 
         An entry (i, j) is wrong where it moves a prediction by too many of its deviations: of
         |J − D| σⱼ against Σ (D σ)² and the noise. But D, by differences, is believed only where two

@@ -301,6 +301,7 @@ def _cut(
 
 
 def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
+    """Whether float64 can solve a window: no infinite prior variance, and a plain beginning."""
     return not certificate.is_flat(plan) and (begin is None or begin.plain)
 
 
@@ -315,6 +316,7 @@ def _settled(chain: Chain[Either], schedule: FixedLag) -> Iterated[Either]:
 def _window(
     plan: ChainPlan, ahead: Forward, found: Iterated[Either], careful: CarefulSmoothed | None
 ) -> Window:
+    """The solved window; step control may have moved its means off the solution's."""
     solved = found.solution
     beliefs, moved = Beliefs(found.mean, solved.beliefs.cov), found.mean - solved.means
     return Window(plan, ahead, beliefs, moved, found.residuals, found.converged, careful)

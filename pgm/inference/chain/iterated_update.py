@@ -167,6 +167,7 @@ class UpdateProblem(ABC, Generic[U]):
         return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
+        """Mean (n, [runs]) and covariance (n, n, [runs]) at a point, in this belief's axes."""
         if self.mean.ndim == 1:
             return at.mean[0, 0], at.cov[0, 0]
         return components_first(at.mean[0], 1), components_first(at.cov[0], 2)

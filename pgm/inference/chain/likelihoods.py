@@ -81,9 +81,7 @@ class Readings:
         return Likelihood(added, h)
 
     def log_density(self, known: Array, predicted: Moments) -> Array:
-        """The log-density of each step's measurements at the slices' means.
-
-        The joint term of the belief is not part of it.
+        """The log-density of each step's measurements, (T+1, runs), without `Known.evidence`.
 
         `known` are the means given the measurements, as deviations. The plan has to be linearised
         as it was.

@@ -96,6 +96,7 @@ class ChainPosterior(Innovated, Posterior):
     @property
     @quiet()
     def _forward(self) -> Forward:
+        """The forward pass of all steps, redone if only filtered moments were kept."""
         swept = self._swept
         return swept.whole if isinstance(swept, Filtered) else swept
 
@@ -154,6 +155,7 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def _reverse(self) -> Reverse:
+        """The conditionals p(x[t] | x[t + 1]), from the solver or from the forward pass."""
         return self._reverse_given or Reverse.make(self._plan, self._forward)
 
     @cached_property

@@ -315,6 +315,10 @@ def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
 
 
 def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Array:
+    """The user's starting means as an array (T+1, runs, n).
+
+    Each hidden variable needs one row a step.
+    """
     require_hidden(start, layout.slice)
     mean = np.zeros((bound.steps + 1, bound.runs, layout.slice_size))
     for variable in layout.slice:

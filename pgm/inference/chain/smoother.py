@@ -265,6 +265,10 @@ def _is_long(plan: ChainPlan) -> bool:
 
 
 def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
+    """Smooth by a parallel scan.
+
+    A sweep serves where elements are not finite, or readings are joint.
+    """
     readings = Readings.of(plan, reference)
     if readings.stacks:
         return swept(plan, reference, anchor)

@@ -188,6 +188,10 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _behind(self) -> Trail | Sliding | None:
+        """The steps kept behind the belief: a trail of linear passes, or a sliding window.
+
+        None without lag.
+        """
         schedule = self.schedule
         if not isinstance(schedule, FixedLag):
             return None

@@ -62,6 +62,7 @@ class Layout:
             self.why = str(error)
 
     def _table(self, plan: ChainPlan) -> Integers64:
+        """Addresses and shapes of the step's arrays, as integers that machine code reads."""
         from pgm.kernels.compiled import sweeps as s
 
         chain, layout = Chain(plan), plan.layout

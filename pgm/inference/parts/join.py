@@ -97,6 +97,7 @@ def _digits(status: Status) -> Array:
 
 
 def _family(whole: Family, parts: list[Family]) -> None:
+    """Concatenate the parts' linearisations of one CPD along the runs: F, b and Q."""
     if not whole.exact:
         whole.matrix = np.concatenate([part.matrix for part in parts], axis=1)
         whole.offset = np.concatenate([part.offset for part in parts], axis=1)

@@ -53,9 +53,10 @@ def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
 
 
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
-    """The number of runs in a part: bounded by memory, and a part or more a worker.
+    """The number of runs in a part, bounded by memory; at least one part a worker.
 
-    A step needs about 10 matrices of n (n + 1) floats, a measurement 5 of d (d + 1).
+    A step needs about 5 (n + s) (n + 1) floats for a slice of n components, s of them states; a
+    measurement 5 d (d + 1).
     """
     model = graph.model
     rules = [lineariser]
@@ -76,6 +77,7 @@ def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, wor
 
 
 def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGraph:
+    """The graph with the CPDs of a part of the runs; itself if no CPD differs by run."""
     model = graph.model
     changed = {
         name: tuple(_cpd(cpd, lead, runs) for cpd in getattr(model, name))

@@ -35,7 +35,7 @@ _OPAQUE = 0xFFFFFF
 
 
 class Palette:
-    """Up to 256 colours, and which of them is nearest to each colour that was met.
+    """Up to 256 colours, and the nearest of them to each colour of the pictures.
 
     first: The picture, in RGB, for which the first colours are chosen.
     """
