@@ -61,7 +61,7 @@ class ClusterGraph(Drawn, Immutable):
     network : BayesianNetwork
     clusters : sequence of sets of Variable
     sepsets : mapping of (int, int) to set of Variable, optional
-        Of each pair of joined clusters. Without, a tree whose sepsets are the full
+        The sepset of each pair of joined clusters. Without, a tree whose sepsets are the full
         intersections: a maximum-weight spanning tree, where that has running intersection.
 
     Raises

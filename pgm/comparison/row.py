@@ -50,7 +50,7 @@ class Row(Shown):
     log_evidence_kind : str
         ``exact``, ``linearised``, ``laplace`` or ``grid``.
     seconds : float
-        Of the one call, with what is done once in a process; NaN of beliefs that came with another
+        Duration of the one call, with work done once in a process; NaN of beliefs that came with another
         row's, or were given.
     converged : float
         The share of runs whose iterations have settled; NaN of a schedule without iterations.

@@ -232,7 +232,7 @@ def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
     Parameters
     ----------
     innovations : Innovations
-        As ``posterior.innovations[z]``.
+        For instance ``posterior.innovations[z]``.
     confidence : float
         Probability of the band, at each step.
 

@@ -156,7 +156,7 @@ def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     Parameters
     ----------
     belief : Gaussian
-        As ``posterior[x]``.
+        For instance ``posterior[x]``.
     truth : array_like
         (..., n), its leading axes as `error` asks for.
     components : sequence of str
@@ -271,7 +271,7 @@ def nis(innovations: Innovations) -> Array:
     Parameters
     ----------
     innovations : Innovations
-        As ``posterior.innovations[z]``.
+        For instance ``posterior.innovations[z]``.
 
     Raises
     ------
@@ -295,7 +295,7 @@ def kl(p: Gaussian, q: Gaussian) -> Array:
     Parameters
     ----------
     p, q : Gaussian
-        Of one scope; leading axes broadcast.
+        Gaussians of one scope; leading axes broadcast.
 
     Raises
     ------

@@ -64,7 +64,7 @@ def records(
     Returns
     -------
     dict
-        Of each column's variable the indices of its states, (records,), with −1 for "not
+        For each column's variable the indices of its states, (records,), with −1 for "not
         observed"; of a continuous one its values, (records, d).
 
     Raises

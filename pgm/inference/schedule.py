@@ -133,7 +133,7 @@ class Smoothing(Calibration):
         A run stops when no smoothed mean is more than this many standard deviations from where it
         was linearised.
     iterations, damping, gate
-        As of `Filtering`; of all CPDs. The gate is decided in the first forward pass and kept, so
+        See `Filtering`; here for all CPDs. The gate is decided in the first forward pass and kept, so
         that all iterations are of the same measurements; with a start, as everything is linearised
         there.
 
@@ -198,7 +198,7 @@ class FixedLag(InCode):
     iterations : int
         Linearisations of a window at the most.
     tolerance, damping, gate
-        As of `Filtering`, of a window's smoothed means and of the cost of its trajectory, its prior
+        See `Filtering`; here for a window's smoothed means and of the cost of its trajectory, its prior
         included. The gate is decided when a step is new, and kept.
 
     Examples

@@ -45,7 +45,7 @@ def update(
 ) -> Update:
     """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), residual z − H mean.
 
-    As `gaussian.update`, with the batch first.
+    The formulas are those of `gaussian.update`; here the batch axes come first.
     """
     size = residual.shape[-1]
     cross = times_symmetric(matrix, cov)

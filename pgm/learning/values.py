@@ -232,7 +232,7 @@ class Fit(Shown, Immutable):
     log_evidence : ndarray
         (iterations + 1,): of all recordings and runs together, from the start on. It never falls.
     posterior : ChainPosterior or StatePosterior, or tuple of these
-        Of each recording, smoothed with the model.
+        The posterior of each recording, smoothed with the model.
     status : FitStatus
 
     Examples

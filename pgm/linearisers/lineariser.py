@@ -162,7 +162,7 @@ class ArrayLineariser(InCode, ABC):
         Parameters
         ----------
         template : FunctionTemplate
-            Of the functions that it will be called with.
+            The template of the functions that it will be called with.
 
         Returns
         -------
@@ -300,7 +300,7 @@ def apart(prepared: Prepared, function: BoundFunction, mean: Array, cov: Array) 
     Returns
     -------
     Line
-        Of k d components; the error is block-diagonal.
+        A line of k d components; the error is block-diagonal.
 
     Examples
     --------

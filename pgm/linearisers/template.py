@@ -36,7 +36,7 @@ class FunctionTemplate:
     variances : tuple of float
         The least variance of each component's own noise; zero where it is not known beforehand.
     tracer : Tracer, optional
-        Of the function; derivatives that were not given are its trace's, where it has one.
+        The function's tracer; Jacobians that are not given come from its trace, if it has one.
 
     Examples
     --------

@@ -28,7 +28,7 @@ class Excursions:
     it, is summed up slice by slice, over the four stages.
 
     slices : int
-        Of a draw, 1 or more.
+        The number of slices of a draw, 1 or more.
     predicted : float
         The part of excursions that follow the model; the others have Student tails.
     """

@@ -110,7 +110,7 @@ class Chosen:
     index : ndarray
         (K, runs): which fixed point each mode is; −1 where a run has fewer.
     shares, missed : ndarray
-        As of `Modes`.
+        See `Modes`.
     """
 
     index: Integers

@@ -111,7 +111,7 @@ class Audit(Shown, Immutable):
     log_weights : ndarray
         (..., S): ln w.
     innovations : mapping of Variable to InnovationCheck
-        Of each sensor that a chain has read, whether its innovations fit the model: all other
+        For each sensor that a chain has read, whether its innovations fit the model: all other
         numbers are about the model as declared, and right for a wrong one.
 
     References

@@ -152,7 +152,7 @@ def most_probable(
 
     .. math:: \arg\max_x p(x, \text{evidence})
 
-    Of a dynamic network of tables it is the most probable path of the hidden variables through all
+    For a dynamic network of tables it is the most probable path of the hidden variables through all
     steps (Viterbi); measurements that were not taken are summed over.
 
     Maxima in place of sums go to the roots of the tree, and their places are traced back. Of
@@ -161,7 +161,7 @@ def most_probable(
     Parameters
     ----------
     graph : ClusterGraph
-        Of a discrete network, without loops, or of a dynamic one of tables.
+        The graph of a discrete network, without loops, or of a dynamic network of tables.
     evidence : mapping of Discrete
         As for `infer`. Weights of `soft` evidence count as factors of the probability.
     memory : number, optional

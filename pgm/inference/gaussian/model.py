@@ -132,7 +132,7 @@ class Model:
     def _follow(self, mean: Array, active: Mask) -> None:
         """Move angles to the branch nearest the means, (runs, size), for the active runs.
 
-        Of an observed child the reading moves; of a hidden one the offset of its linearised CPD.
+        If the child is observed, its reading moves; if hidden, the offset of its linearised CPD.
         """
         groups = zip(self.layout.groups, self.families, self.readings, self.moved, strict=True)
         for k, (group, family, reading, kept) in enumerate(groups):

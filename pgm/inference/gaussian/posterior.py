@@ -32,7 +32,7 @@ from pgm.variables import Variable
 class GaussianPosterior(Posterior):
     """The beliefs of a Gaussian network; leading axes are runs.
 
-    Of a tree they are exact for the (linearised) network; of a graph with loops the means are,
+    On a tree they are exact for the (linearised) network; on a graph with loops the means are,
     where the messages have converged, and variances are approximate: too small or too large.
     """
 
@@ -135,7 +135,7 @@ class GaussianPosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
         """The message from one cluster to a neighbour, over their sepset.
 
-        Of a tree its g carries the evidence that went into it; on a graph with loops its scale
+        On a tree its g carries the evidence that went into it; on a graph with loops its scale
         has no meaning. Where CPDs without noise determine it, it has no canonical form.
         """
         i, j = self.graph.index(source), self.graph.index(target)

@@ -118,7 +118,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         Parameters
         ----------
         index : int, slice or tuple of them
-            As of an array of the shape of the leading axes.
+            An index of an array with the shape of the leading axes.
 
         Raises
         ------

@@ -198,7 +198,7 @@ class StatePosterior(Posterior):
     def messages_back(self) -> Iterator[tuple[Array, Array]]:
         """The messages back to the slices T..0 after smoothing, each made of the one before.
 
-        Of each the values over the states of its slice, (sizes..., [runs]), and the log-scale.
+        For each the values over the states of its slice, (sizes..., [runs]), and the log-scale.
         """
         chain, last = self._chain, self.graph.steps
         plain = chain.unit()

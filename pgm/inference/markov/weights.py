@@ -75,7 +75,7 @@ class Weights:
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
         """The weights of a measurement, (*slice, [runs]); None where it is missing.
 
-        Of soft evidence numbers have a `log_scale`.
+        For soft evidence numbers have a `log_scale`.
         """
         values, taken = self.reading.values[row], self.reading.taken[row]
         if self.cpd.function is None:

@@ -72,7 +72,7 @@ class OnlineFilter(InCode, Immutable):
     Parameters
     ----------
     model : DynamicBayesianNetwork
-        Of tables it makes an `OnlineTables`, with the same methods, whose ``belief[x]`` are tables.
+        From a model of tables it makes an `OnlineTables`, with the same methods, whose ``belief[x]`` are tables.
     lineariser : Lineariser, optional
         For every CPD that has none of its own; `Taylor()` without.
     schedule : Filtering or FixedLag, optional
@@ -231,7 +231,7 @@ class OnlineFilter(InCode, Immutable):
     def compilation(self) -> str:
         """Whether steps are made in machine code, or why not, as of ``status.compilation``.
 
-        Of a filter that is compiled it tells of the steps so far: how many NumPy made, and why.
+        For a compiled filter it tells of the steps so far: how many NumPy made, and why.
         """
         if not self.compiled:
             return "by NumPy: compiled=False"
@@ -414,7 +414,7 @@ class OnlineFilter(InCode, Immutable):
         EvidenceError
             If a measurement does not fit its sensor.
         ModelError, LinearisationError
-            As of `predict`.
+            See `predict`.
         NumericalError
             If a measurement contradicts an exact model, or a number does not exist.
 

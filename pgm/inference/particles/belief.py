@@ -129,7 +129,7 @@ class ParticleBelief(PointMassBelief):
         *components : str
             By name, one axis each.
         bins : int or sequence
-            As of `numpy.histogramdd`: how many along each axis, or their edges.
+            See `numpy.histogramdd`: how many along each axis, or their edges.
         range : sequence of (float, float), optional
             The ends of each axis; angles are counted in [−π, π) without it.
 
