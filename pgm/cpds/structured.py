@@ -87,9 +87,9 @@ def shifts(
     moves : mapping of int or tuple of int to float
         The probability of each shift, in cells along each axis; they sum to one.
     edge : str or sequence of str
-        What a cell at an edge does: ``"slide"`` keeps to the last cell along the axis, so that the rest
-        of the shift is made; ``"wrap"`` goes on from the other end, as a heading does; both also
-        axis by axis, in a sequence. ``"stay"`` leaves the whole shift out.
+        What a cell at an edge does: ``"slide"`` keeps to the last cell along the axis, so that the
+        rest of the shift is made; ``"wrap"`` goes on from the other end, as a heading does; both
+        also axis by axis, in a sequence. ``"stay"`` leaves the whole shift out.
 
     Returns
     -------

@@ -136,7 +136,7 @@ def by_density(bound: BoundEvidence) -> BoundEvidence:
 
 
 def unidentified(reading: Reading, parent: Variable, unknown: Unknown) -> UnidentifiedCPD:
-    """The density of a sensor's open sightings."""
+    """The likelihood of a sensor's open sightings, a mixture over their candidates."""
     return UnidentifiedCPD(
         reading.cpd,
         parent,

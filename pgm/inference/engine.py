@@ -270,8 +270,8 @@ def infer(
         take, besides the compiled graph, the evidence, and what is asked for; 2²⁸ (256 MiB), if not
         given. The runs are worked through in parts that fit; the results are the same.
     belief : Grid or Particles, optional
-        For a dynamic network of continuous variables: its beliefs as probabilities of the cells of a
-        grid, one run after another, or as weighted draws, in place of Gaussians. Nothing is
+        For a dynamic network of continuous variables: its beliefs as probabilities of the cells of
+        a grid, one run after another, or as weighted draws, in place of Gaussians. Nothing is
         linearised then.
     progress : bool or callable
         Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a

@@ -114,9 +114,9 @@ class Status(Shown, Immutable):
         standard deviation (6 are an error of 10⁻⁶ deviations); None where they are not measured.
         Below six there is a `PrecisionWarning`.
     compilation : str
-        An account of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not compiled:
-        ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call left it
-        to NumPy, with the reasons; ``"by NumPy: ..."``, where it was not due. Else empty.
+        An account of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not
+        compiled: ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call
+        left it to NumPy, with the reasons; ``"by NumPy: ..."``, where it was not due. Else empty.
 
     Examples
     --------

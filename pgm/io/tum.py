@@ -149,9 +149,9 @@ def write_tum(
     pitch, roll : str, optional
         The other angles; zero without.
     covariance : str, Path or open file, optional
-        File of the covariances: a table of comma-separated values with a line of names, ``t`` and the
-        upper triangle, ``east*east``, ``east*north``, ..., of the components named above, position,
-        roll, pitch and heading, in their units.
+        File of the covariances: a table of comma-separated values with a line of names, ``t`` and
+        the upper triangle, ``east*east``, ``east*north``, ..., of the components named above,
+        position, roll, pitch and heading, in their units.
 
     Raises
     ------
@@ -221,8 +221,8 @@ def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIM
     Parameters
     ----------
     path : str, Path or open file
-        File of the poses; gzipped or not. Numbers may be apart by any spaces and tabs, blank lines and
-        comments are skipped. Quaternions may be as far from unit length as four decimals leave
+        File of the poses; gzipped or not. Numbers may be apart by any spaces and tabs, blank lines
+        and comments are skipped. Quaternions may be as far from unit length as four decimals leave
         them, and are made to have it. Poses that go back in time are put in order, and of several
         at one time the first is taken; `dropped` tells of both.
     covariance : str, Path or open file, optional

@@ -245,7 +245,8 @@ def fit(
     model : DynamicBayesianNetwork
         With the values to begin with.
     evidence : mapping of Variable, or sequence of them
-        Evidence of one or several recordings, as for `smooth`; runs on leading axes share the parameters.
+        Evidence of one or several recordings, as for `smooth`; runs on leading axes share the
+        parameters.
     learn : mapping of Variable
         The parts that are learnt, all else being fixed: by ``x.at(0)`` of the prior of a state, by
         ``x`` of its transition, by ``z`` of a sensor, a part of `pgm.learning` or a tuple of them,

@@ -264,7 +264,7 @@ class Learner:
         return np.concatenate([*parts, *(block.vector(cpd) for block, cpd in pairs)])
 
     def at(self, point: Point, vector: Array) -> Point:
-        """The point of some coordinates."""
+        """The point with other coordinates."""
         start, parameters, cpds = 0, {}, []
         for variable, step in self.parameters.items():
             parameters[variable] = step.clipped(vector[start : start + variable.dimension])

@@ -25,7 +25,7 @@ _GONE = 1e-12
 
 
 class ScaledNoise:
-    """A function of noise times a factor."""
+    """The M step of one factor that scales a covariance given as a function."""
 
     def __init__(self, function: Any, factor: float) -> None:
         self.function, self.factor = function, factor

@@ -353,7 +353,7 @@ def sealed(array: Array) -> Array:
 
 
 def _along_runs(array: Array, own: int) -> Array:
-    """An array (runs, own axes) with the runs fastest in memory, for quicker use after it."""
+    """An array (runs, ...) laid out in memory with the runs contiguous, for faster kernels."""
     if array.ndim == own + 1:
         return components_last(np.ascontiguousarray(components_first(array, own)), own)
     return array

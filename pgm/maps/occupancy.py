@@ -128,8 +128,8 @@ class OccupancyMap(InCode, CellGrid):
         Parameters
         ----------
         path : path
-            Path of the YAML file, whose thresholds the map has. The image, PGM (P2 or P5) or PNG, is
-            found from its folder.
+            Path of the YAML file, whose thresholds the map has. The image, PGM (P2 or P5) or PNG,
+            is found from its folder.
 
         Raises
         ------

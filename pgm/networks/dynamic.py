@@ -42,12 +42,12 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     prior : sequence of CPD
         CPDs of the states at step 0; a state may depend on other states there.
     transition : sequence of CPD
-        CPDs of each state given states of the step before (``x.previous``), other hidden variables of
-        the same step, and inputs. A child without a prior, such as a control with noise, is
+        CPDs of each state given states of the step before (``x.previous``), other hidden variables
+        of the same step, and inputs. A child without a prior, such as a control with noise, is
         hidden at steps 1..T.
     observation : sequence of CPD, optional
-        CPDs of measurements given hidden variables of the same step, and inputs. A measurement may be
-        taken any number of times a step, or never.
+        CPDs of measurements given hidden variables of the same step, and inputs. A measurement may
+        be taken any number of times a step, or never.
 
     Attributes
     ----------

@@ -10,7 +10,8 @@ filter and smoother can cancel so, and each has its ratio κ:
 - A measurement's reduction of a variance, P − K S Kᵀ. Per component κ = P_ii before the
   measurements over P_ii after them, or after the smoother's later ones. A variance that falls to
   exactly zero loses nothing.
-- An innovation's covariance S = H P Hᵀ + R where the sensor has no noise. The part that the readings before it leave
+- An innovation's covariance S = H P Hᵀ + R where the sensor has no noise. The part that the
+readings before it leave
   open is its pivot L_jj² (S = L Lᵀ), and κ = (Σ_i |h_i| σ_i)² / L_jj².
 
 Every κ must stay below `MODERATE`, 2·10⁷, which leaves κ ε ≤ 4.4·10⁻⁹. The segments that a
@@ -18,8 +19,8 @@ balanced tree composes multiply such losses, hence their limit is lower, `_GENTL
 
 Means have a test of their own. A mean is rounded to ε times the largest number that it came from,
 which may stand at another step: a start of 10⁸ m, say, for a state that is known to 1 mm later. The
-rounding ε |m| / σ, in deviations, is carried along the chain. It counts where it is more than 3·10⁻⁸
-and 30 times the rounding that the mean has by its own size.
+rounding ε |m| / σ, in deviations, is carried along the chain. It counts where it is more than
+3·10⁻⁸ and 30 times the rounding that the mean has by its own size.
 
 Where one test fails, the passes are done again in pairs of float64 (`careful`).
 """

@@ -63,7 +63,7 @@ class Conditionals:
         )
 
     def by_run(self, values: Decimals) -> Decimals:
-        """(runs, d) as (V, d, N)."""
+        """Values of runs (runs, d), reshaped to (V, d, N) for V stacked matrices."""
         if self.shared:
             return np.asarray(values.T[None])
         return np.asarray(values[..., None])

@@ -159,7 +159,7 @@ class OnlineStates(Shown, NoArray, Immutable):
 
 
 class _Window:
-    """The last steps of an online filter with lag: backward messages from the newest step to the first.
+    """The last steps of an online filter with lag, for backward messages to the first of them.
 
     The filter has passed forward over them already.
     """

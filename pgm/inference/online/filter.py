@@ -72,7 +72,8 @@ class OnlineFilter(InCode, Immutable):
     Parameters
     ----------
     model : DynamicBayesianNetwork
-        From a model of tables it makes an `OnlineTables`, with the same methods, whose ``belief[x]`` are tables.
+        From a model of tables it makes an `OnlineTables`, with the same methods, whose
+        ``belief[x]`` are tables.
     lineariser : Lineariser, optional
         For every CPD that has none of its own; `Taylor()` without.
     schedule : Filtering or FixedLag, optional

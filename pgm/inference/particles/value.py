@@ -140,8 +140,8 @@ class Particles(InCode, Immutable):
     n : int
         How many, of each run.
     seed : int
-        The seed of the draws. Each run and step has a stream of its own: a run's particles are the same in
-        any batch in which it has the same place, offline and online.
+        The seed of the draws. Each run and step has a stream of its own: a run's particles are the
+        same in any batch in which it has the same place, offline and online.
     proposal : Lineariser, optional
         Particles are moved to where the step's measurements are, by Gaussian beliefs that a
         lineariser makes of each, and weighed exactly for it: for measurements more precise than the

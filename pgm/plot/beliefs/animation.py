@@ -43,8 +43,8 @@ def animate_beliefs(
     Parameters
     ----------
     belief : GridBelief or Table
-        The belief of one run over steps, as ``posterior[x]``; a table of one variable needs `places`,
-        and its steps are counted from 0, a hidden control's too, whose steps are 1..T.
+        The belief of one run over steps, as ``posterior[x]``; a table of one variable needs
+        `places`, and its steps are counted from 0, a hidden control's too, whose steps are 1..T.
     path : path
         Where to: a GIF, ``drive.gif``, or where the program ffmpeg is, ``drive.mp4``. It is
         written whole or not at all.
