@@ -134,7 +134,7 @@ class Row(Shown):
 
 @dataclass(frozen=True, eq=False)
 class Name:
-    """The key of a row: lineariser, schedule and state."""
+    """The key of a row: lineariser, schedule, state, and kind of belief."""
 
     lineariser: str
     schedule: str

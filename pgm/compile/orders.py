@@ -26,7 +26,7 @@ class Order(Protocol):
 
 
 class Rule(InCode, ABC):
-    """An order that is found in the moral graph."""
+    """An elimination order found by a rule in the moral graph."""
 
     def __call__(self, network: BayesianNetwork) -> Scope:
         """The variables of a network in this order."""
@@ -244,7 +244,7 @@ def _levels(adjacent: Adjacency, start: int, inside: set[int]) -> list[list[int]
 
 
 def _peripheral(adjacent: Adjacency, start: int, inside: set[int]) -> list[list[int]]:
-    """The levels of a vertex that is about as far from another as any two are."""
+    """Breadth-first levels from a pseudo-peripheral vertex."""
     levels = _levels(adjacent, start, inside)
     while True:
         end = min(levels[-1], key=lambda vertex: (len(adjacent[vertex]), vertex))

@@ -115,7 +115,7 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
 
 
 def place(belief: Gaussian, index: tuple[int, ...]) -> str:
-    """The place of one of the Gaussians, in words; nothing where there is but one."""
+    """One Gaussian's place among several, in words; empty if there is one."""
     words = []
     run = index if belief.steps is None else index[:-1]
     if run:

@@ -216,5 +216,5 @@ ROUNDED = 5e-7
 
 
 def rounding(size: int) -> float:
-    """The rounding that a sum of so many probabilities may have."""
+    """The rounding error that a sum of `count` probabilities may have."""
     return max(ROUNDED * size, 1e-6) + size * float(np.finfo(float).eps)

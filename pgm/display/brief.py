@@ -126,7 +126,7 @@ def called(function: Any) -> str:
 
 
 def vector(values: npt.NDArray[Any]) -> str:
-    """The numbers of one value in one cell; states by their indices."""
+    """A value's numbers in one table cell; states by their indices."""
     found = np.ravel(values)
     text = ", ".join(number(value) for value in found[:VECTOR])
     return text + f", {LEFT_OUT}" * (found.size > VECTOR)

@@ -159,7 +159,7 @@ class Column:
 
 
 def columns_of(table: Any, wanted: Iterable[str] | None) -> dict[str, Column]:
-    """The columns of a table by name; those that are wanted, or all.
+    """A table's columns by name: the wanted ones, or all.
 
     A data frame is what has ``columns`` and can be asked for one by name: pandas need not be
     there.

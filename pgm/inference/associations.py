@@ -112,7 +112,7 @@ NONE: Found = MappingProxyType({})
 
 
 def is_open(bound: BoundEvidence) -> bool:
-    """Whether some sightings leave open what was seen."""
+    """Whether some sightings have an unknown parent."""
     return any(reading.unknown is not None for reading in bound.readings)
 
 

@@ -65,7 +65,7 @@ def online_points(
 
 
 def require_points(belief: Any, model: Any) -> None:
-    """Refuse a belief that is neither grid nor particles, and a network that has neither."""
+    """Refuse a `belief` that is no grid and no particles, or a network that cannot have it."""
     if not isinstance(belief, Grid | Particles):
         raise ModelError(f"belief= is a pgm.Grid(...) or pgm.Particles(...), not {titled(belief)}")
     if not isinstance(model, DynamicBayesianNetwork):

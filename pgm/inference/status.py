@@ -78,7 +78,7 @@ FEW = 8
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
-    """The decimal digits that errors (runs,) leave, (*lead), at most float64's; none where NaN."""
+    """Correct decimal digits for relative errors (runs,), (*lead); NaN errors have none."""
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)
     return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))

@@ -218,7 +218,7 @@ class FitStatus(Shown, Immutable):
 
 
 class Fit(Shown, Immutable):
-    """A model with the likeliest parameters that were found.
+    """The result of `fit`: the model with its maximum-likelihood parameters.
 
     Attributes
     ----------

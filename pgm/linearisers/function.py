@@ -335,7 +335,7 @@ class BoundFunction(NamedTuple):
 
 
 def _alike(a: Array, b: Array, angles: Mask) -> bool:
-    """Whether two values (..., d) are the same but for rounding."""
+    """Whether two values (..., d) are equal up to rounding."""
     if a.ndim == 1:  # of one run, mostly without a turn
         pairs = zip(a.tolist(), b.tolist(), strict=True)
         if all(abs(p - q) <= 1e-9 * (1.0 + abs(p)) for p, q in pairs):

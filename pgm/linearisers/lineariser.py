@@ -109,7 +109,7 @@ class Prepared(Protocol):
 
 
 def prepare(lineariser: Lineariser, template: FunctionTemplate) -> Prepared:
-    """A lineariser's own prepared form, or a plain callable wrapped as one."""
+    """A lineariser prepared for many calls with one template."""
     own = getattr(lineariser, "prepare", None)
     if own is None:
         return Wrapped(lineariser, template)

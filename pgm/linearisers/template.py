@@ -80,7 +80,7 @@ class FunctionTemplate:
 
     @cached_property
     def derivatives(self) -> tuple[tuple[str, int, Index, Function | None], ...]:
-        """Of each hidden parent: a name for messages, size, place, and the derivative if given."""
+        """For each hidden parent: its name, size, place in the stack, and Jacobian if given."""
         every = zip(self.given, self.places, self.jacobians, strict=True)
         return tuple(
             (f"jacobian by {parent!r}", parent.dimension, place, by)

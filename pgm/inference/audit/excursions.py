@@ -47,7 +47,7 @@ class Excursions:
         return np.full((runs, count), BEFORE)
 
     def advance(self, index: int, stage: Integers, rng: np.random.Generator) -> Integers:
-        """Draw the stages of a slice given those of the slice before, (runs, S)."""
+        """Draw each draw's stage at a slice given its stage at the slice before, (runs, S)."""
         chance = rng.random(stage.shape)
         begin = self._begin(index)
         kind = np.where(chance < begin * self.predicted, PREDICTION, TAILS)

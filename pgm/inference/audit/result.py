@@ -41,7 +41,7 @@ def _is_trusted(mixture: Mixture, modes: Modes) -> Mask:
 def _is_suspect(
     mixture: Mixture, compared: Sequence[Compared], correction: Array, trusted: Mask
 ) -> Mask:
-    """Whether moments or the log-evidence are off by more than chance may leave, (runs,).
+    """Whether moments or the log-evidence are further off than chance explains, (runs,).
 
     A mean of weights is t nats too high with a probability of e^−t at most, whatever their tail
     (Markov's inequality), and too low by any number of nats: a `correction` downwards counts where

@@ -252,7 +252,7 @@ def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Some of so many runs, to be searched for with a batch as of a `Room`."""
+    """A search for the most probable assignment of some runs, in batches that fit."""
 
     graph: ClusterGraph
     evidence: BoundStates

@@ -114,7 +114,7 @@ class Model:
         parents: Sequence[tuple[Array, Array] | None],
         active: Mask,
     ) -> None:
-        """Linearise every nonlinear CPD at a belief, one call a group, for runs that are active.
+        """Linearise every nonlinear CPD at a belief for the active runs, one call a group.
 
         The mean is (runs, size), to whose branches angles of evidence move; parents' moments are
         (CPDs, runs, ...) for each group with nonlinear CPDs.
@@ -163,7 +163,7 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
 
 
 def _taken(group: Group, bound: BoundValues) -> Mask | None:
-    """The mask of components of a group's children that were observed, (CPDs, runs or 1, d).
+    """The mask of observed components of a group's children, (CPDs, runs or 1, d).
 
     None where all were.
     """

@@ -220,7 +220,7 @@ class GaussianPosterior(Posterior):
 
     @quiet()
     def _why_unsettled(self) -> str:
-        """Whether the network is walk-summable, of the run that is furthest from settled."""
+        """Whether the network is walk-summable, for the run furthest from convergence."""
         if self._sent is None or not len(self.status.residuals):
             return ""
         last = np.where(self.status.converged, -1.0, self.status.residuals[-1])

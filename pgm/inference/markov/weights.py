@@ -175,7 +175,7 @@ class Weights:
         return self._over_runs(found[0]) if runs == 1 else np.moveaxis(found, 0, -1)
 
     def _over_runs(self, single: Array) -> Array:
-        """Weights that are the same in all runs, with an axis of runs if there are many."""
+        """Weights shared by all runs, with an axis of runs if there are several."""
         return single[..., None] if self.batch else single
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:

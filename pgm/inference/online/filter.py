@@ -220,7 +220,7 @@ class OnlineFilter(InCode, Immutable):
         return f"OnlineFilter(over {states}, {self.lineariser!r}, {self.schedule!r})"
 
     def _compile(self) -> None:
-        """Have steps made in machine code, by methods of their own: a call of one more counts."""
+        """Prepare machine code for the steps."""
         schedule = self.schedule
         single = isinstance(schedule, Filtering) and schedule.iterations == 1
         if single and schedule.gate is None and not self.watch:
