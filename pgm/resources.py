@@ -26,7 +26,7 @@ _UNKNOWN = 64 * 2**30
 
 
 def retain() -> None:
-    """Have the allocator keep what is freed between steps, rather than fetch it anew each time.
+    """Have the allocator keep freed memory between steps instead of returning it.
 
     By default glibc gives freed memory back above a threshold that grows with the largest block
     freed; every page of the next step's arrays, of many runs, would be faulted in again, which
@@ -56,7 +56,7 @@ def gibibytes(entries: float) -> str:
 def require_memory(
     entries: int, what: str, advice: str, *, error: type[PgmError] = ModelError, **where: Any
 ) -> None:
-    """Refuse arrays of at least so many doubles, which this machine cannot hold.
+    """Refuse arrays of so many doubles that this machine's memory cannot hold them.
 
     `what` names the arrays in the message, `advice` the way out; `where` are the objects concerned.
     """

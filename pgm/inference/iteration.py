@@ -39,7 +39,7 @@ class Point(NamedTuple):
 
     @property
     def std(self) -> Array:
-        """Standard deviations of all that is known, (steps, runs, n)."""
+        """Standard deviations of all components, (steps, runs, n)."""
         return np.sqrt(np.maximum(np.diagonal(self.known_cov, axis1=-2, axis2=-1), 0.0))
 
     def start(self, states: Index) -> tuple[Array, Array]:
@@ -76,7 +76,7 @@ class Anchor(NamedTuple):
     weight: Array
 
     def at(self, step: int) -> Anchor:
-        """The anchor of one step."""
+        """The anchor's part at one step."""
         one = slice(step, step + 1)
         return Anchor(self.mean[one], self.std[one], self.weight)
 
@@ -101,11 +101,11 @@ class Solution(Protocol):
 
     @property
     def means(self) -> Array:
-        """Its means, (steps, runs, n)."""
+        """The solution's means, (steps, runs, n)."""
 
     @property
     def point(self) -> Any:
-        """Its moments: a `Point`, or, of steps that are not controlled, all with means and std."""
+        """The solution's moments as a `Point`; without step control, means and deviations do."""
 
 
 S = TypeVar("S", bound=Solution)
@@ -116,10 +116,10 @@ class Problem(Protocol[Found]):
     """A model that can be linearised and solved."""
 
     def linearise(self, at: Any, active: Mask) -> None:
-        """Linearise at the point of a solution, for the runs that are active."""
+        """Linearise at a solution's point, for the active runs."""
 
     def solve(self, anchor: Anchor | None = None) -> Found:
-        """The solution of the model as it is linearised."""
+        """The solution of the linearised model."""
 
     def settled(self) -> Mask | bool:
         """Whether a model that changes from iteration to iteration is the one asked for."""

@@ -32,7 +32,7 @@ LISTED = 8
 
 @dataclass(frozen=True)
 class Room:
-    """Entries of tables, times runs, that are computed at once, and that a posterior keeps."""
+    """Limits on table entries times runs: computed at once, and kept by a posterior."""
 
     batch: int
     kept: int
@@ -56,7 +56,7 @@ class Room:
 
 
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
-    """Refuse a graph whose tables or covariances, of so many entries, or axes would not fit."""
+    """Refuse a graph whose tables, covariances or number of axes are too large."""
     total = sum(entries)
     if total <= LIMIT:
         _require_axes(graph)
@@ -104,7 +104,7 @@ def _require_axes(graph: ClusterGraph) -> None:
 
 
 def require_runs(entries: int, runs: int, what: str) -> None:
-    """Refuse an answer of so many entries a run that would not fit, before it is made."""
+    """Refuse an answer too large for memory, before it is computed."""
     if entries * runs > LIMIT:
         many = f" for {runs} runs" if runs > 1 else ""
         advice = "ask with fewer runs at once" if runs > 1 else "ask for less at once"

@@ -49,7 +49,7 @@ class Directed:
         return found
 
     def inputs(self, message: int) -> list[int]:
-        """The messages that one is made of: those to its source, but not from its target."""
+        """The messages on which one depends: all to its source but the one from its target."""
         return [other ^ 1 for other in self.outgoing[self.source[message]] if other != message]
 
     def dependents(self, message: int) -> list[int]:
@@ -62,7 +62,7 @@ class Messages(Protocol[Round]):
 
     @property
     def directed(self) -> Directed:
-        """Their numbers."""
+        """The directed edges, which number the messages."""
 
     @property
     def runs(self) -> int:
@@ -76,10 +76,10 @@ class Messages(Protocol[Round]):
         """Lay out the computation of some messages, in batches of equal shape."""
 
     def propose(self, round: Round) -> Array:
-        """How much each message asked for would change, (messages, runs)."""
+        """Compute a round's messages; returns the change of each, (messages, runs)."""
 
     def accept(self, round: Round, active: Mask, lost: Mask) -> None:
-        """Keep what was proposed, damped, for the runs that are active, (runs,).
+        """Keep the proposed messages, damped, for the active runs, (runs,).
 
         Converged runs may go on, for the sake of the others; those that diverged are `lost` and
         keep the messages that they have.

@@ -109,7 +109,7 @@ class PageTest(NamedTuple):
         return PageTest(*wide)
 
     def on(self, step: int, weights: Array) -> PageTest:
-        """After a step whose readings weigh so much, (2, runs)."""
+        """The test after a step with log-likelihood ratios `weights`, (2, runs)."""
         onset = np.where(self.level == 0.0, step, self.onset)
         level = np.clip(self.level + weights, 0.0, _HIGH)
         high = level >= _HIGH

@@ -20,7 +20,9 @@ Resampler = Callable[[Array, int, np.random.Generator], Integers]
 
 
 def systematic(weights: Array, count: int, rng: np.random.Generator) -> Integers:
-    """One random number for a comb of equal distances; counts are ⌊·⌋ or ⌈·⌉ of count · w.
+    """Systematic resampling: one random offset for an even comb.
+
+    Counts are ⌊·⌋ or ⌈·⌉ of count · w.
 
     Zero where the weight is; weights need not sum to one. Madow, On the theory of systematic
     sampling, 1949; the low variance sampler of Thrun, Burgard & Fox, Probabilistic Robotics, 2005,

@@ -68,7 +68,7 @@ def no_step_before(cpds: Iterable[CPD]) -> None:
 
 
 def in_order(cpds: Sequence[C], parents: Callable[[C], Scope]) -> tuple[C, ...]:
-    """CPDs with parents before children, in the given order where that leaves a choice."""
+    """CPDs with parents before children, otherwise in the given order."""
     place = {cpd.child: k for k, cpd in enumerate(cpds)}
     waiting = [{place[p] for p in parents(cpd) if p in place} for cpd in cpds]
     children: list[list[int]] = [[] for _ in cpds]
@@ -100,7 +100,7 @@ def in_order(cpds: Sequence[C], parents: Callable[[C], Scope]) -> tuple[C, ...]:
 
 
 def _cycle(before: Sequence[set[int]], left: set[int]) -> list[int]:
-    """A closed path, parents before children, where each that is left waits for one that is."""
+    """A directed cycle among the CPDs that have no topological order."""
     path: dict[int, None] = {}
     at = min(left)
     while at not in path:

@@ -121,7 +121,7 @@ class BayesianNetwork(Drawn, Immutable):
         return checks.runs(self.cpds)
 
     def cpd(self, variable: Variable) -> CPD:
-        """The CPD of a variable that is no input."""
+        """The CPD of a variable; inputs have none."""
         if not isinstance(variable, Variable) or variable not in self._by_child:
             if variable in self.inputs:
                 why = "since it is an input, which no CPD explains"

@@ -80,7 +80,7 @@ def name_axes(ax: Axes, x: str, y: str) -> None:
 
 
 def equal_aspect(ax: Axes) -> None:
-    """One unit as long in x as in y, whether limits are shared with other axes or not."""
+    """Equal scales in x and y, also where limits are shared with other axes."""
     shared = all(
         len(group.get_siblings(ax)) > 1
         for group in (ax.get_shared_x_axes(), ax.get_shared_y_axes())

@@ -42,7 +42,7 @@ def places(landmarks: Any) -> dict[Hashable, Array]:
 
 
 def covariances(given: Any, known: Mapping[Hashable, Array]) -> dict[Hashable, Array]:
-    """Covariances of positions that are known, by identity."""
+    """Covariances of known positions, by the landmark's identity."""
     found: dict[Hashable, Array] = {}
     for key, value in as_mapping(given, "landmark_cov").items():
         cov = as_floats(value, f"the covariance of landmark {key!r}", EvidenceError)

@@ -50,7 +50,7 @@ def on_plane(streams: Mapping[str, Stream]) -> tuple[dict[str, Stream], list[Dro
 
 
 def is_null(world: Array) -> Mask:
-    """The mask of latitudes and longitudes (n, 2) that are both zero, to the last digit."""
+    """The mask of latitudes and longitudes (n, 2) that are both exactly zero."""
     null: Mask = (world == 0.0).all(axis=1)
     return null
 
@@ -72,7 +72,7 @@ def _flat(stream: Stream, world: Array, height: Array, origin: Array) -> Stream:
 
 
 def _height(stream: Stream) -> Array:
-    """Heights [m]; the first that is known where there are none, for metres east and north."""
+    """Heights [m]; missing ones are set to the first known height."""
     name = next((each for each in HEIGHTS if each in stream.components), None)
     if name is None:
         return np.zeros(len(stream))

@@ -132,7 +132,7 @@ def spread(name: str, stream: Stream, variable: Variable) -> Array:
 def require_variances(
     variances: Any, sensors: Mapping[Variable, str]
 ) -> Mapping[Variable, Variable]:
-    """Variables of variances by sensor, each of a sensor that is asked for."""
+    """Check `variances`: observed parents by sensor, for sensors that are asked for."""
     if isinstance(variances, Variable):
         raise EvidenceError(
             f"variances= says whose they are, like {{{next(iter(sensors), 'z')!r}: {variances!r}}}",
@@ -150,7 +150,7 @@ def require_variances(
 
 
 def columns(variable: Variable, stream: Stream) -> Array:
-    """The columns of a variable's components, but for the duration, by name."""
+    """The columns of a variable's components by name, without the duration."""
     names = [name for name in variable.components if name != DT]
     lost = [name for name in names if name not in stream.components]
     if lost:
@@ -194,6 +194,6 @@ def without_place(stream: Stream, landmarks: Mapping[Hashable, Array]) -> Mask:
 
 
 def require_variable(variable: Any, what: str) -> None:
-    """Refuse a key or value that is no variable."""
+    """Refuse a key or value that is not a Variable."""
     if not isinstance(variable, Variable):
         raise EvidenceError(f"{what} names a variable, not {variable!r}")

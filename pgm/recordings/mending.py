@@ -46,7 +46,7 @@ def increments(name: str, stream: Stream) -> tuple[Stream, list[Dropped]]:
 
 
 def sightings(name: str, stream: Stream) -> tuple[Stream, list[Dropped]]:
-    """Measurements in order, without rows that are empty or were written twice."""
+    """Measurements in order of time, without empty or duplicate rows."""
     fates = []
     empty = np.isnan(stream.values).all(axis=1)
     double = ~empty & _again(stream, values=True)

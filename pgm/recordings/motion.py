@@ -172,7 +172,7 @@ def of_wheels(left: Array, right: Array, wheelbase: float) -> Array:
 
 
 def require_motion(what: str, stream: Stream, known: tuple[tuple[str, ...], ...]) -> None:
-    """Refuse components that are no motion, and motion that is unknown."""
+    """Refuse components that do not describe a motion, and motion with missing values."""
     if stream.components not in known:
         raise EvidenceError(
             f"{what} has the components ({listed(stream.components)}); known are "

@@ -20,7 +20,7 @@ from pgm.recordings.stream import Stream
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Edges(Shown):
-    """Measurements between vertices.
+    """Relative poses measured between pairs of vertices.
 
     Attributes
     ----------

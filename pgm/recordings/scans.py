@@ -87,7 +87,7 @@ class Scans(Shown, NoArray, Immutable):
         return self.stamps.size
 
     def take(self, rows: Integers | Mask | slice) -> Scans:
-        """Some of the scans, by number or mask."""
+        """The scans at some indices or in a mask."""
         return Scans(self.stamps[rows], self.ranges[rows], self.angles, self.most)
 
     def between(self, first: float, last: float) -> Scans:

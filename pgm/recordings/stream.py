@@ -123,7 +123,7 @@ class Stream(Shown, NoArray, Immutable):
         return self.components.index(component)
 
     def take(self, rows: Integers | Mask | slice) -> Stream:
-        """Some of the rows, by number or mask."""
+        """The rows at some indices or in a mask."""
         return self.replace(
             stamps=self.stamps[rows],
             values=self.values[rows],
@@ -132,7 +132,7 @@ class Stream(Shown, NoArray, Immutable):
         )
 
     def select(self, **columns: str) -> Stream:
-        """Some of the columns under names of your own, ``stream.select(v="v_forward")``."""
+        """Some columns under new names, ``stream.select(v="v_forward")``."""
         places = [self.place(column) for column in columns.values()]
         return self.replace(
             values=self.values[:, places],

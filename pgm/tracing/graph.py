@@ -69,7 +69,7 @@ class Graph:
         return self._placed((name, *operands))
 
     def reachable(self, outputs: Iterable[int]) -> list[int]:
-        """The operations that outputs are made of, in order."""
+        """The nodes on which the outputs depend, in order."""
         needed: set[int] = set()
         stack = list(outputs)
         while stack:

@@ -256,7 +256,7 @@ class Answers:
         self._hold(flat, told, due)
 
     def _hold(self, flat: Array, told: Array, due: Array) -> None:
-        """Find a fault where a value of the trace (k, d), `told`, is not the one that is due."""
+        """A trace's values `told`, (k, d), unlike the function's are a fault."""
         with quiet():
             error = np.abs(difference(due, told, self.tracer.angles))
             known = np.isfinite(due)
@@ -359,7 +359,7 @@ class Judge:
         variances: Sequence[float],
         count: int,
     ) -> Answers | None:
-        """The answers of a tracer in this call, at about so many points; None without a trace.
+        """A tracer's answers in this call, for about as many points; None without a trace.
 
         A trace is made, if there is none, and compared with its function about the centres. What
         else there is as in `Answers`.
@@ -373,7 +373,7 @@ class Judge:
         return found
 
     def passes(self) -> bool:
-        """Whether all traces were right; those that were not are given up, or made anew."""
+        """Whether all traces were right; wrong ones are given up, or made anew."""
         right = True
         for each in self.answers:
             each.close()
@@ -386,7 +386,7 @@ class Judge:
 
 
 def judged(call: Callable[[Judge], Found]) -> Found:
-    """A call's result, from traces that were right: else it is done again.
+    """A call's result from traces that proved right; otherwise the call is done again.
 
     At first a wrong trace is made anew, since its function may have changed; one that was new is
     given up.

@@ -19,7 +19,7 @@ LIMIT = 2000  # operations
 def trace(
     function: Callable[..., Any], widths: Sequence[int], due: tuple[int, ...]
 ) -> Program | str:
-    """The program of a function with a value of a shape that is due, or a reason for none."""
+    """The program traced from a function with a value of a given shape, or why there is none."""
     try:
         made = [_recorded(function, widths, due, 0)]
         if made[0][0].cast:
@@ -140,7 +140,7 @@ class Tracer:
         return True
 
     def renew(self) -> None:
-        """Have the function traced anew when it is next asked for."""
+        """Have the function traced anew at its next use."""
         self._stale, self._waits = True, 0
 
     def prove(self, proven: Program) -> None:

@@ -29,7 +29,7 @@ class Untraceable(Exception):
 
 
 class Recorder(Graph):
-    """A graph that is being recorded, with the stand-ins that were given out."""
+    """A graph during recording, with the stand-ins handed to the user's function."""
 
     def __init__(self, limit: float = np.inf, kind: int = 0) -> None:
         super().__init__()
@@ -81,7 +81,7 @@ class Recorder(Graph):
 
 
 class Node(NDArrayOperatorsMixin):
-    """A traced number."""
+    """A traced number, a node of the graph."""
 
     __slots__ = ("graph", "number")
     __hash__ = object.__hash__

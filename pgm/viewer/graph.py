@@ -105,7 +105,7 @@ def _edge(writer: Writer, edge: Edge) -> dict[str, Any]:
 
 
 def _shown(graph: ClusterGraph, limits: Limits) -> tuple[list[int], str | None]:
-    """The clusters of a page: all, or the first that are met from the root or from cluster 0."""
+    """The clusters on a page: all, or the first found from the root or from cluster 0."""
     total = len(graph)
     if total <= limits.clusters:
         return list(range(total)), None

@@ -149,7 +149,7 @@ class Numbers:
 
 
 def rounded(array: Array, bits: int) -> Array:
-    """Numbers rounded to so many bits of their fraction; infinite ones and NaN stay."""
+    """Numbers rounded to a number of mantissa bits; infinities and NaN stay."""
     given = np.ascontiguousarray(array, dtype=np.float64)
     drop = np.uint64(_FRACTION - bits)
     half = np.uint64(1) << (drop - np.uint64(1))

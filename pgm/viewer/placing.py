@@ -243,7 +243,7 @@ def _apart(at: Array, width: Array) -> Array:
 
 
 def _packed(boxes: Sequence[Array]) -> list[Array]:
-    """How far to move each part so that all stand in rows, the largest first."""
+    """Offsets that place the parts in rows, the largest first."""
     sizes = [np.ptp(box, axis=0) + np.array([260.0, 110.0]) for box in boxes]
     widest = max(max(size[0] for size in sizes), 1.5 * np.sqrt(sum(s[0] * s[1] for s in sizes)))
     corners = [np.zeros(2)] * len(boxes)

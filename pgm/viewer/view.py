@@ -156,7 +156,7 @@ def assembled(data: dict[str, Any], numbers: Numbers) -> str:
 
 
 def embedded(data: Any) -> str:
-    """JSON that is safe inside a script element: nothing in it ends the element or begins one."""
+    """JSON escaped so that it cannot end or begin a script element."""
     text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     for mark in "<>&":
         text = text.replace(mark, f"\\u{ord(mark):04x}")

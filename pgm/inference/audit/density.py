@@ -222,7 +222,7 @@ class Term:
         on_chart: bool = False,
         strict: bool = True,
     ) -> tuple[Array, Mask]:
-        """The CPD's mean at draws of its parents, (..., S, d), and where that is lost, (..., S).
+        """The CPD's mean at draws of its parents, (..., S, d), and a mask where it is lost.
 
         There it is the linearised mean. The branch of an angle is that of the linearisation, a
         matter of the parents alone, so that the child's density on the unwrapped chart is one.

@@ -52,7 +52,10 @@ def transition(plan: ChainPlan) -> Conditional:
 
 
 def between_slices(plan: ChainPlan) -> Conditional:
-    """The slice given that before it, (T, runs, n, n), of which controls play no part."""
+    """The conditionals of each slice given the one before, (T, runs, n, n).
+
+    Columns of the earlier controls are zero.
+    """
     found = transition(plan)
     layout = plan.layout
     if layout.state_size == layout.slice_size:

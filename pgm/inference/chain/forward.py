@@ -314,9 +314,9 @@ def _stepwise(
 
 
 def _joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
-    """Residuals by iteration for all runs, with those of some runs put in.
+    """Residuals by iteration for all runs, with the residuals of some runs put in.
 
-    Runs that took longer have more rows, aligned at the last.
+    The shorter record repeats its last row.
     """
     longest = max(len(record), len(part))
     found = [each.copy() for each in record + (record[-1:] or [np.zeros(count)]) * longest]

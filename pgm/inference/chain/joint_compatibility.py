@@ -77,7 +77,10 @@ def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Int
 
 
 class _Step(NamedTuple):
-    """Pairings taken in: the belief after each, its square, and its log-density but for 2π."""
+    """Accepted pairings, with the belief and the Mahalanobis square after each.
+
+    Their log-density lacks its constant with 2π.
+    """
 
     shift: Array
     cov: Array

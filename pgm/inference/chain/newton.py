@@ -112,7 +112,7 @@ class _Precision(NamedTuple):
 
 
 class _Terms(NamedTuple):
-    """The terms of a transition in the equations of its two ends, but for the precision itself."""
+    """A transition's terms in the normal equations of its two slices, but its precision."""
 
     before: Array
     across: Array

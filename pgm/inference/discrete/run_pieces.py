@@ -23,7 +23,7 @@ def at_once(entries: int, batch: int) -> int:
 
 
 def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
-    """Slices of runs that are calibrated at once."""
+    """The evidence in parts of as many runs as a tree calibrates at once."""
     for piece in pieces(evidence, at_once(entries, batch)):
         yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
 
@@ -36,7 +36,7 @@ def _of_one(evidence: BoundStates) -> BoundStates:
 
 
 def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
-    """Slices of runs of a given size."""
+    """The evidence in parts of `size` runs."""
     size = max(1, size)
     if evidence.runs <= size:
         yield evidence

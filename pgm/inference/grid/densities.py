@@ -326,7 +326,7 @@ class _Maker:
         return np.concatenate([np.exp(self._logs(part, places)).sum(axis=1) for part in parts])
 
     def _shift(self, rows: Integers, whole: Array, near: Array, parts: Array) -> None:
-        """Find by how much the sums of some rows differ with the shift of the centres."""
+        """Find how much the sums of some rows vary as the centres shift within a cell."""
         for beyond in (False, True):
             some = rows[near[rows] == beyond]
             if some.size:

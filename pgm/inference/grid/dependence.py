@@ -21,12 +21,12 @@ _TRIES = 3
 
 
 def places(lattice: Lattice, count: int, seed: int) -> Integers:
-    """Some cells of a lattice, (count, axes)."""
+    """A sample of a lattice's cells, (count, axes)."""
     return np.random.default_rng(seed).integers(0, lattice.shape, (count, len(lattice.axes)))
 
 
 def within(lattice: Lattice, window: Window, most: int, seed: int) -> Integers:
-    """Some cells of a window, or all if they are few, (n, axes)."""
+    """A sample of a window's cells, or all if they are few, (n, axes)."""
     lengths = [span.length for span in window]
     count = math.prod(lengths)
     flat = np.arange(count)
@@ -50,7 +50,7 @@ def centres(lattice: Lattice, cells: Integers) -> Array:
 
 
 class Reduced:
-    """A function's values at all cells along some axes, the others in their middle.
+    """A function's values over the axes it depends on; the other axes stay at their middle.
 
     values: From points (n, axes) to values (n, ...).
     """
@@ -124,7 +124,7 @@ class Dependence:
             self._sure = True
 
     def reduced(self, cells: Integers, depended: Set[int]) -> Integers:
-        """Cells whose places along all other axes are those of the middle."""
+        """Cells moved to the middle of all axes on which the function does not depend."""
         middle = np.array(self.lattice.shape) // 2
         keep = np.array([k in depended for k in range(len(middle))])
         return np.where(keep, cells, middle)

@@ -59,7 +59,7 @@ def groups(
 
 
 def joined(some: Sequence[Members], kept: Kept) -> Members:
-    """One group of several: of displacements, if all are Gaussian, else by their density."""
+    """Several groups as one: by displacements if all are Gaussian, otherwise by density."""
     one = some[0]
     if len(some) == 1:
         return one

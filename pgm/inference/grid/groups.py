@@ -31,7 +31,7 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Members:
-    """CPDs of states that are moved together, and of the hidden controls that they share.
+    """CPDs of states that move together, and of hidden controls that they share.
 
     known: By child, the values (rows, runs or 1, d) of its observed parents.
     prior: Whether this is step 0: displacements are counted from the first cell then.
@@ -130,7 +130,7 @@ class Group(Members):
         return self.wrapped(cells)
 
     def wrapped(self, cells: Array) -> Array:
-        """Displacements (n, axes), those of angles within half a circle."""
+        """Displacements (n, axes), with angles wrapped to half a circle."""
         for k, axis in enumerate(self.axes):
             if self.lattice.axes[axis].angle:
                 count = self.lattice.axes[axis].cells

@@ -20,7 +20,7 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One axis: a component of a state.
+    """One axis of the grid, a component of a state.
 
     angle: Whether it is a circle, whose first centre is at −π.
     """
@@ -65,7 +65,7 @@ Window = tuple[Span, ...]
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The axes of a grid, those of angles first."""
+    """The axes of a grid, angles first."""
 
     states: Scope
     axes: tuple[Axis, ...]
@@ -213,7 +213,7 @@ def _component(
 
 
 def _axis(variable: Variable, place: int, label: str, extent: Extent) -> Axis:
-    """The axis of a component, with cells of one width; an angle has its full circle."""
+    """A component's axis with cells of equal width; an angle's covers the circle."""
     angle = variable.components[place] in variable.angles
     if angle != isinstance(extent, int):
         due = (

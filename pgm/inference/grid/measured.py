@@ -21,7 +21,7 @@ Known = Mapping[Variable, Array]
 
 
 class Sharpness(NamedTuple):
-    """The sensor that is the sharpest for the cells.
+    """The sensor whose density is narrowest in units of the cells.
 
     cells: By how many of its deviations a measurement differs from one cell to the next, where it
         is the likeliest.
@@ -79,12 +79,12 @@ class MeasuredSensor:
         return {v: a[row, run if a.shape[1] > 1 else 0] for v, a in inputs.items()}
 
     def taken(self, row: int, run: int) -> Mask:
-        """The components of a measurement that were taken, (d,)."""
+        """The mask of measured components, (d,)."""
         found: Mask = self.reading.taken[row, run if self.reading.taken.shape[1] > 1 else 0]
         return found
 
     def around(self, cell: Integers) -> Integers:
-        """A cell, the next along each axis, or the one before at an end, and that before."""
+        """A cell and its neighbours along each axis, for second differences."""
         found = np.repeat(cell[None], 2 * len(cell) + 1, axis=0)
         for k, axis in enumerate(self.lattice.axes):
             for row, step in ((k + 1, 1), (k + 1 + len(cell), -1)):
@@ -94,7 +94,7 @@ class MeasuredSensor:
         return found
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The residuals of one measurement, and the log-density where these are zero."""
+        """The residuals of one measurement, and the log-density at zero residual."""
         raise NotImplementedError
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:

@@ -129,7 +129,7 @@ class MixedGroup(Members):
 
 
 def _around(spans: Sequence[Span], cells: int, periodic: bool) -> Span:
-    """The shortest span that holds others, on a line or on a circle of so many cells."""
+    """The shortest interval that covers several, on a line or on a circle of cells."""
     if all(span == spans[0] for span in spans):
         return spans[0]
     if not periodic:

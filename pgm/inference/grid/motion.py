@@ -145,7 +145,7 @@ class Motion:
 
 
 def _slack(lattice: Lattice, group: Group) -> Array:
-    """Differences of displacements that are rounding, in cells, (axes,)."""
+    """Differences of displacements that count as rounding, in cells, (axes,)."""
     largest = [
         max(abs(lattice.axes[k].low), lattice.axes[k].width * lattice.axes[k].cells)
         for k in group.axes

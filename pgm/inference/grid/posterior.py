@@ -132,7 +132,7 @@ class GridPosterior(PointPosterior[GridBelief]):
         return replace(self, kind=FILTERED, _values=self._filtered, _filtered=None)
 
     def joint(self, *variables: Variable) -> GridBelief:
-        """The joint of some states of one slice.
+        """The joint belief of some states of one slice.
 
         Parameters
         ----------

@@ -59,7 +59,7 @@ def quadrature(group: Group, spread: Spread, step: int, run: int) -> tuple[Array
 
 
 def _nodes(extent: float) -> tuple[Array, Array]:
-    """Nodes and weights of a standard normal that spreads over so many cells at one deviation.
+    """Quadrature of a standard normal with a deviation of so many cells: nodes and weights.
 
     Narrow noise has Gauss–Hermite nodes; wide noise nodes a cell apart, so that no cell is left
     out, with the weights of a lattice kernel of variance one.

@@ -61,7 +61,7 @@ class Level(NamedTuple):
     highest: float
 
     def squared(self, first: slice) -> Array:
-        """How far it is below the highest."""
+        """Half the squared residual: how far a log-density lies below its maximum."""
         return self.highest - _some(self.values, first)
 
 
@@ -69,7 +69,7 @@ Residuals = Term | Joint | Level
 
 
 def _some(array: Array, first: slice) -> Array:
-    """Some of the first axis of an array that broadcasts along it."""
+    """Some entries along the first axis of an array that broadcasts along it."""
     return array if len(array) == 1 else array[first]
 
 

@@ -89,7 +89,7 @@ def error(
 
 
 def _is_missed(sensors: Sequence[MeasuredSensor], found: Weights) -> bool:
-    """Whether a density that is no normal one may have a peak that none of the shifts meets.
+    """Whether a density other than normal may have a peak between all tested centres.
 
     A normal density that is missed says so by its slope.
     """

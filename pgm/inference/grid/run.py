@@ -32,7 +32,7 @@ _WORK = 12
 def run(
     graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, grid: Grid
 ) -> GridPosterior:
-    """Send the messages of a schedule on a grid, and warn of what its status tells."""
+    """Run a schedule on a grid, and warn of faults that the status shows."""
     require_chain(graph, "beliefs on a grid")
     kind = kind_of(schedule, "beliefs on a grid")
     found = _refined(graph, bound, kind, grid)
@@ -91,7 +91,7 @@ def _figure(grid: Grid, found: GridPosterior) -> Array:
 
 
 def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
-    """The posterior on one lattice: filtered, and smoothed where that is asked, run by run."""
+    """The posterior on one lattice, run by run: filtered and, if asked, smoothed."""
     lattice = resolve(grid, graph.model.states)
     smoothing = kind.lag > 0
     require_room(lattice, grid, bound.steps + 1, bound.runs, 3 if smoothing else 1)

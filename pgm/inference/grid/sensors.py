@@ -102,7 +102,7 @@ class GridSensor(MeasuredSensor):
     def _parts(
         self, known: Known, step: int, run: int, window: Window
     ) -> tuple[Array, Array | None]:
-        """The function's values at the centres of a window, as those of axes plus those of circles.
+        """The function's values over a window, as a sum of parts over axes and over circles.
 
         Each broadcasts to the window, with the components last.
         """
@@ -119,7 +119,7 @@ class GridSensor(MeasuredSensor):
         return one, other
 
     def _on(self, axes: set[int], window: Window, known: Known, step: int, run: int) -> Array:
-        """The values on some axes of a window, the others at the middle of the lattice."""
+        """The values over some axes of a window, with the others at the lattice's middle."""
         indices = self.lattice.indices(window)
         middle = np.array(self.lattice.shape) // 2
         each = [indices[k] if k in axes else middle[k : k + 1] for k in range(len(indices))]

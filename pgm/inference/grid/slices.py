@@ -125,7 +125,7 @@ class GridModel:
 
 
 class GridSlices:
-    """One run's slices: beliefs are (*cells), the chain having no axes of runs.
+    """The slices of one run on a grid; a belief is an array (*cells).
 
     keep: In which weights are kept for the way back; None where there is none.
 

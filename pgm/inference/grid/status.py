@@ -37,7 +37,7 @@ NARROW = 0.7
 
 
 class Refinement(NamedTuple):
-    """One resolution of a grid that was refined.
+    """The resolution and change of one refinement of a grid.
 
     change: Its largest change from the resolution before; NaN of the first.
     """
@@ -162,7 +162,7 @@ class GridStatus(Shown, Immutable):
 
     @property
     def sharp(self) -> Variable | None:
-        """The sensor that is sharper than half a cell; None if none is."""
+        """A sensor narrower than half a cell; None if there is none."""
         return self.sharpest.variable if self.sharpest.cells > SHARP else None
 
     @property
@@ -181,7 +181,7 @@ class GridStatus(Shown, Immutable):
 
     @property
     def lost(self) -> bool:
-        """Whether so much of a belief may have been cut off that the answer is another one."""
+        """Whether enough probability may have been cut off to change the answer."""
         return self.cut.share > MUCH
 
     @property
@@ -190,7 +190,7 @@ class GridStatus(Shown, Immutable):
         return self.uneven.share > ROUGH
 
     def warn(self, before: GridStatus | None = None) -> None:
-        """Tell the user of what was lost, and of a figure that has not settled.
+        """Warn of lost probability, and of a figure that has not settled.
 
         Parameters
         ----------

@@ -24,7 +24,7 @@ _ADVICE = "give (lo, hi, cells), or of an angle the number of cells of its circl
 
 @public
 class Grid(InCode, Immutable):
-    r"""Beliefs as probabilities of the cells of a grid: the posterior as it is, of any shape.
+    r"""Beliefs as probabilities of grid cells, for posteriors of any shape.
 
     .. math:: p(x_t \mid z) \approx \sum_k p_k \, δ(x_t - c_k)
 
@@ -109,7 +109,7 @@ class Grid(InCode, Immutable):
 
     @public
     def finer(self, times: int = 2) -> Grid:
-        """The same grid with so many times the cells along each axis: 2 halves all widths.
+        """The same grid with `times` as many cells along each axis: 2 halves all widths.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class Grid(InCode, Immutable):
 
 
 def _extent(key: object, value: Any) -> Extent:
-    """The interval or circle of one axis, checked."""
+    """The checked interval or circle of one axis."""
     if not isinstance(key, str | Variable):
         raise ModelError(
             f'a grid\'s axes are components of states, named like "east" or "x.east", or scalar '

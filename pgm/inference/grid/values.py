@@ -30,7 +30,7 @@ def mean_at(
     run: int,
     less: Variable | None = None,
 ) -> Array:
-    """The mean of a CPD at n points, (n, d); user's functions are called once, with all of them.
+    """A CPD's mean at n points, (n, d), by one call of the user's function.
 
     points: Values of hidden parents, (n, d).
     known: Values of the parents with evidence, (d,).
@@ -97,7 +97,7 @@ def root_of(cpd: ConditionalGaussian, cov: Array, step: int) -> Array:
 
 
 def require_noise(cpd: ConditionalGaussian, lower: Array, step: int) -> None:
-    """Refuse noise of a root that is singular, whose density no centre need meet."""
+    """Refuse singular noise, as its density is zero at nearly every centre."""
     if not (np.diagonal(lower) > 0.0).all():
         raise ModelError(
             f"{cpd!r} has no noise in a component, or two that are one, at step {step}: "

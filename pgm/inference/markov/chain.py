@@ -67,7 +67,7 @@ class Slices(Behind, Protocol):
         ...
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise the error of measurements that are impossible given a predicted belief."""
+        """Raise the error for measurements of probability zero under a predicted belief."""
         ...
 
 
@@ -185,7 +185,7 @@ class StateChain(BackwardChain):
 
     @property
     def smallest(self) -> float:
-        """The smallest positive number of the beliefs that are kept."""
+        """The smallest positive probability in the kept beliefs."""
         if isinstance(self.known, list):
             return min(map(smallest, self.known))
         flat = self.known.reshape(-1)

@@ -68,7 +68,7 @@ class Contraction(NamedTuple):
 
     @property
     def along(self) -> frozenset[int]:
-        """The tables that are maps along an axis."""
+        """The tables that act as matrices along one axis."""
         return frozenset(step.factor for step in self.steps if step.axis is not None)
 
     @classmethod
@@ -112,7 +112,7 @@ class Contraction(NamedTuple):
         map_: bool,
         back: bool,
     ) -> Step:
-        """One table of the product: a map along an axis where it is one, else a sum over what goes.
+        """Multiply one table in: as a matrix along an axis, or by a sum over the axes that end.
 
         A table of two variables whose parent nothing else needs moves the axis of that parent: it
         need not be laid out as a table. `waiting` are the tables still to come, `last` the
@@ -150,7 +150,7 @@ class Contraction(NamedTuple):
 
 
 def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool) -> Array:
-    """An array with one axis moved by a map, or by one for each of some runs."""
+    """An array with one axis transformed by a matrix, or by one matrix a run."""
     if move.maps[0][1] is None:
         return _mapped(move.maps[0][0], array, axis, semiring, back)
     parts: list[Array] = []

@@ -64,7 +64,7 @@ class Held(NamedTuple):
 
 
 class Passed(NamedTuple):
-    """A step that lies behind a belief: its own belief, and the transition out of it."""
+    """A past step of an online filter: its belief, and the transition out of it."""
 
     held: Held
     ahead: TableSlices

@@ -59,7 +59,7 @@ class SlicePlan:
 
     @cached_property
     def _tables(self) -> list[tuple[Label, ...]]:
-        """The variables of each CPD of the transition that are not observed, as labels."""
+        """The hidden variables of each transition CPD, as axis labels."""
         return [self.hidden(cpd) for cpd in self.model.transition]
 
     @cached_property
@@ -102,7 +102,7 @@ class SlicePlan:
 
     @cached_property
     def controls(self) -> tuple[int, ...]:
-        """The axes of a belief that are not carried on."""
+        """The axes of hidden controls, which the next slice does not depend on."""
         return tuple(k for k, v in enumerate(self.slice) if v not in self.states)
 
 
@@ -242,7 +242,7 @@ class TableSlices:
         return np.repeat(found[..., None], self.bound.runs, axis=-1) if self.lead else found
 
     def forward(self, step: int, belief: Array) -> Array:
-        """See `Slices`; axes between those of the slice and that of the runs are kept."""
+        """The predicted belief; see `Slices`. Axes between the slice's and the runs' are kept."""
         if self.plan.controls:
             belief = self.semiring.total(belief, self.plan.controls, None)
         return self.plan.onward.apply(belief, self.factors(step, "onward"), self.semiring)

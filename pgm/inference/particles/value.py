@@ -121,7 +121,7 @@ METROPOLIS, FULL = "metropolis", "full"
 
 @public
 class Particles(InCode, Immutable):
-    r"""Beliefs as weighted draws: the posterior as it is, of any shape.
+    r"""Beliefs as weighted draws, for posteriors of any shape.
 
     .. math:: p(x_t \mid z) \approx \sum_i w_t^i \, δ(x_t - x_t^i)
 

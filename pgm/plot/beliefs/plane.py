@@ -343,7 +343,7 @@ def as_landmarks(landmarks: npt.ArrayLike | None) -> Array | None:
 
 
 def draw_landmarks(ax: Axes, landmarks: Array) -> None:
-    """Mark places that are not marked yet."""
+    """Draw landmarks that the axes do not show yet."""
     for line in ax.lines:
         if line.get_label() == "landmarks" and np.array_equal(line.get_xydata(), landmarks):
             return

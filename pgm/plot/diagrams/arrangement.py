@@ -137,7 +137,7 @@ def outward(graph: nx.Graph) -> list[Edge]:
 
 
 def is_chain(graph: nx.Graph) -> bool:
-    """Whether a graph is a chain of one cluster or more, undirected."""
+    """Whether an undirected graph is a chain (a path) of one cluster or more."""
     return (
         not graph.is_directed()
         and nx.is_tree(graph)

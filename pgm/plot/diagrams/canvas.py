@@ -47,7 +47,7 @@ class Size(NamedTuple):
 
 
 class Box(NamedTuple):
-    """Bounds, in points."""
+    """The bounds of a shape, in points."""
 
     left: float
     bottom: float
@@ -326,7 +326,7 @@ def _by_step(scope: Iterable[Variable]) -> list[list[Variable]]:
 
 
 def _text(groups: list[list[str]], most: int | None) -> str:
-    """Words, each group on lines of its own; the last of too many are counted."""
+    """Text lines, one group after another; a long list ends with the number of names left out."""
     count = sum(map(len, groups))
     if most is not None and count > most:
         room = most - 1

@@ -48,7 +48,7 @@ def shown(
 
 
 def _near(graph: ClusterGraph, around: int, within: int, among: Sequence[int]) -> list[int]:
-    """The clusters, among some, that so many edges or fewer lead to from one."""
+    """The clusters within a number of edges of one cluster."""
     allowed = set(among)
     if not is_whole(around) or around not in allowed:
         raise GraphError(f"around={around!r} is no cluster; they are 0 to {max(among)}")
@@ -62,7 +62,7 @@ def _near(graph: ClusterGraph, around: int, within: int, among: Sequence[int]) -
 
 
 def joined(graph: ClusterGraph, clusters: Sequence[Cluster]) -> tuple[dict[Edge, Scope], list[int]]:
-    """The sepsets between some clusters, and which of them have neighbours among the others."""
+    """The sepsets between shown clusters, and the shown clusters with hidden neighbours."""
     drawn = {cluster.index for cluster in clusters}
     sepsets: dict[Edge, Scope] = {}
     cut: list[int] = []

@@ -114,7 +114,7 @@ def _cluster_graph(
 
 
 def _wide(graph: nx.DiGraph) -> bool:
-    """Whether levels hold so many nodes that they had better stand side by side."""
+    """Whether levels are so wide that the diagram is better turned on its side."""
     levels = [len(level) for level in nx.topological_generations(graph)]
     return max(levels, default=0) > _WIDE * len(levels)
 

@@ -83,7 +83,7 @@ def rooted(
 def in_layers(
     graph: nx.DiGraph, rank: Mapping[Node, int], sizes: Mapping[Node, Size], *, gap: float
 ) -> Layout:
-    """The layers that are given, from top to bottom; few arrows cross."""
+    """A layout by given layers from top to bottom, with few crossings of arrows."""
     return _place(*_order(graph, rank), sizes, gap, False)
 
 

@@ -198,7 +198,7 @@ def _sweep(layers: list[list[int]], graph: nx.Graph, *, down: bool) -> None:
 
 
 def _swap(layers: list[list[int]], graph: nx.Graph) -> None:
-    """Swap neighbours in a layer as long as that leaves fewer crossings."""
+    """Swap neighbours in a layer while that reduces crossings."""
     for k, layer in enumerate(layers):
         beside = [
             {node: at for at, node in enumerate(layers[j])}

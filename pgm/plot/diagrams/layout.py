@@ -82,7 +82,7 @@ class Layout:
 def best(
     layouts: Iterable[Layout], sizes: Mapping[Node, Size], room: Size | None, factor: float
 ) -> Layout:
-    """The first of some layouts, or a later one that is better by a factor."""
+    """The first layout, unless a later one is better by a factor."""
     found, *others = layouts
     for other in others:
         if other.worth(sizes, room) > factor * found.worth(sizes, room):

@@ -173,7 +173,7 @@ def write_movie(
 
 
 class BlittedCanvas(FigureCanvasAgg):
-    """The canvas of a figure most of which stays as it is from picture to picture.
+    """A canvas that redraws only what changes between pictures.
 
     changing: Drawn in each picture, in this order; the rest is drawn once.
     """
@@ -185,7 +185,7 @@ class BlittedCanvas(FigureCanvasAgg):
         self._size = (0, 0)
 
     def draw(self) -> None:
-        """Draw the picture: the first time all of it, later what changes."""
+        """Draw the whole picture the first time, later only the changes."""
         size = self.get_width_height()  # which a writer may change to even numbers
         if self._kept is None or self._size != size:
             self._keep_rest()

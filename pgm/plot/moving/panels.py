@@ -111,7 +111,7 @@ class Trace:
         return [self._line, self._past, self._newest, self._dot]
 
     def show(self, path: range, ellipses: Collection[int], newest: int | None) -> None:
-        """Show the path over some steps, ellipses of some, and one of them as the newest."""
+        """Show the path over some steps, ellipses at some of them, and the newest ellipse."""
         self._line.set_data(*self.centres[path].T)
         drawn = [step for step in ellipses if step % self._every == 0 and step != newest]
         self._past.set_verts(list(self.rings[drawn]))

@@ -43,7 +43,7 @@ def errors(
     colour: str | None = None,
     axes: Axes | Iterable[Axes] | None = None,
 ) -> tuple[Axes, ...]:
-    r"""Draw the error of each component over time, within the band ±σ of its own deviation.
+    r"""Plot each component's error over time within the band ±σ of its own deviation.
 
     .. math:: e_t = \mu_t - x_t, \qquad |e_t| \le \sigma \sqrt{P_t}
 

@@ -160,7 +160,7 @@ def _recording(
 def _parts(
     kinds: Mapping[str, str], topics: Any, origin: Origin
 ) -> tuple[dict[str, str], list[str]]:
-    """The part that each topic is read as, and the topics that are not read."""
+    """The kind of stream that each topic is read as, and the topics left unread."""
     if topics is None:
         parts = {topic: PARTS[kind] for topic, kind in kinds.items() if kind in PARTS}
     else:

@@ -75,7 +75,7 @@ def named(table: Cells, wanted: set[str]) -> tuple[Sequence[str], Cells]:
 
 
 def place(column: str | int, header: Sequence[str], table: Cells) -> int:
-    """The place of a column that is named or numbered."""
+    """The index of a column given by name or number."""
     if not isinstance(column, str):
         return column
     if header.count(column) != 1:

@@ -63,7 +63,7 @@ class Skipped:
         self._lines: dict[str, list[int]] = {}
 
     def others(self, lines: Iterable[Line]) -> Iterator[Line]:
-        """The lines that are not left out."""
+        """The lines that are kept."""
         for line in lines:
             if line.words[0] in self._words:
                 self.leave(line, line.words[0])
@@ -71,7 +71,7 @@ class Skipped:
                 yield line
 
     def leave(self, line: Line, kind: str) -> None:
-        """Leave a line out, as one of a kind."""
+        """Leave a line out, and count it under its kind."""
         self._lines.setdefault(kind, []).append(line.number)
 
     def told(self, name: str) -> list[Dropped]:
@@ -83,7 +83,7 @@ class Skipped:
 
 
 def stranger(line: Line, kinds: Iterable[str]) -> FileError:
-    """The error of a line of a kind that is not read, which can be left out."""
+    """The error for a line of an unknown kind, which `skip=` can leave out."""
     word = shown(line.words[0])
     hint = f"; skip=({word},) leaves such lines out" if line.words[0][0].isalpha() else ""
     return line.fault(f"{word}; {', '.join(kinds)} was due{hint}")

@@ -95,7 +95,7 @@ def matlab(
 
 
 def _table(value: Value, key: str, width: int | None, kind: str, origin: Origin) -> Array:
-    """A value as a table of finite numbers in so many columns."""
+    """A value as a table of finite numbers with a number of columns."""
     if isinstance(value, str) or value.ndim != 2 or width not in (None, value.shape[1]):
         found = f"is {value}" if isinstance(value, str) else f"has shape {value.shape}"
         due = "numbers" if width is None else f"numbers in {width} columns"
@@ -124,7 +124,7 @@ def _values(data: memoryview) -> dict[str, Value]:
 
 
 def _cut(data: memoryview, start: int, size: int) -> memoryview:
-    """So many bytes from a place on, which have to be there."""
+    """The bytes from a place on; too few are an error."""
     if not 0 <= size <= len(data) - start:
         raise _Damaged(f"at byte {start} something of {size} bytes is due, and it ends before")
     return data[start : start + size]

@@ -191,7 +191,7 @@ def _placed(found: _Found, rows: dict[int, int], edges: Edges, fixed: Integers) 
 
 
 def _require_information(measured: Sequence[_Measured]) -> None:
-    """Refuse information matrices that are no inverses of covariances, singular ones apart."""
+    """Refuse information matrices that are indefinite; singular ones are allowed."""
     if not measured or covariance_fault(np.array([each for *_, each in measured])) is None:
         return
     for line, *_, information in measured:
