@@ -122,6 +122,7 @@ class UpdateProblem(ABC, Generic[U]):
         return self._weighed
 
     def _solved(self, anchor: Anchor | None) -> U:
+        """The update about an anchor. If it fails, a reading that is not finite is named first."""
         try:
             return self.taken_in(anchor)
         except NumericalError:
@@ -169,6 +170,7 @@ class UpdateProblem(ABC, Generic[U]):
         return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
+        """Mean (n, [runs]) and covariance (n, n, [runs]) at a point, in this belief's axes."""
         if self.mean.ndim == 1:
             return at.mean[0, 0], at.cov[0, 0]
         return components_first(at.mean[0], 1), components_first(at.cov[0], 2)
@@ -188,6 +190,7 @@ class MomentUpdate(UpdateProblem[Updated]):
 
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
+    """An array with axes (1, runs, ...), as a point of linearisation has them."""
     if array.ndim == own:
         return array[None, None]
     return components_last(array, own)[None]
