@@ -114,14 +114,21 @@ def update(
 
 
 def open_share(cov: Array) -> float:
-    """The smallest share of a variance, of (n, n, runs), that the components before it leave open.
+    """The smallest of the `open_shares`."""
+    return float(open_shares(cov).min(initial=1.0))
 
-    Overwrites; components without a variance do not count.
+
+def open_shares(cov: Array) -> Array:
+    """The shares of variances, of (n, n, runs), that the components before each leave open.
+
+    Their product is the determinant of the correlations. Overwrites; the share of a component
+    without a variance is one.
     """
     variances = np.einsum("iir->ir", cov)
     variances[variances == 0.0] = 1.0
     whole = np.abs(variances)
-    return float((_eliminate(cov) / whole).min(initial=1.0))
+    shares: Array = _eliminate(cov) / whole
+    return shares
 
 
 def least_left(before: Array, after: Array) -> float:
