@@ -75,7 +75,7 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
             return False
         if smoothed is None:
             return True
-        return reversal_rounding.keeps_digits(plan, predicted, known, smoothed, swept.closest)
+        return reversal_rounding.keeps_digits(plan, predicted, known, smoothed)
 
 
 def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
