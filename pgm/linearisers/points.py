@@ -50,6 +50,18 @@ class Points(_Points):
         return np.concatenate([np.zeros((1, self.points.shape[1])), self.points])
 
     @cached_property
+    def cancellation(self) -> float:
+        """How many times larger than a value's rounding is that of the line through all values.
+
+        √(Σ w² + Σ_j Σ (c s_j / Σ c s_j²)²), of the mean and of the slope over a deviation, for
+        independent errors: about one for weights that are all positive, 1/α² for points at α.
+        """
+        s = self.points
+        slopes = self.cov_weights[:, None] * s
+        slopes = slopes / (slopes * s).sum(axis=-2, keepdims=True)
+        return float(np.sqrt((self.mean_weights**2).sum() + (slopes**2).sum((-2, -1)).max()))
+
+    @cached_property
     def rounding(self) -> float:
         """The rounding by which a value may be off its line, as a part of the value's summands.
 

@@ -124,6 +124,21 @@ class StatisticalRegression(ArrayLineariser):
         weights = self.points(dimension, "", 0).cov_weights
         return not self.prior_moments and bool((weights >= 0.0).all())
 
+    def cancellation(self, dimension: int) -> float:
+        """How many times larger than a value's rounding is that of the line through all values.
+
+        Parameters
+        ----------
+        dimension : int
+            Number of components, n.
+
+        Returns
+        -------
+        float
+            See `Points`; 1/α² of ``Unscented(alpha)``, where α is small.
+        """
+        return self.points(dimension, "", 0).cancellation
+
 
 class _Regression:
     def __init__(self, rule: StatisticalRegression, template: FunctionTemplate) -> None:
