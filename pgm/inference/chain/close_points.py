@@ -16,21 +16,20 @@ sums of filtered ones and later measurements, and no worse in their own deviatio
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
-from pgm.inference.family import Family
-from pgm.kernels.arrays import Array, apply, block, deviation, sandwich, variances
+from pgm.inference.family import Family, cancellation
+from pgm.kernels.arrays import Array, apply, block, sandwich, variances
 from pgm.kernels.elements import gather
-from pgm.linearisers.regression import StatisticalRegression
 
 _EPS = float(np.finfo(np.float64).eps)
-# Rules whose rounding grows no more than this lose nothing that a mean in float64 has.
-_FEW_TIMES = 10.0
 # A part of a deviation, added up, of which nothing need be told.
-_NOTHING = 1e-9
+NOTHING = 1e-9
 # Where a deviation is a smaller part of one before, float64 tells nothing of it anyway.
 _SUNK = 1e-9
 
@@ -45,11 +44,12 @@ def error(plan: ChainPlan, swept: Forward | Filtered) -> Array | None:
     swept : Forward or Filtered
         The forward pass, of which another one is made where not all of it is known.
     """
-    largest = _largest(plan)
-    if (
-        not largest
-        or largest * _farthest(plan, swept.mean, swept.cov) * (plan.steps + 1) <= _NOTHING
-    ):
+    times = largest(families(plan))
+    if not times:
+        return None
+    sharp = any(s.family.bare and cancellation(s.family) for s in plan.read)
+    farthest = _farthest(plan, swept.mean, swept.cov)
+    if not sharp and times * farthest * (plan.steps + 1) <= NOTHING:
         return None
     ahead = swept.whole if isinstance(swept, Filtered) else swept
     with np.errstate(all="ignore"):
@@ -69,49 +69,46 @@ def error(plan: ChainPlan, swept: Forward | Filtered) -> Array | None:
 
 
 def of_step(plan: ChainPlan, before: Moments, after: Moments, digits: Array | None) -> Array | None:
-    """The `error` after a step of an online filter, (*lead), from the digits that it had before.
+    """The `error` after a step of an online filter, (runs,), from the digits that it had before.
 
-    Slopes are not at hand: no component is taken to move the value by more than its deviations.
+    Slopes are not at hand: no component is taken to move a value by more than its deviations.
     """
-    largest = _largest(plan)
-    if not largest:
+    times = largest(families(plan))
+    if not times:
         return None
-    (mean, cov), spread = after.by_run, np.maximum(variances(before.by_run[1]), 0.0)
-    left = np.maximum(variances(cov), 0.0)
-    far = np.where(left > 0.0, np.abs(mean) / np.sqrt(np.where(left > 0.0, left, 1.0)), 0.0)
-    share = (largest * far).max(axis=-1, initial=0.0) ** 2
-    kept = _ratio(np.minimum(left, spread), np.maximum(left, spread))
-    past = 0.0 if digits is None else 10.0 ** (-2.0 * np.asarray(digits).reshape(-1))
-    total: Array = np.sqrt(past * kept + share)
-    return total if digits is not None or (total > _NOTHING).any() else None
+    (_, known), (mean, cov) = before.by_run, after.by_run
+    was, left = np.maximum(variances(known), 0.0), np.maximum(variances(cov), 0.0)
+    stays = _ratio(np.minimum(left, was), np.maximum(left, was))
+    past = 0.0 if digits is None else 10.0 ** (-2.0 * digits.reshape(-1))
+    total: Array = np.sqrt(past * stays + (times * _farthest(plan, mean, cov)) ** 2)
+    return total if digits is not None or (total > NOTHING).any() else None
 
 
-def cancellation(family: Family) -> float:
-    """How many times larger a CPD's linearisation is rounded than a value; 0 if not by much."""
-    rule = family.lineariser
-    if family.template is None or not family.hidden or not isinstance(rule, StatisticalRegression):
-        return 0.0
-    found = rule.cancellation(family.template.size)
-    return found if found > _FEW_TIMES else 0.0
-
-
-def _largest(plan: ChainPlan) -> float:
+def families(plan: ChainPlan) -> list[Family]:
+    """The families that a pass linearises."""
     links = [link.family for link in (*plan.prior, *plan.transition)]
-    read = [sensor.family for sensor in plan.read]
-    return _EPS * max((cancellation(family) for family in (*links, *read)), default=0.0)
+    return links + [sensor.family for sensor in plan.read]
+
+
+def largest(every: Iterable[Family]) -> float:
+    """The largest rounding of a linearisation, as a part of the value; 0 of rules that are safe."""
+    return _EPS * max(map(cancellation, every), default=0.0)
 
 
 def _farthest(plan: ChainPlan, mean: Array, cov: Array) -> float:
     """The most deviations that a mean or a reading is from zero, of components that have any."""
-    std = deviation(cov)
-    farthest = float(np.where(std > 0.0, np.abs(mean) / np.where(std > 0.0, std, 1.0), 0.0).max())
+    farthest = _most(mean, np.maximum(variances(cov), 0.0))
     for sensor in plan.read:
-        noise = np.sqrt(np.maximum(variances(sensor.family.own_noise), 0.0))
-        values = np.abs(np.where(np.isnan(sensor.values), 0.0, sensor.values))
-        if cancellation(sensor.family) and not noise.all():
-            return np.inf
-        farthest = max(farthest, float((values / np.where(noise > 0.0, noise, 1.0)).max()))
+        if cancellation(sensor.family):
+            values = np.where(np.isnan(sensor.values), 0.0, sensor.values)
+            farthest = max(farthest, _most(values, variances(sensor.family.own_noise)))
     return farthest
+
+
+def _most(values: Array, variance: Array) -> float:
+    open_ = variance > 0.0
+    far = np.where(open_, np.abs(values) / np.sqrt(np.where(open_, variance, 1.0)), 0.0)
+    return float(far.max(initial=0.0))
 
 
 def _predictions(plan: ChainPlan, ahead: Forward) -> Array:
@@ -119,8 +116,8 @@ def _predictions(plan: ChainPlan, ahead: Forward) -> Array:
     front, states = plan.layout.state_size, plan.layout.state_places
     added = np.zeros(ahead.predicted_mean.shape[:2])
     spread = np.maximum(variances(ahead.predicted_cov), 0.0)
-    largest = np.maximum.accumulate(spread, axis=0)
-    unit = np.sqrt(np.maximum(spread, _SUNK**2 * largest))
+    before = np.maximum.accumulate(spread, axis=0)
+    unit = np.sqrt(np.maximum(spread, _SUNK**2 * before))
     pairs = np.concatenate([ahead.mean[:-1][..., states], ahead.predicted_mean[1:]], axis=-1)
     each = [(link, ahead.predicted_mean[:1][..., states], 0) for link in plan.prior]
     each += [(link, pairs, 1) for link in plan.transition] if plan.steps else []
@@ -158,15 +155,16 @@ def _kept(ahead: Forward, added: Array) -> Array:
     before, left = variances(ahead.predicted_cov), variances(ahead.cov)
     stays = _ratio(left[:-1], before[1:]) * _ratio(left[1:], before[1:])
     total = added[0]
-    largest = total
+    most = total
     for row, more in zip(stays, added[1:], strict=True):
         total = row * total + more
-        largest = np.maximum(largest, total)
-    return np.sqrt(largest)
+        most = np.maximum(most, total)
+    found: Array = np.sqrt(most)
+    return found
 
 
 def _ratio(part: Array, whole: Array) -> Array:
     """The largest part of a variance, at most one; none of a component without a variance."""
     found = np.where(whole > 0.0, part / np.where(whole > 0.0, whole, 1.0), 0.0)
-    largest: Array = np.minimum(found.max(axis=-1, initial=0.0), 1.0)
-    return largest
+    stays: Array = np.asarray(np.minimum(found.max(axis=-1, initial=0.0), 1.0))
+    return stays

@@ -21,13 +21,14 @@ from decimal import Decimal
 
 import numpy as np
 
-from pgm.inference.family import Family
+from pgm.inference.family import Family, cancellation
 from pgm.inference.gaussian.beliefs import Beliefs
 from pgm.inference.gaussian.dense import Conditional, Conditionals, Joint, Root
 from pgm.inference.gaussian.layout import Layout
 from pgm.inference.gaussian.messages import Buffer
 from pgm.inference.gaussian.model import SHARE, Frame, Model, contradiction
 from pgm.inference.gaussian.tree import TreePlan
+from pgm.inference.status import CLOSE_POINTS, FAR_APART
 from pgm.kernels import extended, slopes
 from pgm.kernels.arrays import Array, Integers, apply, deviation, variances
 from pgm.kernels.extended import ONE, ZERO, Decimals
@@ -253,6 +254,27 @@ def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     return np.broadcast_to(digits, (model.runs,)).copy()
 
 
+def shift(model: Model) -> float:
+    """How many 10⁻¹⁶ of a deviation CPDs are shifted by, whose sigma points lie close together.
+
+    By the rounding of their values, counted from the noise, or where there is none from the prior.
+    """
+    most = 0.0
+    for g, family in enumerate(model.families):
+        if cancellation(family):
+            noise = deviation(family.noise)
+            prior = apply(np.abs(family.matrix), model.points[g][1])
+            unit = np.where(noise > 0.0, noise, prior)
+            lost = _rounding(model, g) / np.where(unit > 0.0, unit, np.inf)
+            most = max(most, float(lost.max(initial=0.0)) / ROUNDING)
+    return most
+
+
+def cause(model: Model) -> str:
+    """Why digits are few."""
+    return CLOSE_POINTS if _OF_SUMS - np.log10(max(shift(model), 1.0)) < SAFE_DIGITS else FAR_APART
+
+
 # What float64 holds; a sum of many roundings takes a digit of it.
 _DIGITS, _OF_SUMS = 15.6, 14.6
 # Digits, counted from the deviations, that answers have where nothing is said.
@@ -262,8 +284,9 @@ _RANGE = 1e-140, 1e140
 
 
 def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
-    """The digits, counted from the deviations."""
-    frame = buffer.model.frame
+    """The digits, counted from the deviations, of passes in float64."""
+    model = buffer.model
+    frame = model.frame
     total = beliefs.cov.sum() + log_evidence.sum() + frame.mean.sum()
     scale = frame.scale
     if scale.size and not (_RANGE[0] < scale.min() and scale.max() < _RANGE[1]):
@@ -272,5 +295,6 @@ def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
     if not np.isfinite(total + far + buffer.largest + buffer.coarse):
         return 0.0
     moved = max(buffer.largest * far, buffer.coarse, 1.0)
+    moved = max(moved, shift(model))
     spread = max(buffer.largest, 1.0) ** 2
     return float(min(_OF_SUMS - np.log10(moved), _DIGITS - np.log10(spread)))

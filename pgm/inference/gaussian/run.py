@@ -70,14 +70,14 @@ def run(
                 return found
             if not again:
                 every = np.full(bound.lead, digits)
-                return replace(found, status=found.status.with_digits(every))
+                return replace(found, status=found.status.with_digits(every, careful.cause(model)))
         except NumericalError:
             if not again:
                 raise
         model = Model.make(plan.layout, bound, lineariser, at, careful.predictive)
         done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
         assert done.digits is not None
-        status = status.with_digits(done.digits.reshape(bound.lead))
+        status = status.with_digits(done.digits.reshape(bound.lead), careful.cause(model))
         return GaussianPosterior(graph, status, plan, model, done)
 
 

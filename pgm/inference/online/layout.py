@@ -9,6 +9,7 @@ from math import prod
 import numpy as np
 
 from pgm.cpds import AffineCPD
+from pgm.inference.chain.close_points import families, largest
 from pgm.inference.chain.compiled.sweep import Chain
 from pgm.inference.chain.compiled.table import Integers64, Uncompiled
 from pgm.inference.chain.plan import ChainPlan
@@ -62,6 +63,8 @@ class Layout:
     def _table(self, plan: ChainPlan) -> Integers64:
         from pgm.kernels.compiled import sweeps as s
 
+        if largest(families(plan)):
+            raise Uncompiled("its sigma points lie close together, and lost digits are to be told")
         chain, layout = Chain(plan), plan.layout
         chain.lay_out(False, False)
         self._rows = rows = chain.rows
