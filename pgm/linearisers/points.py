@@ -10,6 +10,10 @@ import numpy as np
 from pgm.kernels import slopes
 from pgm.kernels.arrays import Array
 
+# The regression on more points than this takes longer to prepare than it saves.
+FEW = 64
+_LAST_PLACES = 4 * 2.0**-52
+
 
 class _Points(NamedTuple):
     points: Array
@@ -73,4 +77,14 @@ class Points(_Points):
         if len(s):
             reach = s.max(axis=-2)
             moved += (reach * (size[:, None] * s).sum(axis=-2)).sum(axis=-1).max(initial=0.0)
-        return float(4 * 2.0**-52 * moved * np.sqrt(size.sum()))
+        return float(_LAST_PLACES * moved * np.sqrt(size.sum()))
+
+    @cached_property
+    def fitted_rounding(self) -> float:
+        """The same of the `fit`, whose rows R have less to cancel than weights of both signs.
+
+        Eightfold, since a function has summands of its own.
+        """
+        left = np.abs(self.fit.rows[1 + self.points.shape[1] :]).sum(axis=-1)
+        moved = 1.0 + 2.0 * np.sqrt((left**2).sum())
+        return min(self.rounding, float(8.0 * _LAST_PLACES * moved))

@@ -188,3 +188,39 @@ def test_a_junction_tree_is_right_or_told(rule):
         assert found.status.digits < -np.log10(off.max())
     else:
         assert off.max() < 1e-6
+
+
+# ---- readings without noise
+
+
+def scales(start, alpha=1e-4):
+    """A weight, and two scales that are exact, one of them in other units."""
+    weight, read = pgm.Variable("weight"), pgm.Variable("read", ("here", "there"))
+    units = np.array([1.7, -0.3])
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(weight, start, 1.0)],
+        [pgm.NonlinearGaussianCPD(weight, (weight.previous,), lambda w: w * 1.0, cov=0.0)],
+        [pgm.NonlinearGaussianCPD(read, (weight,), lambda w: w * units, cov=0.0)],
+    )
+    return model, weight, read, units, pgm.Unscented(alpha=alpha)
+
+
+@pytest.mark.filterwarnings("ignore::pgm.PrecisionWarning")
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("start", [1e-3, 3.3, 1e5])
+def test_consistent_readings_are_no_contradiction(start, compiled):
+    """The rounding of the regression is none, at whatever scale."""
+    model, weight, read, units, rule = scales(start)
+    truth = start + 0.4
+    values = np.tile(truth * units, (3, 1))
+    found = pgm.filter(model, {read: values}, lineariser=rule, compiled=compiled)
+    assert found[weight.at(3)].mean == pytest.approx(truth, rel=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [1e-4, 1e-3, 1.0])
+def test_a_contradiction_is_refused_and_names_the_rule(alpha):
+    """A scale that is off by a ten-thousandth of the weight."""
+    model, weight, read, units, rule = scales(3.3, alpha)
+    values = 3.7 * units * [[1.0, 1.0 + 1e-4]]
+    with pytest.raises(pgm.NumericalError, match=r"contradicts an exact model, as Unscented\("):
+        pgm.filter(model, {read: values}, lineariser=rule)

@@ -117,7 +117,8 @@ def _predictions(plan: ChainPlan, ahead: Forward) -> Array:
     added = np.zeros(ahead.predicted_mean.shape[:2])
     spread = np.maximum(variances(ahead.predicted_cov), 0.0)
     before = np.maximum.accumulate(spread, axis=0)
-    unit = np.sqrt(np.maximum(spread, _SUNK**2 * before))
+    # What is certain has no deviation to count from but one that it had.
+    unit = np.sqrt(np.where(spread > 0.0, np.maximum(spread, _SUNK**2 * before), before))
     pairs = np.concatenate([ahead.mean[:-1][..., states], ahead.predicted_mean[1:]], axis=-1)
     each = [(link, ahead.predicted_mean[:1][..., states], 0) for link in plan.prior]
     each += [(link, pairs, 1) for link in plan.transition] if plan.steps else []
@@ -142,9 +143,12 @@ def _rounding(family: Family, times: float, mean: Array) -> Array:
 
 
 def _of_reading(moved: Array, family: Family, cov: Array, noise: Array) -> Array:
-    """The shares² of measurements, from rounding (rows, runs, d) and what was known before."""
+    """The shares² of measurements, from rounding (rows, runs, d) and what was known before.
+
+    One without noise leaves no deviation to count from but that before it.
+    """
     known = np.maximum(variances(sandwich(family.matrix, cov)), 0.0)
-    floor = np.maximum(noise, _SUNK**2 * known)
+    floor = np.where(noise > 0.0, noise, known)
     share = moved**2 * known / (floor * (known + floor))
     found: Array = np.where(known > 0.0, share, 0.0)
     return found

@@ -265,7 +265,7 @@ def _told(posterior: ChainPosterior) -> ChainPosterior:
     if status.digits is not None:
         if (status.digits <= left).all():
             return posterior
-        left = np.minimum(left, status.digits)
+        left = np.asarray(np.minimum(left, status.digits))
     return replace(posterior, status=status.with_digits(left, CLOSE_POINTS))
 
 

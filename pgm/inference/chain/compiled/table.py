@@ -18,8 +18,8 @@ from pgm.kernels import along_runs
 from pgm.kernels.arrays import Array, Index
 from pgm.kernels.compiled import tables as t
 from pgm.linearisers import Taylor
-from pgm.linearisers.points import Points
-from pgm.linearisers.regression import FEW, StatisticalRegression
+from pgm.linearisers.points import FEW, Points
+from pgm.linearisers.regression import StatisticalRegression
 
 Integers64 = npt.NDArray[np.int64]
 # Angles and components without noise are told by the bits of a number.
@@ -195,4 +195,4 @@ def _points(points: Points, variances: Sequence[float], rows: Rows) -> tuple[int
     rows.points = max(rows.points, count)
     signs = np.ones(count) if fit.signs is None else fit.signs
     numbers = np.concatenate([points.points.ravel(), fit.rows.ravel(), signs])
-    return rows.at(numbers), rows.at(np.array([*variances, points.rounding]))
+    return rows.at(numbers), rows.at(np.array([*variances, points.fitted_rounding]))
