@@ -115,6 +115,8 @@ def networks(library: str, ours: pgm.BayesianNetwork, theirs: Any) -> None:
         Where they differ.
     """
     other = theirs if library == "pgm" else pgm.from_pgmpy(theirs)
+    if not isinstance(other, pgm.BayesianNetwork):
+        raise AssertionError(f"{library} finds a network of another kind than pgm, {other!r}")
     if set(other.variables) != set(ours.variables):
         raise AssertionError(f"{library} finds other variables than pgm, or other states of them")
     for mine in ours.cpds:

@@ -1,5 +1,6 @@
 """pgm: cluster-graph inference for (dynamic) Bayesian networks."""
 
+from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -32,9 +33,12 @@ from pgm.cpds import (
     noise,
     shifts,
 )
+from pgm.display.notebook import hand_in as _hand_in
 from pgm.errors import (
     ArrayError,
+    ConvergenceWarning,
     EvidenceError,
+    EvidenceWarning,
     ExecutorError,
     FileError,
     GraphError,
@@ -149,6 +153,23 @@ _LATER = {
     "pgm.viewer": ("view",),
 }
 
+
+def _pictures() -> Callable[[Any], str]:
+    from pgm.plot.diagrams.notebook import svg
+
+    return svg
+
+
+def _pages() -> Callable[[Any], str]:
+    from pgm.viewer import html
+
+    return html
+
+
+# Networks and posteriors are shown by modules of layers above theirs, loaded when a notebook asks.
+_hand_in(pictures=_pictures, pages=_pages)
+
+
 if not TYPE_CHECKING:  # to type checkers it would say that every name exists
 
     def __getattr__(name: str) -> Any:
@@ -184,10 +205,12 @@ __all__ = [
     "ClusterGraph",
     "Comparison",
     "Compiled",
+    "ConvergenceWarning",
     "Cubature",
     "Discrete",
     "DynamicBayesianNetwork",
     "EvidenceError",
+    "EvidenceWarning",
     "ExecutorError",
     "FileError",
     "Filtering",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -80,8 +81,16 @@ class ExecutorError(PgmError, RuntimeError):
         self.runs = tuple(runs)
 
 
+class EvidenceWarning(UserWarning):
+    """Evidence taken as its shape says, where another meaning is likelier; it says how to ask."""
+
+
 class PrecisionWarning(UserWarning):
     """An answer of which rounding leaves few digits; ``status.digits`` says how many."""
+
+
+class ConvergenceWarning(UserWarning):
+    """An iteration that ended before it settled; ``status`` says how far from that it was."""
 
 
 class GridWarning(UserWarning):
@@ -90,3 +99,15 @@ class GridWarning(UserWarning):
 
 class ParticleWarning(UserWarning):
     """A particle filter's answer that rests on few particles; the status says on how many."""
+
+
+def levels_to_user() -> int:
+    """The number of calls up to a user's own line, for a warning to point at."""
+    frame, levels = sys._getframe(1), 1
+    while frame.f_back is not None:
+        name = frame.f_globals.get("__name__", "")
+        # contextlib and NumPy's errstate stand in decorators.
+        if not name.startswith(("pgm.", "numpy.")) and name != "contextlib":
+            break
+        frame, levels = frame.f_back, levels + 1
+    return levels

@@ -1,6 +1,7 @@
 """Imports inside pgm point one way, and `import pgm` stays light."""
 
 import ast
+import re
 from pathlib import Path
 
 import networkx as nx
@@ -9,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "pgm"
 LAYERS = [
     {
-        *("boundary", "display", "errors", "immutable", "progress", "resources"),
+        *("arguments", "boundary", "display", "errors", "immutable", "progress", "resources"),
         *("variables", "kernels"),
     },
     {"factors", "tracing"},
@@ -26,9 +27,15 @@ LAYERS = [
 HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}
 
 
+MODULE = re.compile(r"pgm(\.[A-Za-z_]\w*)+")
+LOADERS = {"import_module", "__import__", "find_spec", "run_module", "resolve_name"}
+# Loads optional packages, which its callers name; what these name is looked at as theirs.
+FREE = {"pgm.resources"}
+
+
 def imported(tree, package):
-    """List what a module imports, lazily and for type checking too."""
-    found = []
+    """List what a module imports: at its top, in a function, for type checking, or by a string."""
+    found = named(tree)
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
@@ -44,11 +51,38 @@ def imported(tree, package):
     return found
 
 
+def named(tree):
+    """List the strings of a module that are the name of one of the package, docstrings apart."""
+    told = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            told.add(node.value)
+    strings = (node for node in ast.walk(tree) if isinstance(node, ast.Constant))
+    return [
+        node.value
+        for node in strings
+        if node not in told and isinstance(node.value, str) and MODULE.fullmatch(node.value)
+    ]
+
+
+def hidden(tree):
+    """List the calls that load a module whose whole name is not written out, as of a variable."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            name = getattr(node.func, "id", getattr(node.func, "attr", ""))
+            given = node.args[0] if node.args else None
+            text = getattr(given, "value", None)
+            if name in LOADERS and (not isinstance(text, str) or text.startswith(".")):
+                yield ast.unparse(node)
+
+
 def faults(source, module):
     """List what a module, like ``pgm.factors.scope``, must not import."""
-    own = module.split(".")[1]
+    own, tree = module.split(".")[1], ast.parse(source)
     found = []
-    for name in imported(ast.parse(source), module.rpartition(".")[0]):
+    if module not in FREE:
+        found += [f"{module} loads what it does not name: {call}" for call in hidden(tree)]
+    for name in imported(tree, module.rpartition(".")[0]):
         parts = name.split(".")
         if parts[0] != "pgm":
             continue
@@ -135,6 +169,18 @@ def test_every_module_has_a_layer():
         ("pgm.kernels.roots", "from pgm.errors import ModelError"),
         ("pgm.kernels.roots", "from ..factors.scope import Scope"),
         ("pgm.inference.result", "from pgm import io"),
+        ("pgm.inference.result", "import pgm\ndef f():\n    return pgm.plot.network"),
+        ("pgm.display.shown", "def f():\n    import pgm.plot.diagrams"),
+        ("pgm.display.shown", "def f():\n    return import_module('pgm.plot.diagrams.notebook')"),
+        ("pgm.display.shown", "import importlib\nimportlib.import_module('pgm.plot')"),
+        ("pgm.display.shown", "LATER = 'pgm.plot'\ndef f():\n    return import_module(LATER)"),
+        ("pgm.display.shown", "LATER = {'pgm.plot': ('network',)}"),
+        ("pgm.display.shown", "def f(name):\n    return import_module(f'pgm.{name}')"),
+        ("pgm.display.shown", "def f(name):\n    return import_module('pgm.' + name)"),
+        ("pgm.display.shown", "def f():\n    return __import__('pgm.plot')"),
+        ("pgm.display.shown", "def f(a):\n    return __import__(a, fromlist=['b'])"),
+        ("pgm.display.shown", "import_module('.plot', 'pgm')"),
+        ("pgm.display.shown", "plot = sys.modules['pgm.plot']"),
     ],
 )
 def test_the_check_finds_faults(module, source):
@@ -152,6 +198,10 @@ def test_the_check_finds_faults(module, source):
         ("pgm.kernels.roots", "from .arrays import Array"),
         ("pgm.variables", "from pgm.errors import ModelError"),
         ("pgm.plot.networks", "from pgm.inference import Posterior"),
+        ("pgm.viewer.view", "files('pgm.viewer')"),
+        ("pgm.factors.scope", '"""See `pgm.plot`."""\nimport_module(\'numpy\')'),
+        ("pgm.factors.scope", "raise ValueError('pgm.plot.network(model) draws it')"),
+        ("pgm.resources", "def optional(module):\n    return import_module(module)"),
     ],
 )
 def test_the_check_lets_the_rest_pass(module, source):

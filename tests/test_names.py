@@ -116,3 +116,14 @@ def test_importing_pgm_loads_nothing_that_is_slow_to_import():
 def test_what_is_asked_for_is_loaded():
     assert {"matplotlib", "pgm.plot"} <= loaded("import pgm; pgm.plot")
     assert "pgm.io.networks" in loaded("import pgm; pgm.read_bif")
+
+
+def test_a_notebook_draws_what_nobody_has_imported_a_plot_for():
+    program = """\
+import sys, pgm
+a, b = pgm.variables("a b")
+net = pgm.BayesianNetwork([pgm.GaussianCPD(a, 0, 1), pgm.LinearGaussianCPD(b, {a: 1}, cov=1)])
+assert "pgm.plot" not in sys.modules and "pgm.viewer" not in sys.modules
+assert "<svg" in net._repr_html_()
+assert "<iframe" in pgm.infer(pgm.compile(net), {b: 0.5})._repr_html_()"""
+    assert {"pgm.plot.diagrams.notebook", "pgm.viewer"} <= loaded(program)

@@ -19,7 +19,7 @@ Beliefs = Mapping[pgm.Variable, Any]
 EXACT = "junction tree"
 # Clusters of join graphs take so many binary variables, or components, more than any family.
 ROOMS = (0, 2, 4)
-SCHEDULE = pgm.Sequential(max_iterations=300)
+SCHEDULE = pgm.Sequential(iterations=300)
 
 
 def methods(network: pgm.BayesianNetwork) -> dict[str, Method]:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 import pgm
-from pgm.kernels.arrays import wrap
+from pgm.kernels.angles import wrap
 
 Array = npt.NDArray[np.float64]
 

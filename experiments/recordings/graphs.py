@@ -65,15 +65,17 @@ def run(
     linearisers: list[str],
 ) -> None:
     """Solve a pose graph from the file's poses and from those of its tree."""
-    planar, iterations = False, ITERATIONS
-    about = ""
+    planar = isam = False
+    skip: list[str] = []
+    iterations, about = ITERATIONS, ""
     if settings is not None:
         top = TomlTable.read(settings)
         path = located(top, path)
         about = top.text("about", "a sentence", "")
         name = top.text("name", "a name for tables and figures", plain_name(path.stem))
         reader, methods = top.table("reader"), top.table("methods")
-        planar = reader.flag("planar", False)
+        planar, isam = reader.flag("planar", False), reader.flag("isam", False)
+        skip = reader.take("skip", "first words of lines", _are_words, [])
         iterations = methods.whole("iterations", ITERATIONS)
         for table in (reader, methods, top):
             table.done()
@@ -81,7 +83,7 @@ def run(
         raise pgm.EvidenceError("recordings pose_graph needs --path: a file of g2o or TORO")
     else:
         name = plain_name(path.name.split(".")[0])
-    graph = read_pose_graph(path, planar=planar)
+    graph = read_pose_graph(path, planar=planar, isam=isam, skip=skip)
     made = pose_graph_network(graph)
     compiled = pgm.compile(made.network)
     record = Record(
@@ -169,6 +171,10 @@ def solve(
     covs = np.array([posterior[x].cov[:2, :2] for x in made.poses])
     errors = squared_errors(made.graph, poses, landmarks)
     return Solved(poses, landmarks, covs, errors, posterior.status, perf_counter() - begun)
+
+
+def _are_words(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(word, str) and word for word in value)
 
 
 def _held(made: PoseGraphNetwork) -> str:

@@ -5,6 +5,7 @@ The guide's page about recordings has the schema, and an example of each reader.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
@@ -263,6 +264,7 @@ def _csv(table: TomlTable) -> Reader:
         "begin": table.number("begin", "a number of seconds", _finite, None),
         "wheelbase": table.number("wheelbase", "a positive number of metres", _positive, None),
         "delimiter": table.text("delimiter", "a letter", ","),
+        "decimal": table.text("decimal", "a letter", "."),
     }
     table.done()
     return lambda path: recordings.read_csv(path, columns, **options)
@@ -292,16 +294,18 @@ def trajectories(path: Path, truth: Path | None, readings: Path | None) -> Recor
         raise EvidenceError(f"{path}: it has {len(poses)} poses, which is no motion; 2 were due")
     steps = motion.relative(poses[:-1], poses[1:])
     steps[:, 2] = (steps[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-    seen = {}
+    seen, mended = {}, [dataclasses.replace(each, stream="odometry") for each in driven.dropped]
     if readings is not None:
         told = pgm.read_tum(readings)
         seen["poses"] = Stream(told.times, told.planar, POSE)
+        mended += told.dropped
     names = ("forward", "left", "turn")
     return Recording(
         odometry=Stream(driven.times[1:], steps, names, begin=driven.times[0]),
         truth=None if truth is None else pgm.read_tum(truth),
         sightings=seen,
         name=path.stem,
+        dropped=mended,
     )
 
 

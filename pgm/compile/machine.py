@@ -9,15 +9,26 @@ from typing import Any
 
 import numpy as np
 
-from pgm.boundary import is_whole
+from pgm.arguments import public
+from pgm.boundary import is_number, is_whole
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.display import InCode, Told
 from pgm.errors import ModelError
 from pgm.kernels import roots
-from pgm.linearisers import Cubature, FunctionTemplate, GaussHermite, Taylor, Unscented
+from pgm.linearisers import (
+    Cubature,
+    FunctionTemplate,
+    GaussHermite,
+    Lineariser,
+    StatisticalRegression,
+    Taylor,
+    Unscented,
+)
+from pgm.linearisers.regression import FEW
 from pgm.resources import optional
 
 
+@public
 @dataclass(frozen=True)
 class Compiled(InCode):
     """Sweeps along a chain in machine code, the runs shared by threads.
@@ -49,6 +60,14 @@ class Compiled(InCode):
 
 # Points of these rules are the same at all steps.
 RULES = Unscented, Cubature, GaussHermite
+# Angles and components without noise are told to kernels by the bits of a number.
+MOST = 60
+# Why a schedule leaves machine code.
+GATE = "a gate (gate=) decides at one predicted belief after another"
+CONTROL = "Levenberg–Marquardt (damping=) judges each step by its cost"
+WINDOWS = "the windows of a lag with iterations slide one after another"
+POINTS = "iterations of rules with points, or of differences, linearise all steps by NumPy"
+COMPILED = "compiled"
 # None leaves it to the size of the work.
 Choice = bool | Compiled | None
 
@@ -68,23 +87,53 @@ class Compilation(Told[CPD]):
     """Of each CPD of a dynamic network ``"compiled"``, or why sweeps do not compile it.
 
     A chain is swept in machine code where all of its CPDs can be. `Taylor`, `Unscented`, `Cubature`
-    and `GaussHermite` are compiled. Only a call can tell of gates, of its own lineariser, of noise
-    by inputs that is singular, and of runs that are left, since their readings are too sharp.
+    and `GaussHermite` are compiled. Of a schedule `under` tells, before there is a call; after it
+    ``posterior.status.compilation`` tells of all: the schedule, the call's lineariser, noise by
+    inputs that is singular, runs that are left since their readings are too sharp.
 
     Examples
     --------
     >>> from pgm.examples import walk
-    >>> print(list(pgm.compile(walk, 10).compilation.values()))
+    >>> compilation = pgm.compile(walk, 10).compilation
+    >>> print(list(compilation.values()))
     ['compiled', 'compiled', 'compiled']
+    >>> compilation.under(pgm.Filtering(gate=0.99))
+    'left to NumPy: a gate (gate=) decides at one predicted belief after another'
     """
 
     __slots__ = ()
+
+    def under(self, schedule: Any) -> str:
+        """Whether sweeps of a schedule are compiled, or why some of them are not.
+
+        Parameters
+        ----------
+        schedule : Filtering, FixedLag or Smoothing
+
+        Returns
+        -------
+        str
+            ``"compiled"``, or ``"left to NumPy: ..."`` with the reasons, first the schedule's, then
+            the CPDs'.
+        """
+        several = getattr(schedule, "iterations", 1) > 1
+        control = not is_number(getattr(schedule, "damping", 0.0))
+        why = [GATE] if getattr(schedule, "gate", None) is not None else []
+        why += [CONTROL] if control else []
+        why += [WINDOWS] if several and getattr(schedule, "lag", 0) else []
+        why += [f"{cpd!r}: {words}" for cpd, words in self.items() if words != COMPILED]
+        return f"left to NumPy: {'; '.join(why)}" if why else COMPILED
 
     def __init__(
         self, of: str, templates: Mapping[CPD, FunctionTemplate | None], sensors: Collection[CPD]
     ) -> None:
         found = {cpd: _told(cpd, each, cpd in sensors) for cpd, each in templates.items()}
-        super().__init__(f"Compilation of {of}", found)
+        super().__init__(
+            f"Compilation of {of}",
+            found,
+            "A gate, Levenberg–Marquardt and the windows of a lag leave machine code as well: "
+            "posterior.status.compilation tells of a call",
+        )
 
 
 def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
@@ -96,13 +145,26 @@ def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
         return "its noise is robust"
     if sensor and isinstance(cpd.cov, np.ndarray) and roots.determined(roots.root(cpd.cov)).any():
         return "its noise is singular"
+    size = cpd.child.dimension if template is None else max(cpd.child.dimension, template.size)
+    if size > MOST:
+        return f"it has more than {MOST} components"
     if isinstance(cpd, AffineCPD):
-        return "compiled"
+        return COMPILED
     if isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped:
         return "its sightings are grouped, where a step has several"
-    rule = cpd.lineariser if isinstance(cpd, NonlinearGaussianCPD) else None
-    if rule is not None and type(rule) not in (Taylor, *RULES):
-        return f"it is linearised by {rule!r}"
     assert template is not None
     whole = template.whole.traced()
-    return whole if isinstance(whole, str) else "compiled"
+    if isinstance(whole, str):
+        return whole
+    rule = cpd.lineariser if isinstance(cpd, NonlinearGaussianCPD) else None
+    return COMPILED if rule is None else rule_told(rule, template) or COMPILED
+
+
+def rule_told(rule: Lineariser, template: FunctionTemplate) -> str | None:
+    """Why sweeps do not compile a lineariser for functions of a template."""
+    if not template.size or type(rule) is Taylor:
+        return None
+    if type(rule) not in RULES or not isinstance(rule, StatisticalRegression):
+        return f"it is linearised by {rule!r}"
+    count = len(rule.points(template.size, template.child.name, 0).points)
+    return f"{rule!r} has {count} points; up to {FEW} are compiled" if count > FEW else None

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats
 from pgm.consistency.errors import size
 from pgm.display import Shown, Summary, table
@@ -60,6 +61,7 @@ class OverTime(Shown):
         return Summary(self._title, [table(columns)])
 
 
+@public
 def over_time(
     sizes: npt.ArrayLike, steps: Integers | None, percentiles: tuple[float, float] = (5.0, 95.0)
 ) -> OverTime:
@@ -122,6 +124,7 @@ def _over_runs(values: Array, steps: Integers, percentiles: tuple[float, float])
     return OverTime(steps, rms, median, below, above, len(flat), count)
 
 
+@public
 def rmse_over_time(
     belief: Gaussian,
     truth: npt.ArrayLike,

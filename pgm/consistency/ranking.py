@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.consistency.averages import Average, average
 from pgm.consistency.errors import check_innovations
 from pgm.display import Listing, Shown, Summary, count, number
 from pgm.errors import ModelError
 from pgm.inference import Innovations
-from pgm.kernels import roots
+from pgm.kernels import roots, solving
 from pgm.kernels.arrays import Array, Integers, Mask, independent
 from pgm.variables import Variable
 
@@ -134,6 +135,7 @@ class Ranking(Shown):
         return Summary(self._title, [Listing(heads, rows)])
 
 
+@public
 def ranking(
     innovations: Mapping[Variable, Innovations],
     *,
@@ -244,7 +246,7 @@ def _by_sighting(innovations: Innovations, chosen: Mask) -> _Steps:
     """The NIS of steps, from the covariance of each sighting of those chosen, (..., M)."""
     taken = ~np.isnan(innovations.residual) & chosen[..., None]
     residual = np.where(taken, innovations.residual, 0.0)
-    white = roots.whiten(roots.root(independent(innovations.cov, taken)), residual)
+    white = solving.whiten(roots.root(independent(innovations.cov, taken)), residual)
     steps, place = np.unique(innovations.step, return_inverse=True)
     nis = np.zeros((len(steps), *white.shape[:-2]))
     dof = np.zeros(nis.shape, dtype=np.intp)

@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.cpds.base import CPD, Known, Values
 from pgm.cpds.robust import RobustNoise
 from pgm.display import InCode, Listing, called, named_matrix
@@ -18,14 +19,14 @@ from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.arrays import IMPROPER, as_covariance, covariance_fault, flat, symmetrised, unflat
 from pgm.factors.arrays import diagonal as on_diagonal
 from pgm.factors.scope import Scope, as_scope, components, listed
-from pgm.kernels import roots
+from pgm.kernels import normal_density, roots, solving
+from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
     Integers,
     Mask,
     deviation,
-    difference,
     frozen,
     independent,
     inner,
@@ -49,6 +50,7 @@ class Noise(InCode):
         return f"Noise({called(self.function)}, given=({listed(self.given)}))"
 
 
+@public
 def noise(
     function: Callable[..., Any],
     given: Variable | Iterable[Variable],
@@ -215,7 +217,7 @@ class ConditionalGaussian(CPD):
         seen = ~np.isnan(child)
         if not seen.all():
             return self._marginal(child, known, seen, centre, lower)
-        error = roots.INEXACT * (np.abs(child) + np.abs(centre))
+        error = normal_density.INEXACT * (np.abs(child) + np.abs(centre))
         error = error + ROUNDING * unflat(self._summed(known.values), known.lead, 1)
         if self.noise is not None:
             return self._robust(lower, difference(child, centre, angles), child.shape[-1])
@@ -237,7 +239,7 @@ class ConditionalGaussian(CPD):
         cov = independent(lower @ transpose(lower), seen)
         alone = roots.root(cov)
         residual = np.where(seen, difference(child, centre, self.child.angle_mask), 0.0)
-        error = roots.INEXACT * (np.abs(np.where(seen, child, 0.0)) + np.abs(centre))
+        error = normal_density.INEXACT * (np.abs(np.where(seen, child, 0.0)) + np.abs(centre))
         residual = np.broadcast_to(residual, (*lead, child.shape[-1]))
         if self.noise is not None:
             return self._robust(alone, residual, seen.sum(axis=-1))
@@ -247,9 +249,9 @@ class ConditionalGaussian(CPD):
     def _robust(self, lower: Array, residual: Array, count: npt.ArrayLike) -> Array:
         assert self.noise is not None
         self.noise.require_proper(self.child.dimension, self)
-        white = roots.whiten(lower, residual)
+        white = solving.whiten(lower, residual)
         level = self.noise.log_scale(count) - self.noise.loss(inner(white, white), count)
-        value: Array = level - 0.5 * roots.log_determinant(lower)
+        value: Array = level - 0.5 * solving.log_determinant(lower)
         return value
 
     def _log_peak(self, child: Values) -> Array:
@@ -267,7 +269,7 @@ class ConditionalGaussian(CPD):
         if self.noise is not None:
             self.noise.require_proper(self.child.dimension, self)
             white = self.noise.draw(white, rng)
-        return roots.draw(mean, lower, white)
+        return normal_density.draw(mean, lower, white)
 
     def _law(self, known: Known) -> tuple[Array, Array]:
         """The mean, and the root of the noise: they broadcast to (*shape, d) and (*shape, d, d)."""
@@ -324,10 +326,10 @@ def _log_density(lower: Array, residual: Array, error: Array) -> Array:
     """The value ln N(r; 0, L Lᵀ), (...); −∞ where r is off its subspace by more than an error."""
     size = residual.shape[-1]
     points = (-1, size) if lower.ndim == 2 else (*residual.shape[:-1], 1, size)
-    white, left = roots.whitened(lower, residual.reshape(points))
-    value = roots.log_density(lower, white)
+    white, left = normal_density.whitened(lower, residual.reshape(points))
+    value = normal_density.log_density(lower, white)
     if left is not None:
         error = np.broadcast_to(error, residual.shape).reshape(points)
-        value = np.where(roots.off(lower, left, error), -np.inf, value)
+        value = np.where(normal_density.off(lower, left, error), -np.inf, value)
     value = np.where(np.isnan(value), -np.inf, value) + 0.0  # no -0
     return value.reshape(residual.shape[:-1])

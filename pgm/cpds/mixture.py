@@ -9,6 +9,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple
 from pgm.cpds.base import CPD, Known, Values
 from pgm.cpds.conditional import ConditionalGaussian, Noise
@@ -17,15 +18,16 @@ from pgm.display import Listing, few, number
 from pgm.errors import ModelError
 from pgm.factors.arrays import Shape, clash, unflat
 from pgm.factors.scope import Scope
-from pgm.kernels import roots
+from pgm.kernels import mahalanobis, roots
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.kernels.tables import log_sum
+from pgm.kernels.semirings import log_sum
 from pgm.variables import Variable
 
 # Weights whose sum is this far from one are those of no mixture.
 _ROUNDING = 1e-9
 
 
+@public
 class MixtureCPD(CPD):
     r"""A weighted sum of densities of one child: one of some CPDs holds, by chance.
 
@@ -271,7 +273,7 @@ class UnidentifiedCPD(CPD):
         seen = ~np.isnan(child)
         middle = np.where(seen, unflat(mean, known.lead, 1), np.nan)
         square = 2.0 * (self.sensor._log_density(middle, known) - density)
-        limit = roots.square_within(gate, np.maximum(seen.sum(axis=-1), 1))
+        limit = mahalanobis.square_within(gate, np.maximum(seen.sum(axis=-1), 1))
         return np.where(square > limit, -np.inf, density)
 
     def __repr__(self) -> str:

@@ -1,26 +1,19 @@
 """Summaries of values: a few lines, as text and in HTML."""
 
-from pgm.display.shown import (
-    Drawn,
-    InCode,
-    NoArray,
-    Shown,
+from pgm.display.brief import (
     as_numbers,
-    axes,
     beside,
     brief,
-    by_component,
     called,
     column,
     count,
-    named_matrix,
     number,
-    stacked,
     table,
-    titled,
     vector,
-    whereabouts,
 )
+from pgm.display.moments import axes, by_component, named_matrix, stacked, whereabouts
+from pgm.display.notebook import Drawn, Viewed
+from pgm.display.shown import InCode, NoArray, Shown, titled
 from pgm.display.summary import ENDS, LEFT_OUT, TITLE, Listing, Summary, few, places
 from pgm.display.told import Told
 
@@ -35,6 +28,7 @@ __all__ = [
     "Shown",
     "Summary",
     "Told",
+    "Viewed",
     "as_numbers",
     "axes",
     "beside",

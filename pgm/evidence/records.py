@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_number, masked_whole
 from pgm.display import titled
 from pgm.errors import EvidenceError
@@ -34,6 +35,7 @@ class HasVariables(Protocol):
         ...
 
 
+@public
 def records(
     table: Any,
     network: HasVariables | Iterable[Variable],
@@ -334,9 +336,12 @@ def _refuse(variable: Discrete, column: Column, bad: Mask) -> None:
         if column.categories is not None:
             cell = column.categories[cell]
         shown = cell.item() if isinstance(cell, np.generic) else cell
+        hint = ""
+        if not isinstance(shown, str) and str(shown) in variable.states:
+            hint = "; states are texts, of which the column has some by column.astype(str)"
         raise EvidenceError(
             f"column {variable!r} has {shown!r} in record {first}, which is none of the states "
             f"({listed(variable.states)}), 0 to {variable.size - 1}, nor missing (None, NaN, −1 or "
-            "an empty text)",
+            f"an empty text){hint}",
             variable=variable,
         )

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, is_number
 from pgm.cpds import CPD
 from pgm.display import InCode, Shown, Summary, as_numbers, brief, table
@@ -78,6 +79,7 @@ _new, _Unlocked = object.__new__, unlocked(Sightings)
 Evidence = Mapping[Variable, Any]
 
 
+@public
 def constant(value: npt.ArrayLike) -> Constant:
     """Evidence that is equal at all steps.
 
@@ -94,6 +96,7 @@ def constant(value: npt.ArrayLike) -> Constant:
     return Constant(value)
 
 
+@public
 def soft(weights: npt.ArrayLike) -> Soft:
     """Soft (virtual, likelihood) evidence for a discrete variable.
 
@@ -122,6 +125,7 @@ def soft(weights: npt.ArrayLike) -> Soft:
     return Soft(weights)
 
 
+@public
 def sightings(
     values: npt.ArrayLike | None = None,
     step: npt.ArrayLike | None = None,
@@ -254,6 +258,7 @@ class Unknown(InCode, Immutable):
         return f"unknown(one of {len(self.candidates):,}, by {self.association})"
 
 
+@public
 def unknown(
     candidates: Any,
     *,

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import (
     as_generator,
     as_lengths,
@@ -44,8 +45,9 @@ from pgm.factors.scope import (
     positions,
 )
 from pgm.immutable import Immutable, unlocked
-from pgm.kernels import moments, roots
-from pgm.kernels.arrays import Array, Integers, block, deviation, difference, frozen, wrap
+from pgm.kernels import moments, normal_density, roots
+from pgm.kernels.angles import difference, wrap
+from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
 from pgm.resources import require_memory
 from pgm.variables import Variable
 
@@ -109,6 +111,7 @@ def confidence_ellipse(
     return Ellipse(mean[..., [i, j]], half_axes, orientation)
 
 
+@public
 class Gaussian(Framed, Shown, NoArray, Immutable):
     r"""A normal density in moment form.
 
@@ -293,6 +296,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         mean[..., self.angles] = wrap(mean[..., self.angles])
         return self._make(self.scope, mean, self.cov, self.steps)
 
+    @public
     def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
         """Draws; the covariance may be singular, and angles stay on the mean's chart.
 
@@ -322,7 +326,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         if not roots.is_proper(lower):
             raise NumericalError(f"Gaussian over {names(self.scope)}: no draws, since {IMPROPER}")
         white = as_generator(rng).standard_normal((*shape, *self.mean.shape))
-        return roots.draw(self.mean, lower, white)
+        return normal_density.draw(self.mean, lower, white)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
         """The log-density at values (..., n), in nats, (...); differences of angles are wrapped.
@@ -359,6 +363,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
             )
         return value
 
+    @public
     def ellipse(
         self, confidence: float = 0.95, components: tuple[str, str] | None = None
     ) -> Ellipse:

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.display import Listing, Summary, column, few, named_matrix, number, places
 from pgm.display.summary import LEFT_OUT, Place
 from pgm.errors import ModelError, NumericalError
@@ -195,6 +196,7 @@ class FramedTable:
 
     __slots__ = ()
 
+    @public
     def to_frame(self: Entries, *, axes: str | Sequence[str] | None = None) -> Any:
         """The entries as a data frame of pandas, with the states of the last variable as columns.
 

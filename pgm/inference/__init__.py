@@ -1,10 +1,12 @@
 """Inference: schedules of messages, and what they leave."""
 
-from pgm.inference.associations import Associations, Rejections
+from pgm.inference.associations import Associations
 from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
-from pgm.inference.chain.marginals import KeptPosterior, Marginals
+from pgm.inference.chain.kept_posterior import KeptPosterior
+from pgm.inference.chain.marginals import Marginals
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
@@ -17,16 +19,16 @@ from pgm.inference.lost import Lost
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
-from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.particles.belief import ParticleBelief
+from pgm.inference.particles.cell_proposal import CellProposal
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
 from pgm.inference.particles.online import OnlineParticleBelief, OnlineParticles
 from pgm.inference.particles.posterior import ParticlePosterior
-from pgm.inference.particles.proposals import CellProposal
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Injection, Particles
 from pgm.inference.posterior import Posterior
 from pgm.inference.query import query
+from pgm.inference.rejections import Rejections
 from pgm.inference.schedule import (
     Calibration,
     Filtering,

@@ -6,31 +6,34 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
+from pgm.arguments import public
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import BoundEvidence, Evidence
 from pgm.inference import discrete, gaussian
+from pgm.inference.argument_checks import require_lineariser
 from pgm.inference.associations import by_density
-from pgm.inference.chain.marginals import KeptPosterior
+from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.convergence import told
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.posterior import GridPosterior
-from pgm.inference.grid.posterior import run as run_grid
+from pgm.inference.grid.run import run as run_grid
 from pgm.inference.grid.value import Grid
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.markov.run import run as run_tables
-from pgm.inference.options import Start, require_lineariser
 from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.posterior import ParticlePosterior
-from pgm.inference.particles.posterior import run as run_particles
+from pgm.inference.particles.run import run as run_particles
 from pgm.inference.particles.value import Particles
 from pgm.inference.parts.run import Keep
 from pgm.inference.parts.run import run as run_moments
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import ONCE, Filtering, FixedLag, Loopy, Schedule, Smoothing
+from pgm.inference.starting_points import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.progress import Progress, reporting
@@ -152,6 +155,7 @@ class _Options(TypedDict, total=False):
     lineariser: Lineariser
     start: Start | None
     progress: Progress
+    impossible: str
 
 
 @overload
@@ -205,6 +209,7 @@ def infer(
 ) -> ParticlePosterior: ...
 
 
+@public
 def infer(
     graph: ClusterGraph,
     evidence: Evidence,
@@ -217,6 +222,7 @@ def infer(
     memory: float | None = None,
     belief: PointMasses | None = None,
     progress: Progress = False,
+    impossible: str = "raise",
 ) -> Posterior | GridPosterior | ParticlePosterior:
     """Send the messages of a schedule on a cluster graph.
 
@@ -268,12 +274,24 @@ def infer(
         Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
         function, ``progress(done, total)``, called at the start of each stage and after each of its
         items: steps, linearisations, rounds, runs or parts. An error that it raises ends the call.
+    impossible : str
+        Of a discrete network without time and a graph without loops, what is done where evidence
+        has probability zero: ``"raise"``, or ``"allow"``, where such runs, as of `records` of
+        which some contradict the tables, have a log-evidence of −∞ and beliefs of NaN, and the
+        others theirs.
 
     Returns
     -------
     Posterior
         A `ChainPosterior` of a dynamic network, of tables a `StatePosterior`; a `KeptPosterior`
         with ``keep``, a `GridPosterior` or `ParticlePosterior` with ``belief``.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If a schedule that iterates ends before it settles, in any run.
+    PrecisionWarning
+        If rounding leaves fewer than six digits of a mean.
 
     Raises
     ------
@@ -298,6 +316,37 @@ def infer(
          mean ± deviation
       a     1.000 ± 0.707
     """
+    posterior: Posterior | GridPosterior | ParticlePosterior = send(
+        graph,
+        evidence,
+        schedule=schedule,
+        lineariser=lineariser,
+        start=start,
+        keep=keep,
+        executor=executor,
+        memory=memory,
+        belief=belief,
+        progress=progress,
+        impossible=impossible,
+    )
+    return told(posterior, schedule)
+
+
+def send(
+    graph: ClusterGraph,
+    evidence: Evidence,
+    *,
+    schedule: Schedule | None = None,
+    lineariser: Lineariser = TAYLOR,
+    start: Start | None = None,
+    keep: Keep | None = None,
+    executor: Executor | None = None,
+    memory: float | None = None,
+    belief: PointMasses | None = None,
+    progress: Progress = False,
+    impossible: str = "raise",
+) -> Any:
+    """The posterior of `infer`, without a word on whether iterations have settled."""
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
             f"infer takes a cluster graph (pgm.compile(network, ...)), not {titled(graph)}"
@@ -311,6 +360,11 @@ def infer(
     if schedule is not None and (type(schedule) is Loopy or not isinstance(schedule, Schedule)):
         raise ModelError(
             f"{schedule!r} is no schedule; give one like pgm.Smoothing() or pgm.Flooding()"
+        )
+    if impossible != "raise" and (isinstance(graph, DynamicGraph) or not graph.network.discrete):
+        raise GraphError(
+            "impossible= is for the runs of discrete networks without time, not for "
+            f"{titled(graph)}"
         )
     if isinstance(graph, DynamicGraph):
         if memory is not None:
@@ -356,7 +410,7 @@ def infer(
         if start is not None:
             raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
         with reporting(progress):
-            return discrete.run(graph, evidence, schedule, memory)
+            return discrete.run(graph, evidence, schedule, memory, impossible)
     if memory is not None:
         raise GraphError(CONTINUOUS)
     with reporting(progress):

@@ -7,13 +7,16 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import count, islice
 
 import numpy as np
 
 from pgm.cpds import AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, dimension
-from pgm.inference.rows import At, Rows, failure, own_noise, require_finite
+from pgm.inference.linearisation_failures import failure, require_finite
+from pgm.inference.rows import At, Rows, own_noise
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -22,12 +25,11 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     cut,
-    nearest_branch,
     quiet,
     times,
     vacant,
 )
-from pgm.kernels.elements import by_rows
+from pgm.kernels.prefixes import by_rows
 from pgm.linearisers import (
     ArrayLineariser,
     BoundFunction,
@@ -39,6 +41,7 @@ from pgm.linearisers import (
 )
 from pgm.linearisers.function import Source
 from pgm.linearisers.lineariser import Misfit, Prepared, needs_cov, prepare
+from pgm.tracing import Answers, Judge, Tracer
 from pgm.variables import Variable
 
 Some = int | slice
@@ -51,11 +54,14 @@ class Family(Rows):
     """A CPD at its rows, and its linearisation there.
 
     `noise` (rows, runs, d, d) is the CPD's own and the lineariser's error; an array of its own
-    where it is `approximate`.
+    where it is `approximate`. The `judge` of a call looks at the answers of traces when it is done;
+    `compiled` are those of the trace in machine code, which has the given derivatives, too.
     """
 
     noise: Array = field(init=False, repr=False)
     approximate: bool = False
+    judge: Judge | None = field(default=None, repr=False)
+    compiled: Answers | None = field(default=None, repr=False)
 
     @classmethod
     def make(
@@ -320,6 +326,7 @@ class Family(Rows):
 
     @staticmethod
     def _put(kept: Array, rows: Some | Integers, new: Array, active: Mask | None) -> None:
+        """Keep new values at some rows, for the active runs alone."""
         if active is not None:
             tail = (1,) * (kept.ndim - 2)
             new = np.where(active.reshape(-1, *tail), new, kept[rows])
@@ -358,7 +365,10 @@ class Family(Rows):
         """Call the functions once with axes that give wrong indexing away, before inference."""
         if self.template is None or not self.step.size:
             return
-        axes = (2, 3)
+        # No axis is as long as a vector of components: function(x) that takes x[0] for a component
+        # of a row, or x[:, 0] for one of a table, would return the shape that is due.
+        taken = {self.cpd.child.dimension, *(v.dimension for v in self.template.given)}
+        axes = tuple(islice((k for k in count(2) if k not in taken), 2))
         known = [
             None if value is None else np.broadcast_to(value, (*axes, value.size))
             for value in self._observed
@@ -371,17 +381,41 @@ class Family(Rows):
             if len(self.template.missing) < self.template.size:
                 function.jacobian(x)
 
-    def confirm(self, means: Mapping[Variable, Array]) -> None:
-        """Compare the function with its trace, about the means and its first evidence."""
+    def trace(self, means: Mapping[Variable, Array], judge: Judge | None) -> None:
+        """Have the function traced about the means and its first evidence, unless it is already.
+
+        The answers are judged after the call; or each is compared with the function at once.
+        """
         template = self.template
-        if template is None or template.tracer is None or not template.missing:
+        if template is None:
             return
-        template.tracer.confirm(
-            [
+        self.judge = judge
+        if judge is not None and not judge.trusting:
+            self.template = replace(template, tracer=None)
+        elif template.tracer is not None and template.missing:
+            centres = [
                 means.get(parent.template, np.zeros(parent.dimension)) if value is None else value
                 for parent, value in zip(template.given, self._observed, strict=True)
             ]
-        )
+            if judge is None:
+                template.tracer.confirm(centres)
+            else:
+                self.answers = self._asked(judge, template.tracer, centres)
+
+    def trace_whole(self) -> Answers | str:
+        """The answers in machine code of function and given derivatives, or why there are none."""
+        assert self.template is not None
+        if self.judge is None or self.template.tracer is None:
+            return "its trace has been given up for this call"
+        tracer = self.template.whole
+        self.compiled = self._asked(self.judge, tracer, list(map(np.zeros, tracer.widths)))
+        return self.compiled or str(tracer.reason)
+
+    def _asked(self, judge: Judge, tracer: Tracer, centres: list[Array]) -> Answers | None:
+        template, count = self.template, math.prod(self.noise.shape[:2])
+        assert template is not None
+        columns, places = template.missing_columns, template.missing
+        return judge.asked(tracer, centres, columns, places, template.variances, count)
 
     @property
     def _observed(self) -> list[Array | None]:
@@ -400,6 +434,7 @@ def _unplaced(function: BoundFunction) -> At:
 
 
 def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    """The value of a function without hidden parents, as a line without slope."""
     value = components_first(function(components_last(mean, 1)), 1)
     return Line(np.zeros((len(value), 0, *mean.shape[1:])), value, None)
 

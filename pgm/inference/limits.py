@@ -73,6 +73,7 @@ def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None
 
 
 def _advice(graph: ClusterGraph) -> str:
+    """A way to smaller tables or covariances, for messages."""
     if not graph.is_tree:
         return "Give it smaller clusters"
     return (
@@ -85,6 +86,7 @@ def _advice(graph: ClusterGraph) -> str:
 
 
 def _require_axes(graph: ClusterGraph) -> None:
+    """Refuse clusters of more variables than NumPy's arrays have axes."""
     # Of two states each, so many variables would be refused above: most of them have one.
     if len(graph.network.variables) <= AXES or graph.width < AXES:
         return

@@ -1,4 +1,4 @@
-"""A CPD at its rows, with evidence bound, and its linearisations that are refused."""
+"""A CPD at its rows, with evidence bound."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ import numpy as np
 
 from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD
 from pgm.cpds.conditional import evaluate
-from pgm.errors import LinearisationError, ModelError, PgmError
-from pgm.factors.scope import Scope, names
+from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers, block_diagonal
-from pgm.linearisers import ArrayLineariser, BoundFunction, FunctionTemplate, Line, Lineariser
+from pgm.linearisers import BoundFunction, FunctionTemplate, Lineariser
 from pgm.linearisers.function import Source
-from pgm.linearisers.lineariser import Misfit
+from pgm.tracing import Answers
 from pgm.variables import Variable
 
 
@@ -53,7 +52,7 @@ class Rows:
     time; `inputs` (rows, runs or 1, d) are the values of the other parents; `template` is None of
     an affine CPD, whose F (d, n) and b (rows or 1, runs or 1, d) are `affine`; `own_noise` is (rows
     or 1, runs or 1, d, d); `first_run` is for messages; `batch` are the axes of runs in `at`, none
-    of one run.
+    of one run. `answers` are those of the function's trace, where somebody judges them.
     """
 
     cpd: ConditionalGaussian
@@ -67,6 +66,7 @@ class Rows:
     first_run: int
     batch: tuple[int, ...]
     affine: tuple[Array, Array] = field(init=False, repr=False)
+    answers: Answers | None = field(default=None, repr=False)
 
     @property
     def exact(self) -> bool:
@@ -92,12 +92,7 @@ class Rows:
     @cached_property
     def source(self) -> Source:
         """Whose function it is, for messages."""
-        return Source(self.cpd, self.timed, self.first_run)
-
-    @cached_property
-    def _live(self) -> Source:
-        """The same, of calls between which the caller's program goes on."""
-        return self.source._replace(live=True)
+        return Source(self.cpd, self.timed, self.first_run, self.answers)
 
     def at(self, first: int, last: int) -> At:
         """Some rows, a step's, to be linearised as one."""
@@ -136,7 +131,9 @@ class Rows:
             return At(None, np.tile(matrix, (count, 1)), offset, noise, 0, count)
         arguments = [None if place is None else inputs[place] for place in self.order]
         group = None if count == 1 else count
-        function = BoundFunction(self.template, arguments, 0, step, group, self.grouped, self._live)
+        function = BoundFunction(
+            self.template, arguments, 0, step, group, self.grouped, self.source
+        )
         return At(function, None, None, noise, 0, count)
 
     def _wide(self, inputs: Sequence[Array], count: int) -> dict[Variable, Array]:
@@ -246,71 +243,3 @@ def own_noise(
     shape = np.broadcast_shapes((rows, 1), *(array.shape[:2] for array in known.values()))
     steps = None if step is None else step[:, None]
     return evaluate(cpd, known, shape, steps, first_run)
-
-
-def failure(rows: Rows, function: BoundFunction, mean: Array, error: Exception) -> Exception:
-    """The error to raise of a lineariser that has failed."""
-    if isinstance(error, Misfit):
-        return _fault(rows, function, mean, *error.args)
-    told = isinstance(rows.lineariser, ArrayLineariser) or getattr(error, "cpd", None)
-    if not isinstance(error, PgmError) or not told:
-        said = f"{type(error).__name__}: {error}"
-        return _fault(rows, function, mean, "failed", said, ModelError)
-    error.cpd = error.cpd or rows.cpd
-    error.variable = error.variable or rows.cpd.child
-    if rows.timed and error.step is None and isinstance(function.step, int):
-        error.step = function.step
-    return error
-
-
-def _fault(
-    rows: Rows,
-    function: BoundFunction,
-    mean: Array,
-    fault: str,
-    more: str,
-    kind: type[PgmError] = LinearisationError,
-) -> PgmError:
-    step = function.step if rows.timed and isinstance(function.step, int) else None
-    first = rows.first_run
-    last = first + (mean.shape[-1] if mean.ndim > 1 else 1) - 1
-    at = "" if step is None else f" at step {step}"
-    runs = f", run {first}" if first == last else f", in a call for runs {first} to {last}"
-    after = f": {more}" if kind is ModelError else f"; {more}"
-    return kind(
-        f"the lineariser {rows.lineariser!r} {fault} for {rows.cpd!r}{at}{runs}{after}",
-        variable=rows.cpd.child,
-        cpd=rows.cpd,
-        step=step,
-        run=first if first == last else None,
-    )
-
-
-def require_finite(rows: Rows, function: BoundFunction, mean: Array, line: Line) -> None:
-    """Refuse a line at a mean (n, *batch) that has values of NaN or infinity."""
-    total = line.matrix.sum() + line.value.sum()
-    if line.error is not None:
-        total = total + line.error.sum()
-    if np.isfinite(total):
-        return
-    bad = np.zeros(mean.shape[1:], dtype=bool)
-    for part in line:
-        if part is not None:
-            bad |= ~np.isfinite(part).all(axis=tuple(range(part.ndim - bad.ndim)))
-    if not bad.any():
-        return
-    where = tuple(int(axis[0]) for axis in np.nonzero(bad)) if bad.ndim else ()
-    step = None
-    if rows.timed and function.step is not None:
-        step = int(np.broadcast_to(function.step, bad.shape)[where])
-    at = "" if step is None else f" at step {step}"
-    run = rows.first_run + (where[-1] if where else 0)
-    raise LinearisationError(
-        f"{rows.cpd!r}: its linearisation{at}, run {run}, has values that are NaN or "
-        f"infinite, at {names(rows.hidden)} = {mean.T[where[::-1]]}; is the function "
-        "defined there, and its Jacobian?",
-        variable=rows.cpd.child,
-        cpd=rows.cpd,
-        step=step,
-        run=run,
-    )

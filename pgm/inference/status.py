@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
-import sys
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.display import InCode, Shown, Summary, few, number
-from pgm.errors import ModelError, PrecisionWarning
+from pgm.errors import ModelError, PrecisionWarning, levels_to_user
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 
 
+@public
 @dataclass(frozen=True)
 class Kind(InCode):
     r"""The kind of a chain's beliefs: each knows the measurements up to a lag after its step.
@@ -93,18 +95,6 @@ def digits(error: Array, lead: tuple[int, ...]) -> Array:
     return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))
 
 
-def _levels_to_user() -> int:
-    """The number of calls up to a user's own line, for a warning to point at."""
-    frame, levels = sys._getframe(1), 1
-    while frame.f_back is not None:
-        name = frame.f_globals.get("__name__", "")
-        # contextlib and NumPy's errstate stand in decorators.
-        if not name.startswith(("pgm.", "numpy.")) and name != "contextlib":
-            break
-        frame, levels = frame.f_back, levels + 1
-    return levels
-
-
 class Status(Shown, Immutable):
     """The status of a schedule: iterations, convergence, digits.
 
@@ -134,6 +124,10 @@ class Status(Shown, Immutable):
         (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
         standard deviation (6 are an error of 10⁻⁶ deviations); None where they are not measured.
         Below six there is a `PrecisionWarning`.
+    compilation : str
+        Of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not compiled:
+        ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call left it
+        to NumPy, with the reasons; ``"by NumPy: ..."``, where it was not due. Else empty.
 
     Examples
     --------
@@ -149,6 +143,7 @@ class Status(Shown, Immutable):
     by_edge: Mapping[tuple[int, int], Array]
     edge_residuals: Array | None
     digits: Array | None
+    compilation: str
 
     def __init__(
         self,
@@ -158,6 +153,7 @@ class Status(Shown, Immutable):
         by_edge: Mapping[tuple[int, int], Array] = MappingProxyType({}),
         digits: Array | None = None,
         edge_residuals: Array | None = None,
+        compilation: str = "",
     ) -> None:
         for record in (residuals, converged, digits, edge_residuals):
             if record is not None:
@@ -169,6 +165,7 @@ class Status(Shown, Immutable):
             by_edge=MappingProxyType(dict(by_edge)),
             edge_residuals=edge_residuals,
             digits=digits,
+            compilation=compilation,
         )
 
     @classmethod
@@ -187,22 +184,25 @@ class Status(Shown, Immutable):
                 f"rounding leaves {max(least, 0.0):.1f} decimal digits of a mean, counted from its "
                 f"standard deviation, in {runs} of {digits.size} runs (status.digits): {cause}"
             )
-            warnings.warn(message, PrecisionWarning, stacklevel=_levels_to_user())
-        return Status(
-            self.iterations,
-            self.residuals,
-            self.converged,
-            self.by_edge,
-            digits,
-            self.edge_residuals,
-        )
+            warnings.warn(message, PrecisionWarning, stacklevel=levels_to_user())
+        return self._with(digits=digits)
+
+    def with_compilation(self, words: str) -> Status:
+        """The same status with the account of its sweeps."""
+        return self._with(compilation=words)
+
+    def _with(self, **changes: Any) -> Status:
+        names = ("iterations", "residuals", "converged", "by_edge", "edge_residuals", "digits")
+        same = {name: getattr(self, name) for name in (*names, "compilation")}
+        return Status(**same | changes)
 
     @property
     def _title(self) -> str:
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
-        return f"Status({self._went()}{lost})"
+        left = self.compilation.startswith(("not compiled", "compiled, but"))
+        return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''})"
 
     def _summary(self) -> Summary:
         if len(self.residuals) < 2 or not self.residuals[0].size:

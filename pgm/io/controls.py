@@ -18,7 +18,8 @@ from pgm.io.stamped import (
     rows_text,
     sealed,
 )
-from pgm.kernels.arrays import Array, Integers, Mask, difference
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 Kind = Literal["odometry", "velocities"]

@@ -1,13 +1,15 @@
 """Poses over time, as files of trajectories hold them."""
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from pgm.display import NoArray, Shown, Summary, few, table
 from pgm.immutable import Immutable
+from pgm.io.dropped import Dropped
 from pgm.io.stamped import clock
-from pgm.kernels import rigid
+from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array, frozen
 
 
@@ -26,6 +28,8 @@ class Poses(Shown, NoArray, Immutable):
         The components that `cov` is of, by name; empty without one.
     cov : ndarray or None
         (n, k, k), in units of the components; None where no file of covariances was read.
+    dropped : tuple of Dropped
+        Poses of the file that were left out or put in order, and why.
 
     Examples
     --------
@@ -40,6 +44,7 @@ class Poses(Shown, NoArray, Immutable):
     orientation: Array
     components: tuple[str, ...]
     cov: Array | None
+    dropped: tuple[Dropped, ...]
 
     _arrays: ClassVar[str] = ".position, .orientation and .times"
 
@@ -50,6 +55,7 @@ class Poses(Shown, NoArray, Immutable):
         orientation: Array,
         components: tuple[str, ...] = (),
         cov: Array | None = None,
+        dropped: Sequence[Dropped] = (),
     ) -> None:
         self._set(
             times=frozen(times),
@@ -57,12 +63,13 @@ class Poses(Shown, NoArray, Immutable):
             orientation=frozen(orientation),
             components=components,
             cov=None if cov is None else frozen(cov),
+            dropped=tuple(dropped),
         )
 
     @property
     def angles(self) -> Array:
         """Roll, pitch and yaw, (n, 3), radians: the turn is R_z(yaw) R_y(pitch) R_x(roll)."""
-        return rigid.angles(self.orientation)
+        return quaternions.angles(self.orientation)
 
     @property
     def planar(self) -> Array:
@@ -82,7 +89,8 @@ class Poses(Shown, NoArray, Immutable):
         ends = [k for k in few(len(self.times)) if k is not None]
         numbers = np.full((len(self.times), 6), np.nan)
         numbers[ends] = np.concatenate(
-            [self.position[ends], rigid.angles(self.orientation[ends])], axis=1
+            [self.position[ends], quaternions.angles(self.orientation[ends])], axis=1
         )
         columns = [("time", self.times), *zip(names, numbers.T, strict=True)]
-        return Summary(self._title, [table(columns, digits=15)])
+        told = [each._title for each in self.dropped]
+        return Summary(self._title, [table(columns, digits=15), *told])

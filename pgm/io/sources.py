@@ -241,15 +241,20 @@ class Line:
 
 def lines(content: Content) -> Iterator[Line]:
     """Each line that has words and is no comment, which ``#`` begins."""
-    for number, line in enumerate(content.text().splitlines(), start=1):
+    for number, line in enumerate(_each(content), start=1):
         if (words := line.split()) and not words[0].startswith("#"):
             yield Line(number, words, content.origin)
+
+
+def _each(content: Content) -> list[str]:
+    """The lines as editors count them: a form feed, say, ends none."""
+    return io.StringIO(content.text(), newline=None).read().split("\n")
 
 
 def numbers(content: Content, due: str) -> Array:
     """The table of lines that are numbers alone, (lines, words due)."""
     columns = len(due.split())
-    texts = [text for text in content.text().splitlines() if text.lstrip()[:1] not in ("", "#")]
+    texts = [text for text in _each(content) if text.lstrip()[:1] not in ("", "#")]
     if texts:
         # Many times faster, and what it refuses is then read or refused in words.
         try:

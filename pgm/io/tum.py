@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
@@ -21,14 +22,16 @@ from pgm.factors import Gaussian
 from pgm.factors.arrays import covariance_fault
 from pgm.factors.scope import listed
 from pgm.io import sources
+from pgm.io.dropped import BACKWARDS, Dropped
 from pgm.io.poses import Poses
 from pgm.io.sources import LIMIT, Line, Origin, Source, number
 from pgm.io.sources import lines as text_lines
 from pgm.io.stamped import as_stamps, clock
-from pgm.kernels import rigid
-from pgm.kernels.arrays import Array
+from pgm.kernels import quaternions
+from pgm.kernels.arrays import Array, Integers
 
 JOINED = "*"
+REPEATED = "of a stamp seen before"
 
 
 def write_covariances(target: Source, times: Array, names: Sequence[str], cov: Array) -> None:
@@ -112,6 +115,7 @@ UNIT = 1e-3
 ROUNDING = 1e-14
 
 
+@public
 def write_tum(
     path: Source,
     belief: Any,
@@ -204,12 +208,13 @@ def write_tum(
             f"{gaussian._title} has an infinite variance in row {step}: its mean there means "
             "nothing; write the steps from which on it is known, belief[k:]"
         )
-    rows = np.column_stack([stamps, xyz, rigid.of_angles(angles)]).tolist()
+    rows = np.column_stack([stamps, xyz, quaternions.of_angles(angles)]).tolist()
     sources.write(path, "\n".join([HEADING, *(" ".join(map(repr, row)) for row in rows), ""]))
     if covariance is not None:
         write_covariances(covariance, stamps, names, cov)
 
 
+@public
 def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIMIT) -> Poses:
     r"""Read a trajectory in the format of TUM, and its covariances.
 
@@ -218,7 +223,8 @@ def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIM
     path : str, Path or open file
         Of the poses; gzipped or not. Numbers may be apart by any spaces and tabs, blank lines and
         comments are skipped. Quaternions may be as far from unit length as four decimals leave
-        them, and are made to have it.
+        them, and are made to have it. Poses that go back in time are put in order, and of several
+        at one time the first is taken; `dropped` tells of both.
     covariance : str, Path or open file, optional
         Of the covariances that `write_tum` has written beside it.
     limit : int, optional
@@ -233,7 +239,7 @@ def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIM
     Raises
     ------
     FileError
-        If a file is malformed, times are not finite or do not increase, or the covariances are not
+        If a file is malformed, times are not finite or no seconds, or the covariances are not
         those of the poses; the message names the line, what was found, what to do.
     OSError
         If a file cannot be opened.
@@ -254,8 +260,12 @@ def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIM
     if not rows:
         raise origin.fault("it has no poses, lines of t x y z qx qy qz qw; is it another file?")
     table = np.array(rows)
-    require_increasing(table[:, 0], lines, origin)
-    length = np.linalg.norm(table[:, 4:], axis=1)
+    try:
+        as_stamps("t", table[:, 0])
+    except EvidenceError as error:
+        raise origin.fault(str(error)) from error
+    with np.errstate(over="ignore"):  # an infinite length is refused below
+        length = np.linalg.norm(table[:, 4:], axis=1)
     if (far := np.abs(length - 1.0) > UNIT).any():
         row = int(far.argmax())
         raise origin.fault(
@@ -265,22 +275,32 @@ def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIM
         )
     # A length that is one but for rounding is left as it is, so that numbers stay what they were.
     length[np.abs(length - 1.0) < ROUNDING] = 1.0
-    poses = table[:, 0], table[:, 1:4], table[:, 4:] / length[:, None]
-    if covariance is None:
-        return Poses(*poses)
-    return Poses(*poses, *read_covariances(covariance, poses[0], limit))
+    table[:, 4:] /= length[:, None]
+    names: tuple[str, ...] = ()
+    cov = None
+    if covariance is not None:
+        names, cov = read_covariances(covariance, table[:, 0], limit)
+    order, told = _in_order(table[:, 0])
+    return Poses(
+        table[order, 0],
+        table[order, 1:4],
+        table[order, 4:],
+        names,
+        None if cov is None else cov[order],
+        dropped=told,
+    )
 
 
-def require_increasing(times: Array, lines: Sequence[int], origin: Origin) -> None:
-    """Refuse times of a file that do not increase from line to line."""
-    if (late := np.diff(times) <= 0.0).any():
-        row = int(late.argmax()) + 1
-        raise origin.fault(
-            f"t = {clock(times[row])} does not come after {clock(times[row - 1])} of line "
-            f"{lines[row - 1]}; "
-            "sort the lines by t, and leave out repeated ones",
-            lines[row],
-        )
+def _in_order(times: Array) -> tuple[Integers, list[Dropped]]:
+    """The rows in order of time, the first of several at one time, and those that this mends."""
+    found, told = np.argsort(times, kind="stable"), []
+    if (back := np.flatnonzero(np.diff(times) < 0.0) + 1).size:
+        told.append(Dropped("poses", BACKWARDS, back, kept=True))
+    again = found[1:][np.diff(times[found]) == 0.0]
+    if again.size:
+        told.append(Dropped("poses", REPEATED, np.sort(again)))
+        found = found[np.append(True, np.diff(times[found]) > 0.0)]
+    return found, told
 
 
 def _pose(line: Line) -> list[float]:

@@ -177,6 +177,7 @@ def _eliminate(matrix: Array, right: Array | None = None) -> Array:
 
 
 def _lower(unit: Array, root: Array) -> Array:
+    """The lower triangular U diag(r) of a unit lower triangular U (n, n, R) and roots r (n, R)."""
     lower = np.zeros_like(unit)
     for j in range(len(unit)):
         lower[j, j] = root[j]
@@ -185,6 +186,11 @@ def _lower(unit: Array, root: Array) -> Array:
 
 
 def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
+    """Whether each pivot is more than the `least` share of its diagonal entry.
+
+    `unit` holds U below its diagonal and diag(pivots) Uᵀ above it, so that entry j of the diagonal
+    is the pivot plus Σₖ U_jk U_kj, k < j: the part of it that elimination has taken.
+    """
     for j, pivot in enumerate(pivots):
         taken = sum(unit[j, k] * unit[k, j] for k in range(j))
         if not (pivot > least * (pivot + taken)).all():
@@ -193,6 +199,7 @@ def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
 
 
 def _sum_of_squares(gain: Array, cov: Array, matrix: Array, noise: Array, out: Array) -> None:
+    """Put Joseph's form (1 − G H) P (1 − G H)ᵀ + G R Gᵀ, (n, n, runs), with noise R, into `out`."""
     size, height, runs = gain.shape
     # [1 − G H, G] and [(1 − G H) P, G noise].
     factor, spread = np.empty((2, size, size + height, runs))
@@ -219,5 +226,6 @@ def divide(matrix: Array, lower: Array) -> Array:
 
 
 def _mirror(matrix: Array) -> None:
+    """Copy the upper triangle of matrices (n, n, ...) onto the lower one, in place."""
     for i in range(1, len(matrix)):
         matrix[i, :i] = matrix[:i, i]

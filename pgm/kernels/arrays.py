@@ -17,6 +17,8 @@ Kind = TypeVar("Kind", bound=np.generic)
 Index = slice | Integers
 
 LOG_2PI = float(np.log(2.0 * np.pi))
+# Of a mean, relatively: by no more do two solutions of one model differ, of long chains either.
+LAST_PLACES = 32.0 * float(np.finfo(np.float64).eps)
 # From this many matrices on, going along rows of runs beats one product a matrix.
 _MANY = 32
 _FAR = _MANY * np.dtype(np.float64).itemsize
@@ -38,7 +40,7 @@ def vacant(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
 
 
 def _last_to(memory: Array, place: int) -> Array:
-    """As moveaxis(memory, -1, place), at a tenth of its cost."""
+    """An array with its last axis moved to a place, ten times as fast as by `moveaxis`."""
     last = memory.ndim - 1
     return memory.transpose(*range(place), last, *range(place, last))
 
@@ -145,6 +147,7 @@ def times_symmetric(a: Array, b: Array) -> Array:
 
 
 def _along_runs(product: str, a: Array, b: Array, width: int) -> Array:
+    """The product that einsum calls `product`, (..., rows, width), in memory runs fastest."""
     lead, other = a.shape[:-2], b.shape[:-2]
     if lead != other:
         lead = np.broadcast_shapes(lead, other)
@@ -160,6 +163,7 @@ def distinct(matrix: Array) -> Array:
 
 
 def _times_one(many: Array, one: Array) -> Array:
+    """A Bᵀ for many A (R, m, n) and one B (k, n), as a few products of large matrices."""
     product: Array = one @ many.transpose(1, 2, 0)
     return product.transpose(2, 0, 1)
 
@@ -256,37 +260,6 @@ def frozen(array: Array) -> Array:
     view = array.view()
     view.flags.writeable = False
     return view
-
-
-TURN = 2.0 * np.pi
-
-
-def wrap(angle: Array) -> Array:
-    """The equal angle in [−π, π)."""
-    wrapped = angle - TURN * np.floor((angle + np.pi) / TURN)  # a remainder takes thrice as long
-    # Rounding can pass either end by a last digit.
-    return np.where((wrapped < -np.pi) | (wrapped >= np.pi), -np.pi, wrapped)
-
-
-def difference(a: Array, b: Array, angles: Mask) -> Array:
-    """The difference a − b, (..., d), with the components that are angles wrapped to [−π, π)."""
-    delta = np.asarray(a - b)
-    for k in np.flatnonzero(angles):
-        delta[..., k] = wrap(delta[..., k])
-    return delta
-
-
-def nearest_branch(value: Array, reference: Array, angles: Mask) -> Array:
-    """The value, (..., d), its angles moved by whole turns to within π of the reference's."""
-    places = np.flatnonzero(angles)
-    if not places.size:
-        return value
-    shape = np.broadcast_shapes(value.shape, reference.shape)
-    moved = np.empty_like(reference, shape=shape)  # in memory as the reference is
-    moved[...] = value
-    for k in places:
-        moved[..., k] += TURN * np.round((reference[..., k] - moved[..., k]) / TURN)
-    return moved
 
 
 def unravelled(index: Integers, shape: Sequence[int]) -> tuple[Integers, ...]:

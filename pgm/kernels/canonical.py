@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.kernels import roots
+from pgm.kernels import roots, solving
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
@@ -53,10 +53,10 @@ def from_moments(mean: Array, cov: Array, log_weight: Array) -> Canonical:
     """exp(log_weight) N(x; mean, cov) in canonical form."""
     size = mean.shape[-1]
     lower = _invertible_root(cov)
-    precision = symmetric(roots.solve(lower, np.broadcast_to(np.eye(size), cov.shape)))
+    precision = symmetric(solving.solve(lower, np.broadcast_to(np.eye(size), cov.shape)))
     h = apply(precision, mean)
-    white = roots.solve_lower(lower, _column(mean))[..., 0]
-    g = log_weight - 0.5 * (inner(white, white) + size * LOG_2PI + roots.log_determinant(lower))
+    white = solving.solve_lower(lower, _column(mean))[..., 0]
+    g = log_weight - 0.5 * (inner(white, white) + size * LOG_2PI + solving.log_determinant(lower))
     return precision, h, g
 
 
@@ -64,11 +64,11 @@ def to_moments(precision: Array, h: Array, g: Array) -> tuple[Array, Array, Arra
     """Mean, covariance and log-integral."""
     size = h.shape[-1]
     lower = strict_root(precision)
-    cov = symmetric(roots.solve(lower, np.broadcast_to(np.eye(size), precision.shape)))
-    white = roots.solve_lower(lower, _column(h))
-    mean = roots.solve_upper(lower, white)[..., 0]
+    cov = symmetric(solving.solve(lower, np.broadcast_to(np.eye(size), precision.shape)))
+    white = solving.solve_lower(lower, _column(h))
+    mean = solving.solve_upper(lower, white)[..., 0]
     white = white[..., 0]
-    log_integral = g + 0.5 * (size * LOG_2PI - roots.log_determinant(lower) + inner(white, white))
+    log_integral = g + 0.5 * (size * LOG_2PI - solving.log_determinant(lower) + inner(white, white))
     return mean, cov, log_integral
 
 
@@ -76,14 +76,14 @@ def marginalise(precision: Array, h: Array, g: Array, keep: Index, drop: Index) 
     """Integrate out the components `drop`."""
     lower = strict_root(block(precision, drop, drop))
     size = lower.shape[-1]
-    white = roots.solve_lower(lower, block(precision, drop, keep))
-    white_h = roots.solve_lower(lower, _column(h[..., drop]))
+    white = solving.solve_lower(lower, block(precision, drop, keep))
+    white_h = solving.solve_lower(lower, _column(h[..., drop]))
     shift = (transpose(white) @ white_h)[..., 0]
     white_h = white_h[..., 0]
     return (
         symmetric(block(precision, keep, keep) - transpose(white) @ white),
         h[..., keep] - shift,
-        g + 0.5 * (size * LOG_2PI - roots.log_determinant(lower) + inner(white_h, white_h)),
+        g + 0.5 * (size * LOG_2PI - solving.log_determinant(lower) + inner(white_h, white_h)),
     )
 
 
@@ -104,11 +104,11 @@ def from_affine(matrix: Array, offset: Array, noise: Array) -> Canonical:
     size = matrix.shape[-2]
     lower = _invertible_root(noise)
     joint = np.concatenate([np.broadcast_to(np.eye(size), (*matrix.shape[:-1], size)), -matrix], -1)
-    white = roots.solve_lower(lower, joint)
-    white_offset = roots.solve_lower(lower, _column(offset))
+    white = solving.solve_lower(lower, joint)
+    white_offset = solving.solve_lower(lower, _column(offset))
     h = (transpose(white) @ white_offset)[..., 0]
     white_offset = white_offset[..., 0]
-    g = -0.5 * (inner(white_offset, white_offset) + size * LOG_2PI + roots.log_determinant(lower))
+    g = -0.5 * (inner(white_offset, white_offset) + size * LOG_2PI + solving.log_determinant(lower))
     return transpose(white) @ white, h, np.broadcast_to(g, h.shape[:-1])
 
 
@@ -129,13 +129,13 @@ def backward(
     rest = h - apply(precision, offset)
     # M⁻¹K = R (I + RᵀΣR)⁻¹ Rᵀ with M = I + KΣ, and for e = R q + r: M⁻¹e = R (I + RᵀΣR)⁻¹ q +
     # (r − R (I + RᵀΣR)⁻¹ RᵀΣ r). What evidence says has no r, and nothing is subtracted.
-    white = roots.solve_lower(lower, transpose(root) @ matrix)
+    white = solving.solve_lower(lower, transpose(root) @ matrix)
     inside_range, outside = _split(root, rest)
-    damped = roots.solve(lower, _column(inside_range) - transpose(spread) @ _column(outside))
+    damped = solving.solve(lower, _column(inside_range) - transpose(spread) @ _column(outside))
     solved = outside + (root @ damped)[..., 0]
     log_integral = (
         g
-        - 0.5 * roots.log_determinant(lower)
+        - 0.5 * solving.log_determinant(lower)
         + inner(h, offset)
         - 0.5 * inner(apply(precision, offset), offset)
         + 0.5 * inner(rest, apply(noise, solved))
@@ -146,7 +146,7 @@ def backward(
 def _split(root: Array, vector: Array) -> tuple[Array, Array]:
     """The q and r with vector = R q + r, where r is zero for a vector in the range of R."""
     fixed = roots.determined(root)
-    found = roots.solve_lower(root, _column(vector))[..., 0]
+    found = solving.solve_lower(root, _column(vector))[..., 0]
     q = np.where(fixed, 0.0, found)
     size = np.abs(vector) + apply(np.abs(root), np.abs(q))
     outside = fixed & (np.abs(found) > 1e-9 * size)
@@ -165,13 +165,13 @@ def _backward_indefinite(
     inside = transpose(root) @ reach
     lower = strict_root(inside + np.eye(inside.shape[-1]))
     rest = h - apply(precision, offset)
-    white = roots.solve_lower(lower, transpose(reach))
-    white_rest = roots.solve_lower(lower, transpose(root) @ _column(rest))
+    white = solving.solve_lower(lower, transpose(reach))
+    white_rest = solving.solve_lower(lower, transpose(root) @ _column(rest))
     solved = rest - (transpose(white) @ white_rest)[..., 0]
     white_rest = white_rest[..., 0]
     log_integral = (
         g
-        - 0.5 * roots.log_determinant(lower)
+        - 0.5 * solving.log_determinant(lower)
         + inner(h, offset)
         - 0.5 * inner(apply(precision, offset), offset)
         + 0.5 * inner(white_rest, white_rest)
@@ -192,7 +192,7 @@ def combine(
     root = roots.root(cov)
     inside = sandwich(transpose(root), precision)
     lower = strict_root(inside + np.eye(inside.shape[-1]))
-    white = roots.solve_lower(lower, transpose(root))
+    white = solving.solve_lower(lower, transpose(root))
     posterior = transpose(white) @ white
     rest = h - apply(precision, mean)
     shift = apply(posterior, rest)
@@ -201,7 +201,7 @@ def combine(
         + inner(h, mean)
         - 0.5 * inner(apply(precision, mean), mean)
         + 0.5 * inner(rest, shift)
-        - 0.5 * roots.log_determinant(lower)
+        - 0.5 * solving.log_determinant(lower)
     )
     return mean + shift, posterior, log_integral
 

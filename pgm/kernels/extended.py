@@ -1,21 +1,14 @@
-"""Extended precision: numbers of twice the digits, and of as many as a model needs.
+"""Numbers of twice the digits of float64.
 
 A `Twofold` is the unevaluated sum of two float64, of some 32 digits; one operation is some ten to
-forty of NumPy's (Dekker, 1971; Joldes, Muller & Popescu, 2017). An array of `decimal.Decimal` has
-any float64 exactly, and unlimited exponents, so that nothing underflows; an operation takes about a
-microsecond an element: this is for small problems.
+forty of NumPy's (Dekker, 1971; Joldes, Muller & Popescu, 2017).
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from contextlib import contextmanager
-from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, localcontext
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pgm.kernels.arrays import Array, Mask
 
@@ -43,7 +36,7 @@ class Twofold:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """As of an array."""
+        """The lengths of the axes."""
         return self.hi.shape
 
     @property
@@ -182,6 +175,7 @@ def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
 
 
 def _divided(rows: Twofold, pivots: Twofold) -> Twofold:
+    """Rows divided by their pivots; zero where a pivot is zero, as its component is determined."""
     known = (pivots.hi != 0.0)[..., None]
     return where(known, rows / where(known, pivots[..., None], 1.0), 0.0)
 
@@ -191,24 +185,30 @@ def _twofold(value: Any) -> Twofold:
 
 
 def _normal(high: Array, low: Array) -> tuple[Array, Array]:
-    """The same sum with its parts apart; |high| ≥ |low|."""
+    """The sum of two floats as high and low parts that do not overlap; |high| ≥ |low| is due."""
     total = high + low
     return total, low - (total - high)
 
 
 def _exact_sum(a: Array, b: Array) -> tuple[Array, Array]:
+    """The rounded sum a + b and its rounding error, exactly (TwoSum; Knuth, 1969)."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
 
 
 def _halves(a: Array) -> tuple[Array, Array]:
+    """A number as a sum of two of 26 bits each, whose products are exact (Veltkamp, 1968)."""
     cut = _CUT * a
     high = cut - (cut - a)
     return high, a - high
 
 
 def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
+    """The product (a + a_low) (b + b_low), rounded, and its error to first order (Dekker, 1971).
+
+    The error of a b is exact; a_low b_low is below the digits kept.
+    """
     product = a * b
     a_head, a_tail = _halves(a)
     b_head, b_tail = _halves(b)
@@ -217,11 +217,17 @@ def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Arr
 
 
 def _add(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
+    """The sum (a + a_low) + (b + b_low), as high and low parts."""
     total, error = _exact_sum(a, b)
     return _normal(total, error + (a_low + b_low))
 
 
 def _sum(high: Array, low: Array) -> tuple[Array, Array]:
+    """Sums over the last axis but one, as high and low parts.
+
+    Halves of the axis are added to one another, so that errors grow with log₂ of the number of
+    summands.
+    """
     while (count := high.shape[-2]) > 1:
         half = count // 2
         first, second = (..., slice(half), slice(None)), (..., slice(half, 2 * half), slice(None))
@@ -233,62 +239,3 @@ def _sum(high: Array, low: Array) -> tuple[Array, Array]:
         empty = np.zeros((*high.shape[:-2], high.shape[-1]))
         return empty, empty.copy()
     return _normal(high[..., 0, :], low[..., 0, :])
-
-
-Decimals = npt.NDArray[Any]
-
-ZERO: Decimals = np.array(Decimal(0), dtype=object)
-ONE: Decimals = np.array(Decimal(1), dtype=object)
-_LN10 = math.log(10.0)
-
-
-@contextmanager
-def precision(count: int) -> Iterator[None]:
-    """Calculate with so many significant digits."""
-    # No traps: an overflow cannot happen, and what is undefined is NaN, as in float64.
-    with localcontext(Context(prec=count, Emax=MAX_EMAX, Emin=MIN_EMIN, traps=[])):
-        yield
-
-
-_exact = np.frompyfunc(lambda number: Decimal(float(number)), 1, 1)
-_float = np.frompyfunc(float, 1, 1)
-_root = np.frompyfunc(lambda number: number.sqrt(), 1, 1)
-
-
-def exact(array: Array) -> Decimals:
-    """The same numbers, to all their digits."""
-    return np.asarray(_exact(array), dtype=object).reshape(np.shape(array))
-
-
-def zeros(*shape: int) -> Decimals:
-    """Zeros."""
-    return np.full(shape, Decimal(0), dtype=object)
-
-
-def floats(array: Decimals) -> Array:
-    """The nearest float64 of each; zero or infinity beyond its range."""
-    return np.asarray(_float(array), dtype=np.float64).reshape(np.shape(array))
-
-
-def sqrt(array: Decimals) -> Decimals:
-    """The square roots."""
-    return np.asarray(_root(array), dtype=object).reshape(np.shape(array))
-
-
-def product(a: Decimals, b: Decimals) -> Decimals:
-    """The product of stacked matrices, which may be empty."""
-    if a.shape[-1]:
-        return np.asarray(np.matmul(a, b), dtype=object)
-    lead = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
-    return zeros(*lead, a.shape[-2], b.shape[-1])
-
-
-def log(number: Decimal) -> float:
-    """The natural logarithm, rounded; of a number of any exponent."""
-    exponent = number.adjusted()
-    return math.log(float(number.scaleb(-exponent))) + exponent * _LN10
-
-
-def total(a: Decimals) -> Decimals:
-    """The sums over the last axis, which may be empty."""
-    return np.asarray(a.sum(axis=-1) if a.shape[-1] else zeros(*a.shape[:-1]), dtype=object)

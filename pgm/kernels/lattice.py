@@ -124,6 +124,10 @@ def _beginning(mean: Array, excess: Array) -> tuple[Array, Array]:
 
 
 def _weights(k: Array, product: Array, a: Array, b: Array) -> Array:
+    """The weights wₖ ∝ exp(a k − b p(k)) of each kernel, (kernels, taps), adding up to one.
+
+    p is `product`; a and b (kernels,) are the multipliers of the mean and of the excess variance.
+    """
     exponent = a[:, None] * k - b[:, None] * product
     exponent -= exponent.max(axis=1, keepdims=True)
     found = np.exp(exponent)
@@ -134,10 +138,18 @@ def _weights(k: Array, product: Array, a: Array, b: Array) -> Array:
 def _residual(
     weights: Array, k: Array, product: Array, mean: Array, excess: Array
 ) -> tuple[Array, Array]:
+    """The mean and the excess variance that weights (kernels, taps) still miss.
+
+    Σ w k should be the mean, and Σ w p(k) the excess, p being `product`.
+    """
     return mean - weights @ k, excess - weights @ product
 
 
 def _norm(residual: tuple[Array, Array], excess: Array) -> Array:
+    """The size of both residuals together, (kernels,).
+
+    The mean counts in cells; the excess variance relative to what is due, where that is above one.
+    """
     return np.abs(residual[0]) + np.abs(residual[1]) / np.maximum(excess, 1.0)
 
 

@@ -109,7 +109,7 @@ class Blocks:
         self.scale = np.ascontiguousarray(self.scale.T)
 
     def forward(self, belief: Array, rows: Array) -> Masses:
-        """As `forward` of all steps, from the belief at the step before."""
+        """Fill rows with the forward messages of all steps, block beside block; see `forward`."""
         held = self._starts(belief)
         found = np.empty(self.weights.shape)
         before = np.ones((self.length, self.count))
@@ -144,9 +144,16 @@ class Blocks:
         rows[-1] = 1.0 / self.size
 
     def _in_order(self, found: Array) -> Array:
+        """Values (length, blocks, ...), by step within each block, as (steps, ...)."""
         return found.swapaxes(0, 1).reshape(-1, *found.shape[2:])[: self.steps]
 
     def _starts(self, belief: Array) -> Array:
+        """The belief before each block, (blocks, states), by the transfer matrices of the blocks.
+
+        Scales are added in logarithms: one block's largest probability may be far below what
+        another holds. From an impossible block on the belief stays, and the sweep within the block
+        tells.
+        """
         found = np.empty(self.scale.shape)
         for k, (own, logs) in enumerate(zip(self.transfer, self.scale, strict=True)):
             found[k] = belief
@@ -161,6 +168,7 @@ class Blocks:
         return found
 
     def _ends(self) -> Array:
+        """The backward message to the last step of each block, (blocks, states); see `_starts`."""
         found = np.empty(self.scale.shape)
         message = np.full(self.size, 1.0 / self.size)
         for k in range(self.count - 1, -1, -1):

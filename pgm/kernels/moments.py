@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import roots
+from pgm.kernels import roots, solving
 from pgm.kernels.arrays import (
+    LAST_PLACES,
     LOG_2PI,
     Array,
     apply,
@@ -27,7 +28,10 @@ ROUNDING = 1e-14
 
 
 class Update(NamedTuple):
-    """As of `gaussian.Update`; `lower` is the root of S, NaN where that is indefinite."""
+    """The moments of a belief after a measurement; see `gaussian.Update`.
+
+    Here `lower` is the root of S, NaN where that is indefinite.
+    """
 
     mean: Array
     cov: Array
@@ -48,8 +52,8 @@ def update(
     predictive = times_transposed(cross, matrix) + noise
     lower = roots.root(predictive, spread(matrix, cov, noise) if exact else None)
     fixed = roots.determined(lower)
-    white = roots.solve_lower(lower, np.concatenate([residual[..., None], cross], axis=-1))
-    gain = contiguous(transpose(roots.solve_upper(lower, white[..., 1:])))
+    white = solving.solve_lower(lower, np.concatenate([residual[..., None], cross], axis=-1))
+    gain = contiguous(transpose(solving.solve_upper(lower, white[..., 1:])))
     white_residual = white[..., 0]
     left = None
     dimension: int | Array = size
@@ -58,7 +62,7 @@ def update(
         white_residual = np.where(fixed, 0.0, white_residual)
         dimension = size - fixed.sum(axis=-1)
     log_density = -0.5 * (
-        inner(white_residual, white_residual) + roots.log_determinant(lower) + dimension * LOG_2PI
+        inner(white_residual, white_residual) + solving.log_determinant(lower) + dimension * LOG_2PI
     )
     keep, posterior = joseph(cov, gain, matrix, noise)
     if exact:
@@ -108,7 +112,7 @@ def reverse(
     cross = transpose(times_symmetric(matrix, cov))
     # The rest is right for any gain: only what is no more than rounding has to go.
     lower = roots.root(forward_cov, spread(matrix, cov, noise), negligible=0.1 * ROUNDING)
-    gain = roots.gain(cross, lower, forward_cov)
+    gain = solving.gain(cross, lower, forward_cov)
     _, rest = joseph(cov, gain, matrix, noise)
     return Conditional(gain, mean - apply(gain, forward_mean), rest)
 
@@ -123,9 +127,9 @@ def log_density(residual: Array, cov: Array) -> Array:
     """The log-density ln N(residual; 0, cov), (...); NaN where it does not exist."""
     lower = roots.root(cov)
     singular = roots.determined(lower).any(axis=-1)
-    white = roots.solve_lower(lower, residual[..., None])[..., 0]
+    white = solving.solve_lower(lower, residual[..., None])[..., 0]
     value = -0.5 * (
-        inner(white, white) + roots.log_determinant(lower) + residual.shape[-1] * LOG_2PI
+        inner(white, white) + solving.log_determinant(lower) + residual.shape[-1] * LOG_2PI
     )
     return np.where(singular, np.nan, value)
 
@@ -144,11 +148,11 @@ def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
     """KL(N(μ, cov) ‖ N(μ', other_cov)) for μ' − μ = difference (8.4); NaN where it is undefined."""
     lower, other = roots.root(cov), roots.root(other_cov)
     singular = (roots.determined(lower) | roots.determined(other)).any(axis=-1)
-    white = roots.solve_lower(other, difference[..., None])[..., 0]
-    ratio = roots.solve_lower(other, lower)
+    white = solving.solve_lower(other, difference[..., None])[..., 0]
+    ratio = solving.solve_lower(other, lower)
     value = 0.5 * (
-        roots.log_determinant(other)
-        - roots.log_determinant(lower)
+        solving.log_determinant(other)
+        - solving.log_determinant(lower)
         - difference.shape[-1]
         + np.einsum("...ij,...ij->...", ratio, ratio)
         + inner(white, white)
@@ -160,4 +164,17 @@ def marginal_error(mean: Array, other: Array, std: Array) -> Array:
     """The largest |mean − other| over the last axis and the first, in deviations or sizes."""
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     largest: Array = (np.abs(mean - other) / unit).max(axis=(0, -1), initial=0.0)
+    return largest
+
+
+def moved(mean: Array, other: Array, std: Array) -> Array:
+    """How far means move in an iteration, as `marginal_error`; by their rounding is not at all.
+
+    The largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the last axis and the first. Without the
+    rounding, which is no move, means of 10⁸ deviations would never settle.
+    """
+    unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
+    rounding = LAST_PLACES * np.maximum(np.abs(mean), np.abs(other))
+    left = np.maximum(np.abs(mean - other) - rounding, 0.0)  # NaN stays
+    largest: Array = (left / unit).max(axis=(0, -1), initial=0.0)
     return largest

@@ -85,6 +85,11 @@ def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array
 
 
 def _advance(rays: Array, step: Array) -> None:
+    """Move rays, in place, to where they leave the square of free cells around them, (rows, rays).
+
+    Along each axis the edge ahead is `step` cells away; the nearer edge, in time, is the one
+    crossed.
+    """
     x, y, across, along, by_across, by_along, _, _, column, row, _, distance, _ = rays
     edge, other = column + step, row + step
     first, second = (edge - x) * by_across, (other - y) * by_along
@@ -97,6 +102,7 @@ def _advance(rays: Array, step: Array) -> None:
 
 
 def _between(low: Array, place: Array, edge: Array) -> Array:
+    """The cells of places, from `low` on and below `edge`, whatever rounding makes of them."""
     cells = np.floor(place, out=place)
     np.maximum(cells, low, out=cells)
     np.minimum(cells, edge - 1.0, out=cells)
@@ -135,6 +141,7 @@ def entered(points: Array, ends: Array, width: int) -> Integers:
 
 
 def _counted(times: Integers) -> npt.NDArray[Any]:
+    """The numbers 1 to n for each n of `times`: (3, 2) gives 1, 2, 3, 1, 2."""
     before = np.cumsum(times) - times
     return np.arange(1, times.sum() + 1) - np.repeat(before, times)
 
@@ -196,6 +203,7 @@ class _Work:
         self.cut(shape[0])
 
     def cut(self, size: int) -> None:
+        """Use the first part of the work space, for fewer rays, without memory of its own."""
         self.column, self.row = self._floats[:, :size]
         self._index, self._other = self._indices[:, :size]
 

@@ -1,30 +1,20 @@
-"""Roots of symmetric positive semidefinite matrices, and normal densities by them.
+"""Roots of symmetric positive semidefinite matrices, and what their pivots say.
 
 A root is a lower triangular L with A = L Lᵀ. Where a component is determined by those before it,
-its column in L is zero; a matrix and the same matrix in other units have the same zero columns. To
-the density such a component adds nothing, which is that of the others. Points stand along the last
-axis but one, (..., S, d), so that one root (..., d, d) serves all of them.
+its column in L is zero; a matrix and the same matrix in other units have the same zero columns.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from pgm.kernels.arrays import (
-    LOG_2PI,
     Array,
-    Integers,
     Mask,
     apply,
     by_runs,
     components_first,
     components_last,
-    deviation,
-    room,
-    symmetric,
-    transpose,
     variances,
 )
 
@@ -32,10 +22,6 @@ from pgm.kernels.arrays import (
 NEGLIGIBLE = 1e-13
 # A pivot this far below zero, as a part of its diagonal entry, is no rounding: A is indefinite.
 INDEFINITE = 1e-9
-# From this many matrices on, one vectorised operation a column beats one LAPACK call a matrix.
-_MANY = 16
-# A share of the variances beyond which a negative eigenvalue is visible in float64.
-_VISIBLE = 1e-12
 
 
 def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIBLE) -> Array:
@@ -79,6 +65,12 @@ def regular_root(matrix: Array, least: float, scale: Array | None = None) -> Arr
 
 
 def _semidefinite_root(matrix: Array, diagonal: Array, negligible: float) -> Array:
+    """The root by columns, with zero columns of determined components (Higham, 2002, section 10.3).
+
+    A pivot below the `negligible` part of the scale is zero, and so is its column. A matrix is
+    indefinite, and its root NaN, where a pivot is clearly negative, or where a component whose
+    pivot is zero still varies with a later one.
+    """
     size = matrix.shape[-1]
     lower = np.zeros_like(matrix)
     indefinite = ~np.isfinite(matrix).all(axis=(-2, -1)) | (diagonal < 0.0).any(axis=-1)
@@ -103,86 +95,6 @@ def determined(lower: Array) -> Mask:
     return fixed
 
 
-def _regular(lower: Array, fixed: Mask) -> Array:
-    if not fixed.any():
-        return lower
-    return lower + fixed[..., None] * np.eye(lower.shape[-1])
-
-
-def solve_lower(lower: Array, right: Array) -> Array:
-    """The Y with L Y = B, (..., n, m); in determined rows what is left of B."""
-    return _solve(_regular(lower, determined(lower)), right, range(lower.shape[-1]))
-
-
-def solve_upper(lower: Array, right: Array) -> Array:
-    """The X with Lᵀ X = B, (..., n, m), zero in rows of determined components."""
-    fixed = determined(lower)
-    if fixed.any():
-        right = np.where(fixed[..., None], 0.0, right)
-    return _solve(transpose(_regular(lower, fixed)), right, range(lower.shape[-1])[::-1])
-
-
-def _solve(triangle: Array, right: Array, order: range) -> Array:
-    """Solve with regular triangular matrices; row by row, in this order, where they are many."""
-    if triangle.size < _MANY * len(order) ** 2:
-        return np.asarray(np.linalg.solve(triangle, right), dtype=np.float64)
-    batch = triangle.shape[:-2]
-    if right.shape[:-2] != batch:
-        batch = np.broadcast_shapes(batch, right.shape[:-2])
-        right = np.broadcast_to(right, (*batch, *right.shape[-2:]))
-    solution = right.copy(order="K")  # in memory as the right side is
-    for done, j in enumerate(order):
-        row = solution[..., j, :]
-        for k in order[:done]:
-            row -= triangle[..., j, k, None] * solution[..., k, :]
-        row /= triangle[..., j, j, None]
-    return solution
-
-
-def solve(lower: Array, right: Array) -> Array:
-    """Some X with L Lᵀ X = B, (..., n, m), for a B in the range of L Lᵀ."""
-    return solve_upper(lower, solve_lower(lower, right))
-
-
-def regression(cross: Array, cov: Array) -> Array:
-    """The gain C P⁺ of a cross-covariance C, (..., m, n), P⁺ in units of deviations."""
-    variance = variances(cov)
-    unit = np.sqrt(np.where(variance > 0.0, variance, 1.0))
-    correlation = cov / (unit[..., :, None] * unit[..., None, :])
-    inverse = np.linalg.pinv(correlation, rcond=NEGLIGIBLE, hermitian=True)
-    found: Array = (cross / unit[..., None, :]) @ inverse / unit[..., None, :]
-    return found
-
-
-def gain(cross: Array, lower: Array, cov: Array | None = None) -> Array:
-    """C P⁺ for P = L Lᵀ and a cross-covariance C, (..., m, n), whose rows lie in the range of P.
-
-    With P itself, by `regression` where its root was lost to rounding.
-    """
-    result = transpose(solve(lower, transpose(cross)))
-    if cov is not None:
-        lost = np.isnan(lower).any(axis=(-2, -1))
-        if lost.any():
-            result[lost] = regression(cross[lost], cov[lost])
-    return result
-
-
-def whiten(lower: Array, residual: Array) -> Array:
-    """L⁻¹ r, (..., n), zero in determined components."""
-    white = solve_lower(lower, residual[..., None])[..., 0]
-    return np.where(determined(lower), 0.0, white)
-
-
-def log_determinant(lower: Array) -> Array:
-    """The value ln |L Lᵀ| over the components that are not determined, (...)."""
-    pivots = np.diagonal(lower, axis1=-2, axis2=-1)
-    fixed = pivots == 0.0
-    if fixed.any():
-        pivots = np.where(fixed, 1.0, pivots)
-    total: Array = np.log(pivots).sum(axis=-1)
-    return 2.0 * total
-
-
 def smallest_pivot(lower: Array) -> float:
     """The smallest share of a component that those before it leave open, over the stack."""
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
@@ -200,143 +112,3 @@ def is_regular(cov: Array, least: float) -> bool:
 def is_proper(lower: Array) -> bool:
     """Whether every root of the stack exists (its matrix was semidefinite and finite)."""
     return not np.isnan(np.diagonal(lower, axis1=-2, axis2=-1).sum())
-
-
-def semidefinite(cov: Array, largest: float) -> Array:
-    """Covariances without the asymmetry and the negative eigenvalues that rounding has left.
-
-    Eigenvalues are in units of the variances; one that is `largest` below zero is no rounding.
-    """
-    cov = symmetric(cov)
-    unit = deviation(cov)
-    unit = np.where(unit > 0.0, unit, 1.0)
-    scaled = cov / unit[..., None] / unit[..., None, :]
-    if not np.isfinite(scaled).all():
-        return cov
-    values, axes = np.linalg.eigh(scaled)
-    least = values.min(axis=-1, initial=0.0)
-    blurred = (least < -_VISIBLE) & (least > -largest)
-    if not blurred.any():
-        return cov
-    kept = (axes * np.maximum(values, 0.0)[..., None, :]) @ axes.mT
-    return np.where(blurred[..., None, None], kept * unit[..., None] * unit[..., None, :], cov)
-
-
-class Tridiagonal(NamedTuple):
-    """The symmetric equations Aₖ₋₁ᵀ xₖ₋₁ + Dₖ xₖ + Aₖ xₖ₊₁ = rₖ, for stacks with the steps k first.
-
-    D (N, R, n, n) is positive definite as a whole.
-    """
-
-    diagonal: Array
-    above: Array
-    right: Array
-
-
-def solve_tridiagonal(system: Tridiagonal) -> Array:
-    """The solution, (N, R, n); NaN in runs whose system is not positive definite."""
-    from scipy.linalg.lapack import dpbsv  # here, since LAPACK is slow to import
-
-    steps, runs, size = system.right.shape
-    solution = room((steps, runs), (size,))
-    band = np.zeros((steps, size, 2 * size))
-    for run in range(runs):
-        # Column (k, j) of the matrix, from its diagonal entry down.
-        for j in range(size):
-            band[:, j, : size - j] = system.diagonal[:, run, j:, j]
-            band[:-1, j, size - j : 2 * size - j] = system.above[:, run, j, :]
-        columns = band.reshape(steps * size, 2 * size).T
-        right = np.array(system.right[:, run]).reshape(-1)
-        _, found, failed = dpbsv(columns, right, lower=1)
-        solution[:, run] = np.nan if failed else found.reshape(steps, size)
-    return solution
-
-
-# The part of a point and of the mean by which what users compute may take it off a subspace.
-INEXACT = 1e-9
-# The part of its deviation by which a component may differ from what those before it determine:
-# three times what a root takes for zero.
-SLACK = 3.0 * NEGLIGIBLE**0.5
-
-
-def draw(mean: Array, lower: Array, white: Array) -> Array:
-    """Points of N(mean, L Lᵀ), (..., d), for white noise."""
-    return mean + apply(lower, white)
-
-
-def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
-    """White residuals, (..., S, d), zero where determined; and what is left there."""
-    white = transpose(solve_lower(lower, transpose(residual)))
-    fixed = determined(lower)
-    if not fixed.any():
-        return white, None
-    return _without(fixed, white), _without(~fixed, white)
-
-
-def whitener(lower: Array) -> Array | None:
-    """L⁻¹, by which many residuals are whitened at once; None where a component is determined."""
-    if determined(lower).any():
-        return None
-    return solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape))
-
-
-def _without(gone: Mask, vectors: Array) -> Array:
-    return np.where(gone[..., None, :], 0.0, vectors)
-
-
-def log_density(lower: Array, white: Array) -> Array:
-    """The log-density −½ (|s|² + ln |2π L Lᵀ|) of the open components, (..., S), at white s."""
-    fixed = determined(lower)
-    dimension: int | Integers = lower.shape[-1]
-    if fixed.any():
-        dimension = dimension - fixed.sum(axis=-1)
-    constant = log_determinant(lower) + dimension * LOG_2PI
-    value: Array = -0.5 * ((white * white).sum(axis=-1) + constant[..., None])
-    return value
-
-
-def off(lower: Array, left: Array, error: Array) -> Mask:
-    """Whether residuals (..., S, d), wrong by at most `error`, leave the subspace of the noise."""
-    # What is left depends linearly on the residuals: by this matrix.
-    spread = np.abs(solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))
-    deviations = np.sqrt((lower * lower).sum(axis=-1))
-    allowed = error @ transpose(spread) + SLACK * deviations[..., None, :]
-    far: Mask = (np.abs(left) > allowed).any(axis=-1)
-    return far
-
-
-def square_within(probability: float, dimension: Integers) -> Array:
-    """The squared length, in deviations, within which a normal vector is with a probability."""
-    from scipy.special import chdtri  # here, since it is slow to import
-
-    return np.asarray(chdtri(dimension, 1.0 - probability), dtype=np.float64)
-
-
-def squares(residual: Array, cov: Array) -> Array:
-    """The value νᵀ S⁻¹ ν of stacked innovations ν (k, d, *batch), S (k, d, d, *batch).
-
-    Components are eliminated one after another, all of the stack at once.
-    """
-    size = residual.shape[1]
-    if size == 1:
-        return _share(residual[:, 0], cov[:, 0, 0], cov[:, 0, 0])
-    residual, cov = residual.copy(), cov.copy()
-    diagonal = np.einsum("kii...->ki...", cov).copy()
-    total = np.zeros(residual[:, 0].shape)
-    for j in range(size):
-        pivot, left = cov[:, j, j].copy(), residual[:, j].copy()
-        total = total + _share(left, pivot, diagonal[:, j])
-        if j + 1 == size:
-            break
-        proper = pivot > NEGLIGIBLE * diagonal[:, j]
-        factor = cov[:, j + 1 :, j] / np.where(proper, pivot, np.inf)[:, None]
-        residual[:, j + 1 :] -= factor * left[:, None]
-        cov[:, j + 1 :, j + 1 :] -= factor[:, :, None] * cov[:, None, j, j + 1 :]
-    return total
-
-
-def _share(left: Array, pivot: Array, diagonal: Array) -> Array:
-    proper = pivot > NEGLIGIBLE * diagonal
-    if proper.all():
-        return left * left / pivot
-    return np.where(proper, left * left / np.where(proper, pivot, 1.0), 0.0)

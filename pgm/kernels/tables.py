@@ -1,4 +1,4 @@
-"""Tables as arrays: semirings of passes over them; arithmetic of stacks with log-scales.
+"""Arithmetic of stacks of tables with log-scales, beyond the range of float64.
 
 Stacked tables are non-negative arrays times exp(log-scale); the last `axes` axes are a table.
 """
@@ -6,80 +6,11 @@ Stacked tables are non-negative arrays times exp(log-scale); the last `axes` axe
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
 from pgm.kernels.arrays import Array, Mask
-
-Axes = int | tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Semiring:
-    """A product and a sum of entries of tables, and their neutral entries.
-
-    ``total(values, axes, out)`` sums along axes; `linear` entries are numbers, not logarithms.
-    """
-
-    zero: float
-    one: float
-    times: np.ufunc
-    over: np.ufunc
-    total: Callable[[Array, Axes, Array | None], Array]
-    linear: bool
-
-    def divisor(self, values: Array) -> Array:
-        """The values, with one for zero: 0/0 becomes 0 where the dividend is zero too."""
-        safe: Array = np.where(values == self.zero, self.one, values)
-        return safe
-
-    def entries(self, values: Array) -> Array:
-        """Non-negative numbers as entries of this semiring."""
-        if self.linear:
-            return values
-        with np.errstate(divide="ignore"):
-            logs: Array = np.log(values)
-        return logs
-
-    def logs(self, entries: Array) -> Array:
-        """The logarithms of entries."""
-        logs: Array = np.log(entries) if self.linear else entries
-        return logs
-
-
-def _add(values: Array, axis: Axes, out: Array | None) -> Array:
-    result: Array = np.add.reduce(values, axis, out=out)
-    return result
-
-
-def _maximum(values: Array, axis: Axes, out: Array | None) -> Array:
-    result: Array = np.maximum.reduce(values, axis, out=out)
-    return result
-
-
-def log_sum(values: Array, axis: Axes, out: Array | None = None) -> Array:
-    """The value ln Σ exp(values) along axes; −∞ where all are −∞."""
-    top = np.maximum.reduce(values, axis, keepdims=True)
-    top = np.where(top == -np.inf, 0.0, top)
-    with np.errstate(divide="ignore", under="ignore"):
-        result: Array = np.log(np.add.reduce(np.exp(values - top), axis), out)
-    result += top.squeeze(axis)
-    return result
-
-
-def exp(logs: Array, out: Array | None = None) -> Array:
-    """The numbers of logarithms; zero, where they are too small."""
-    with np.errstate(under="ignore"):
-        values: Array = np.exp(logs, out)
-    return values
-
-
-SUM_PRODUCT = Semiring(0.0, 1.0, np.multiply, np.divide, _add, True)
-LOG_SUM_PRODUCT = Semiring(-np.inf, 0.0, np.add, np.subtract, log_sum, False)
-MAX_PRODUCT = Semiring(-np.inf, 0.0, np.add, np.subtract, _maximum, False)
-
 
 Stacked = TypeVar("Stacked", Array, Mask)
 Operation = Callable[[Array, Array], Array]
@@ -98,7 +29,7 @@ OUTSIDE = 3000.0
 
 
 def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
-    """The same tables; one becomes the largest entry where that is very small or very large."""
+    """Tables whose largest entry, if very small or very large, goes into the log-scale."""
     top = largest(values, axes)
     extreme = (top < SMALL) | (top > LARGE)
     if not extreme.any():
@@ -119,6 +50,7 @@ def divide(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
 
 
 def _quotient(a: Array, b: Array) -> Array:
+    """The quotients a / b, zero where b is: 0 / 0 is what an impossible state leaves."""
     zeros = np.zeros(np.broadcast_shapes(a.shape, b.shape))
     return np.divide(a, b, out=zeros, where=b > 0.0)
 
@@ -139,6 +71,11 @@ def _combined(
 
 
 def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
+    """The mask of tables whose products or quotients are right as computed in plain numbers.
+
+    A table whose largest entry is well above the smallest float has its digits; else the entries
+    that are zero must be so since a factor is, not by underflow.
+    """
     top = largest(result, axes)
     held = (top > SAFE) & (top < np.inf)
     if not held.all():
@@ -148,6 +85,7 @@ def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
 
 
 def _instead(plain: Array, held: Mask, values: Array, log_scale: Array) -> tuple[Array, Array]:
+    """Tables: plain ones, of log-scale zero, where those are right; scaled ones elsewhere."""
     kept = _per_table(held, plain.ndim - held.ndim)
     return np.where(kept, plain, values), np.where(held, 0.0, log_scale)
 
@@ -192,15 +130,18 @@ def _span(axes: int) -> tuple[int, ...]:
 
 
 def _per_table(stacked: Stacked, axes: int) -> Stacked:
+    """Numbers (...), one for each table, with `axes` axes of length one for its entries."""
     return stacked.reshape(stacked.shape + (1,) * axes)
 
 
 def _exponents(values: Array) -> tuple[Array, Array]:
+    """The mantissas and powers of two of values; of zero the power of the smallest number."""
     mantissa, power = np.frexp(values)
     return mantissa, np.where(values > 0.0, power, NOWHERE)
 
 
 def _assemble(mantissa: Array, power: Array, axes: int) -> tuple[Array, Array]:
+    """Tables from mantissas and powers of two, with their largest power put into the log-scale."""
     top = power.max(axis=_span(axes))
     values: Array = np.ldexp(mantissa, power - _per_table(top, axes))
     return values, np.where(top > NOWHERE // 2, top * LOG_2, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.cpds import AffineCPD, ConditionalGaussian, GaussianCPD, LinearGaussianCPD, Noise
 from pgm.errors import ModelError
-from pgm.factors.scope import Scope, listed
+from pgm.factors.scope import Scope, listed, namesake
 from pgm.inference.chain.families import FamilyBelief
 from pgm.kernels.arrays import Array, Mask, transpose
 from pgm.learning.residuals import Known, Residuals, residuals
@@ -98,7 +98,7 @@ class GaussianStep:
             if parent not in cpd.given:
                 raise ModelError(
                     f"{cpd!r}: coefficients of {parent!r} are to be learnt, which is none of its "
-                    f"parents ({listed(cpd.given)})",
+                    f"parents ({listed(cpd.given)}){namesake(parent, cpd.given)}",
                     cpd=cpd,
                 )
             due = cpd.child.dimension, parent.dimension

@@ -25,15 +25,8 @@ import numpy as np
 from pgm.cpds import AffineCPD
 from pgm.inference.chain.families import FamilyBelief
 from pgm.inference.family import Family
-from pgm.kernels.arrays import (
-    Array,
-    Mask,
-    components_last,
-    nearest_branch,
-    quiet,
-    symmetric,
-    transpose,
-)
+from pgm.kernels.angles import nearest_branch
+from pgm.kernels.arrays import Array, Mask, components_last, quiet, symmetric, transpose
 from pgm.variables import Variable
 
 Known = Mapping[Variable, Array]

@@ -9,18 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.immutable import set_writeable
-from pgm.kernels.arrays import (
-    Array,
-    Integers,
-    Mask,
-    components_first,
-    components_last,
-    difference,
-    quiet,
-)
-from pgm.kernels.slopes import jacobian as by_differences
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Integers, Mask, components_first, components_last, quiet
+from pgm.kernels.differences import jacobian as by_differences
 from pgm.linearisers.calls import Call
 from pgm.linearisers.template import Function, FunctionTemplate
+from pgm.tracing import Answers
 
 _ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)
 # Up to so many numbers are copied in less time than it takes to broadcast them.
@@ -30,15 +24,15 @@ _FEW = 4096
 class Source(NamedTuple):
     """Whose function it is, for messages and for programs that handle an error.
 
-    `timed` says whether the step is one in time; `first_run` is None in a trial call. Of one that
-    is `live` other calls lie between those for its plan and this one: its trace is used only where
-    nothing that it refers to can have changed.
+    `timed` says whether the step is one in time; `first_run` is None in a trial call. `answers` are
+    those of its trace, which somebody judges after the call; without, each evaluation is compared
+    with the function at once.
     """
 
     cpd: Any = None
     timed: bool = True
     first_run: int | None = 0
-    live: bool = False
+    answers: Answers | None = None
 
 
 class BoundFunction(NamedTuple):
@@ -153,13 +147,19 @@ class BoundFunction(NamedTuple):
         slopes = None if traced is None else traced[1]
         return _along_runs(self._jacobian(x, std, arguments, shape, slopes), 2)
 
-    def tangent(self, x: Array, std: Array | None = None) -> tuple[Array, Array]:
-        """The value, (..., d), and the derivative, (..., d, n); arguments as of `jacobian`."""
+    def tangent(
+        self, x: Array, std: Array | None = None, cov: Array | None = None
+    ) -> tuple[Array, Array]:
+        """The value, (..., d), and the derivative, (..., d, n); arguments as of `jacobian`.
+
+        For one run (n,) the covariance (n, n) may stand in for the deviations where a trace has all
+        derivatives, for which these are of little use.
+        """
         template, inputs, lead, _, group, _, _ = self
         derivative = template.derivatives[0][3] if template.undivided else None
         if derivative is None or group is not None:
             arguments, shape = self._arguments(x)
-            traced = self._traced(x, std, arguments, shape)
+            traced = self._traced(x, std, arguments, shape, cov)
             if traced is not None and len(template.missing) == template.size:
                 return traced
             value, slopes = traced or (self._value(x, arguments, shape), None)
@@ -177,7 +177,7 @@ class BoundFunction(NamedTuple):
             role, function = "derivative", derivative
             slope = function(*arguments)
         except Exception as error:
-            raise self._told(role, x).failure(function, arguments, error) from error
+            raise self._told(role, x).failure(function, arguments, error, None) from error
         due, steep = (*shape, template.height), (*shape, template.height, template.size)
         if not (type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due):
             value = self._told("function", x).array(template.function, arguments, value, due)
@@ -196,29 +196,38 @@ class BoundFunction(NamedTuple):
         return value if self.group is None else value.reshape(*x.shape[:-1], -1)
 
     def _traced(
-        self, x: Array, std: Array | None, arguments: list[Array], shape: tuple[int, ...]
+        self,
+        x: Array,
+        std: Array | None,
+        arguments: list[Array],
+        shape: tuple[int, ...],
+        cov: Array | None = None,
     ) -> tuple[Array, Array] | None:
         """The value, (..., d), and the missing derivatives, (..., d, n), by the trace."""
-        program, tracer = self.template.program, self.template.tracer
-        if program is None or tracer is None or (self.source.live and not tracer.settled()):
-            return None  # where a value is as it was, a derivative need not be
+        answers = self.source.answers
+        program = self.template.program if answers is None else answers.program
+        if program is None or (answers is not None and answers.fault is not None):
+            return None
         if shape:
-            value, slope = program.batch(arguments, shape)
+            if answers is None:
+                value, slope = program.batch(arguments, shape)
+            else:
+                value, slope = answers.batch(arguments, shape, std)
             value, slope = components_last(value, 1), components_last(slope, 2)
             if self.group is not None:
                 value = value.reshape(*x.shape[:-1], -1)
                 slope = slope.reshape(*x.shape[:-1], -1, slope.shape[-1])
             with quiet():
                 finite = isfinite(value.sum() + slope.sum())
-        else:
+        elif answers is None:
             value, slope, finite = program.single(arguments)
-        unsure = shape not in tracer.compared
-        if unsure or not finite:
+        else:
+            value, slope, finite = answers.single(arguments, cov)
+        if answers is None or not finite:
             # Warnings and errors are the function's own.
             due = self._value(x, arguments, shape)
-            if unsure and not _alike(due, value, self.angles):
+            if answers is None and not _alike(due, value, self.angles):
                 return None
-            tracer.compared.add(shape)
             value = due
         if not finite:
             numerical = self._differences(x, std)[..., list(self.template.missing)]
@@ -289,7 +298,7 @@ class BoundFunction(NamedTuple):
         try:
             value = function(*arguments)
         except Exception as error:
-            raise self._told(role, x).failure(function, arguments, error) from error
+            raise self._told(role, x).failure(function, arguments, error, due) from error
         if type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due:
             return value
         return self._told(role, x).array(function, arguments, value, due)

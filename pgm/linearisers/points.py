@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import slopes
+from pgm.kernels import regression
 from pgm.kernels.arrays import Array
 
-# The regression on more points than this takes longer to prepare than it saves.
-FEW = 64
+# Four units in the last place.
 _LAST_PLACES = 4 * 2.0**-52
 
 
@@ -44,9 +43,9 @@ class Points(_Points):
     """
 
     @cached_property
-    def fit(self) -> slopes.Fit:
+    def fit(self) -> regression.Fit:
         """The regression on the points, where all beliefs share them."""
-        return slopes.fit(self.points, self.mean_weights, self.cov_weights)
+        return regression.fit(self.points, self.mean_weights, self.cov_weights)
 
     @cached_property
     def with_centre(self) -> Array:

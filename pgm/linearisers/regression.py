@@ -11,7 +11,8 @@ from typing import NoReturn
 import numpy as np
 
 from pgm.errors import LinearisationError, NumericalError
-from pgm.kernels import gaussian, roots
+from pgm.kernels import gaussian, roots, solving
+from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import (
     Array,
     Integers,
@@ -20,18 +21,19 @@ from pgm.kernels.arrays import (
     deviation,
     times_transposed,
     transpose,
-    wrap,
 )
-from pgm.kernels.slopes import range_inverse, regress
+from pgm.kernels.regression import range_inverse, regress
 from pgm.linearisers.function import BoundFunction
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared, apart
-from pgm.linearisers.points import FEW, Points
+from pgm.linearisers.points import Points
 from pgm.linearisers.template import FunctionTemplate
 from pgm.resources import require_memory
 
 # An error of a larger share of a value's square is none of rounding; nor is one of this part of the
 # square of what rounding may be at most, where points are close together.
 _PLAIN, _SURELY = 1e-16, 1.0 / 64.0
+# The regression on more points than this takes longer to prepare than it saves.
+FEW = 64
 
 
 @dataclass(frozen=True)
@@ -349,7 +351,7 @@ def _divide(slope: Array, lower: Array, function: BoundFunction, mean: Array, co
     """F with F L = J; in the null directions of L, measured in its own units, the Jacobian."""
     fixed = roots.determined(lower)
     if not fixed.any():
-        return transpose(roots.solve_upper(lower, transpose(slope)))
+        return transpose(solving.solve_upper(lower, transpose(slope)))
     std = deviation(cov)
     inverse, null = range_inverse(lower, std)
     return slope @ inverse + function.jacobian(mean, std) @ null

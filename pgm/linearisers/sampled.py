@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers
@@ -168,6 +169,7 @@ class SampledRule(StatisticalRegression):
         return Points(sample, weights, weights, False)
 
 
+@public
 @dataclass(frozen=True)
 class MonteCarlo(SampledRule):
     """Random points, weights 1/N, regressed with the sample's own mean and covariance.
@@ -227,6 +229,7 @@ class MonteCarlo(SampledRule):
         return np.concatenate([half, -half], axis=-2) if self.antithetic else half
 
 
+@public
 @dataclass(frozen=True)
 class QuasiMonteCarlo(SampledRule):
     """Scrambled Sobol points through the normal quantile, regressed as a Monte Carlo sample.

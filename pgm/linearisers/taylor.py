@@ -66,8 +66,10 @@ def _analytic(function: BoundFunction, mean: Array, cov: Array) -> Line:
 
 
 def _numerical(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    if isinstance(function, BoundFunction) and not function.template.numerical:
-        return _analytic(function, mean, cov)
+    one = mean.ndim == 1 and isinstance(function, BoundFunction)
+    if one and not function.template.numerical and function.source.answers is not None:
+        value, slope = function.tangent(mean, cov=cov)
+        return Line(slope, value, None)
     return _tangent(function, mean, components_last(deviations(cov), 1))
 
 

@@ -140,11 +140,13 @@ def _grey(owner: Path, path: Path) -> tuple[npt.NDArray[np.uint8], npt.NDArray[n
 
     try:
         with Image.open(path) as image:
+            image.verify()  # against the checksums of a PNG, which loading does not look at
+        with Image.open(path) as image:
             image.load()
             wide = image.mode in ("I", "F") or image.mode.startswith("I;")
             channels = None if wide else _channels(image)
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        # Of a missing file, one that is no image, a broken one, and one that is too large.
+    except Exception as error:
+        # Of a missing file, one that is no image, one too large, and of many kinds, as damage is.
         why = getattr(error, "strerror", None) or f"it is no image, or a broken one ({error})"
         raise FileError(f"{owner}: image {path} cannot be read: {why}", path=str(owner)) from error
     if channels is None:

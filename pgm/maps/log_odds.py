@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import expit, logit
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_number, is_whole
 from pgm.errors import ModelError
 from pgm.kernels import rays, rigid
@@ -26,6 +27,7 @@ class _Beams(NamedTuple):
     hits: Mask
 
 
+@public
 def log_odds_map(
     poses: npt.ArrayLike,
     scans: npt.ArrayLike,

@@ -7,17 +7,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.cpds import CPD
 from pgm.cpds.base import Known, Values
 from pgm.errors import ModelError
 from pgm.kernels import rigid
-from pgm.kernels.arrays import TURN, Array, Integers, Mask
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
     from pgm.maps.occupancy import OccupancyMap
 
 
+@public
 class UniformPose(CPD):
     r"""The prior of a pose that may be anywhere in the free cells of a map, at any heading.
 

@@ -1,6 +1,6 @@
 """Recorded drives: readers of many kinds of files, all of which yield a `Recording`."""
 
-from pgm.recordings.mending import Dropped
+from pgm.io.dropped import Dropped
 from pgm.recordings.pose_graph import Edges, PoseGraph
 from pgm.recordings.readers.bags import read_bag
 from pgm.recordings.readers.barfoot import read_barfoot

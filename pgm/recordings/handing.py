@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.boundary import as_mapping
 from pgm.display import count
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
@@ -31,6 +32,7 @@ def timeline(
     velocities: Variable | None,
     sensors: Mapping[Variable, str],
     landmark: Variable | None,
+    variances: Mapping[Variable, Variable],
     tolerance: float | None,
 ) -> Timeline:
     """The evidence of states at given times."""
@@ -43,9 +45,11 @@ def timeline(
             variable=landmark,
         )
     for variable, stream in named.items():
-        given = None
+        given = {}
         if landmark is not None and stream.subject is not None:
-            given = {landmark: places(recording, sensors[variable], stream, landmark)}
+            given[landmark] = places(recording, sensors[variable], stream, landmark)
+        if variable in variances:
+            given[variances[variable]] = spread(sensors[variable], stream, variances[variable])
         seen[variable] = stamped(stream.stamps, columns(variable, stream), given)
     driven: dict[Variable, Stamped] = {}
     held: dict[Variable, Stamped] = {}
@@ -104,6 +108,45 @@ def sensor(recording: Recording, name: str) -> Stream:
     if name not in known:
         raise EvidenceError(f"{recording._title} has no sensor {name!r}; it has {listed(known)}")
     return known[name]
+
+
+def spread(name: str, stream: Stream, variable: Variable) -> Array:
+    """The variances of a sensor's readings, of a variable's components by name, (M, d)."""
+    if stream.variances is None:
+        raise EvidenceError(
+            f"the sensor {name!r} has no variances that {variable!r} could be; leave it out of "
+            "variances=, or give the stream some, stream.replace(variances=...)",
+            variable=variable,
+        )
+    found = columns(variable, stream.replace(values=stream.variances, variances=None))
+    lost = np.flatnonzero(np.isnan(found).any(axis=1) & ~np.isnan(stream.values).all(axis=1))
+    if lost.size:
+        raise EvidenceError(
+            f"the sensor {name!r} has no variances in {count(lost.size, 'row')} "
+            f"({rows_text(lost)}); leave these rows out, or say how sure they are",
+            variable=variable,
+        )
+    return found
+
+
+def require_variances(
+    variances: Any, sensors: Mapping[Variable, str]
+) -> Mapping[Variable, Variable]:
+    """Variables of variances by sensor, each of a sensor that is asked for."""
+    if isinstance(variances, Variable):
+        raise EvidenceError(
+            f"variances= says whose they are, like {{{next(iter(sensors), 'z')!r}: {variances!r}}}",
+            variable=variances,
+        )
+    found = as_mapping(variances, "variances=")
+    for variable, one in found.items():
+        require_variable(one, "variances=")
+        if variable not in sensors:
+            raise EvidenceError(
+                f"variances= has {variable!r}, which is not in sensors=: ({listed(sensors)})",
+                variable=one,
+            )
+    return found
 
 
 def columns(variable: Variable, stream: Stream) -> Array:

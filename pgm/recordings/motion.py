@@ -14,7 +14,7 @@ from pgm.boundary import is_number
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.io.stamped import SAME, clock, rows_text
-from pgm.kernels import rigid
+from pgm.kernels import twists
 from pgm.kernels.arrays import Array, Integers
 from pgm.recordings.stream import Stream
 
@@ -74,7 +74,7 @@ class Spans:
         found = np.zeros((len(times) - 1, 3))
         moved, first = np.unique(step, return_index=True)
         if moved.size:
-            found[moved] = rigid.composed(self._parts(row, share), first)
+            found[moved] = twists.composed(self._parts(row, share), first)
         return found
 
     def arcs(self, times: Array) -> Array | None:
@@ -114,21 +114,21 @@ class Spans:
         found = self.whole[row]
         cut = np.flatnonzero(share != 1.0)
         if cut.size:
-            found[cut] = rigid.motions(self._twists()[row[cut]], share[cut])
+            found[cut] = twists.motions(self._twists()[row[cut]], share[cut])
         return found
 
     def _twists(self) -> Array:
         if self.steady is not None:
             return self.steady
         turn = np.abs(self.whole[:, 2])
-        if (around := turn >= rigid.WHOLE).any():
+        if (around := turn >= twists.WHOLE).any():
             row = int(around.argmax())
             raise EvidenceError(
                 f"{self.what}, row {row}: a turn of {self.whole[row, 2]:.4g} rad, a whole one, "
                 "from which no course in between follows; keep to the stamps, or give distance "
                 "and turn"
             )
-        return rigid.twists(self.whole)
+        return twists.twists(self.whole)
 
 
 def of_odometry(stream: Stream) -> Spans:
@@ -149,7 +149,7 @@ def of_odometry(stream: Stream) -> Spans:
         )
     else:
         steady = np.insert(values, 1, 0.0, axis=1)
-        whole = rigid.motions(steady)
+        whole = twists.motions(steady)
     return Spans("odometry", edges[:-1], edges[1:], whole, steady)
 
 
@@ -159,7 +159,9 @@ def of_velocities(stream: Stream) -> Spans:
     if stream.components == SPEEDS:
         values = np.insert(values, 1, 0.0, axis=1)
     steady = values * np.diff(stream.stamps)[:, None]
-    return Spans("velocities", stream.stamps[:-1], stream.stamps[1:], rigid.motions(steady), steady)
+    return Spans(
+        "velocities", stream.stamps[:-1], stream.stamps[1:], twists.motions(steady), steady
+    )
 
 
 def of_wheels(left: Array, right: Array, wheelbase: float) -> Array:

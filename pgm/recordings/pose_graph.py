@@ -9,9 +9,9 @@ import numpy as np
 
 from pgm.display import NoArray, Shown, Summary, count
 from pgm.errors import EvidenceError
-from pgm.kernels import rigid
+from pgm.io.dropped import Dropped
+from pgm.kernels import twists
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.recordings.mending import Dropped
 from pgm.recordings.motion import PLANAR
 from pgm.recordings.recording import Recording
 from pgm.recordings.scans import Scans
@@ -140,7 +140,7 @@ class PoseGraph(Shown, NoArray):
             assert rest.size == again
         motions, cov = edges.motions[chosen], edges.covariances[chosen]
         back = edges.second[chosen] < edges.first[chosen]
-        motions[back], slope = rigid.inverse(motions[back])
+        motions[back], slope = twists.inverse(motions[back])
         cov[back] = slope @ cov[back] @ slope.swapaxes(1, 2)
         spread = np.diagonal(cov, axis1=1, axis2=2) if steps else None
         seen = self.sightings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Hashable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -9,18 +10,19 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_mapping, is_number
 from pgm.display import TITLE, Listing, NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
+from pgm.io.dropped import Dropped
 from pgm.io.poses import Poses
 from pgm.io.stamped import SAME
 from pgm.io.timeline import Timeline, joined
-from pgm.kernels import rigid
+from pgm.kernels import twists
 from pgm.kernels.arrays import Array
 from pgm.recordings import checks, handing, mending, motion, reference, summaries
-from pgm.recordings.mending import Dropped
 from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
 from pgm.variables import Variable
@@ -31,6 +33,7 @@ _PARTS = ("name", "odometry", "velocities", "sightings", "landmarks", "landmark_
 _MORE = ("imu", "fixes", "scans", "mounts", "dropped")
 
 
+@public
 class Recording(Shown, NoArray, Immutable):
     """A recorded drive in the plane: streams of rows, each with its own stamps.
 
@@ -116,6 +119,7 @@ class Recording(Shown, NoArray, Immutable):
     ) -> None:
         told = list(dropped)
         if isinstance(truth, Poses):
+            told += [dataclasses.replace(each, stream="truth") for each in truth.dropped]
             truth = Stream(truth.times, truth.planar, POSE)
         streams: dict[str, Stream | None] = {}
         for key, given, mend in (
@@ -162,6 +166,7 @@ class Recording(Shown, NoArray, Immutable):
         """The times at which rows of the motion begin and end [s]."""
         return self._motion().axis
 
+    @public
     def stamps(self, *sensors: str, tolerance: float = 0.0) -> Array:
         """The stamps of the motion, and of sensors within its time; all sensors and fixes without.
 
@@ -198,6 +203,7 @@ class Recording(Shown, NoArray, Immutable):
             changes["velocities"] = motion.cut_velocities(self.velocities, first, last)
         return self.replace(**changes)
 
+    @public
     def resampled(
         self, times: npt.ArrayLike | None = None, *, period: float | None = None
     ) -> Recording:
@@ -233,6 +239,7 @@ class Recording(Shown, NoArray, Immutable):
         """The recording `resampled` at `stamps`."""
         return self.resampled(self.stamps())
 
+    @public
     def dead_reckoning(
         self, start: npt.ArrayLike | None = None, times: npt.ArrayLike | None = None
     ) -> Stream:
@@ -259,8 +266,9 @@ class Recording(Shown, NoArray, Immutable):
         pose = as_floats(start, "start=", EvidenceError)
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise EvidenceError(f"start= is (east, north, heading), not {start!r}")
-        return Stream(axis, rigid.path(pose, spans.between(axis)), POSE)
+        return Stream(axis, twists.path(pose, spans.between(axis)), POSE)
 
+    @public
     def truth_at(self, times: npt.ArrayLike, *, longest: float | None = None) -> Stream:
         """The truth at given times (m,), between its own on a line; headings are not wrapped.
 
@@ -280,6 +288,7 @@ class Recording(Shown, NoArray, Immutable):
                 told.append(Dropped(name, NO_PLACE, np.flatnonzero(lost)))
         return self.replace(sightings=seen, dropped=told)
 
+    @public
     def calibrated(
         self, sensor: str, scale: float = 1.0, offset: float = 0.0, *, component: str = "range"
     ) -> Recording:
@@ -299,6 +308,7 @@ class Recording(Shown, NoArray, Immutable):
         mended = stream.replace(values=values, variances=variances)
         return self.replace(sightings={**self.sightings, sensor: mended})
 
+    @public
     def timeline(
         self,
         times: npt.ArrayLike | None = None,
@@ -307,6 +317,7 @@ class Recording(Shown, NoArray, Immutable):
         velocities: Variable | None = None,
         sensors: Mapping[Variable, str] | None = None,
         landmark: Variable | None = None,
+        variances: Mapping[Variable, Variable] | None = None,
         tolerance: float | None = None,
     ) -> Timeline:
         """Evidence of a network: the streams handed to `pgm.timeline` under its variables.
@@ -325,6 +336,10 @@ class Recording(Shown, NoArray, Immutable):
         landmark : Variable, optional
             The observed parent of the sensors whose rows have subjects: the place of each, which
             they must have (`located`).
+        variances : mapping of Variable to Variable, optional
+            Of sensors, the observed parent that the variances of each reading are evidence of,
+            whose components are called like the sensor's: with ``variances={z: r}`` and
+            ``cov=pgm.noise(lambda r: r, given=r, diagonal=True)`` a reading is as sure as its row.
         tolerance : float, optional
             As of `pgm.timeline`.
 
@@ -332,6 +347,7 @@ class Recording(Shown, NoArray, Immutable):
         named = as_mapping(sensors, "sensors=")
         for variable in named:
             handing.require_variable(variable, "sensors=")
+        spread = handing.require_variances(variances, named)
         if times is None:
             axis = self.stamps(*named.values(), tolerance=tolerance or 0.0)
         else:
@@ -343,6 +359,7 @@ class Recording(Shown, NoArray, Immutable):
             velocities=velocities,
             sensors=named,
             landmark=landmark,
+            variances=spread,
             tolerance=tolerance,
         )
 

@@ -8,19 +8,24 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_number, is_unordered
 from pgm.display import NoArray, Shown, Summary, count, table
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
+from pgm.io import degrees
 from pgm.io.stamped import as_stamps, clock
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.resources import FRAMES, optional
 
 Subjects = npt.NDArray[Any]
+# Bearings are within a turn; headings may go on, but not in jumps.
+_ANGLES = {"heading": degrees.seem_degrees, "bearing": degrees.beyond_a_turn}
 _SUBJECTS = {int: np.dtype(int), str: np.dtype(np.str_), type(None): np.dtype(object)}
 
 
+@public
 class Stream(Shown, NoArray, Immutable):
     """Rows with their stamps; values are read by component, ``stream["range"]``.
 
@@ -43,7 +48,8 @@ class Stream(Shown, NoArray, Immutable):
     Raises
     ------
     EvidenceError
-        If shapes do not fit, stamps are not finite, or variances are negative.
+        If shapes do not fit, stamps are not finite, variances are negative, or headings or
+        bearings seem to be degrees.
 
     Examples
     --------
@@ -90,9 +96,11 @@ class Stream(Shown, NoArray, Immutable):
         if spread is not None and (spread < 0.0).any():
             row = int(np.argwhere(spread < 0.0)[0, 0])
             raise EvidenceError(f"variances, row {row}: {spread[row].tolist()}; 0 or more was due")
+        table = _table("values", values, when.size, names)
+        _require_radians(when, table, names)
         self._set(
             stamps=frozen(when),
-            values=frozen(_table("values", values, when.size, names)),
+            values=frozen(table),
             components=names,
             subject=None if subject is None else _subjects(subject, when.size),
             variances=None if spread is None else frozen(spread),
@@ -192,6 +200,18 @@ def _table(what: str, value: Any, rows: int, names: tuple[str, ...]) -> Array:
             f"and a column for each of {listed(names)}"
         )
     return array
+
+
+def _require_radians(stamps: Array, values: Array, names: tuple[str, ...]) -> None:
+    """Refuse headings and bearings in degrees, as far as numbers tell."""
+    order = np.argsort(stamps, kind="stable")
+    for name, seem in _ANGLES.items():
+        if name in names and seem(angles := values[order, names.index(name)]):
+            raise EvidenceError(
+                f"{name!r} goes to {np.nanmax(np.abs(angles)):.4g} rad; it seems to be in degrees: "
+                "np.radians(degrees) makes radians; radians of many turns are to be wrapped, "
+                "(a + np.pi) % (2 * np.pi) - np.pi"
+            )
 
 
 def _subjects(value: Any, rows: int) -> Subjects:

@@ -35,6 +35,8 @@ class Program:
         Of each hidden component, stacked: the argument, and its component there.
     slope : tuple of (int or None)
         d n of them, row by row; None is zero.
+    cast : bool
+        Whether the function made floats of traced numbers: by them it may decide unseen.
     """
 
     graph: Recorder
@@ -42,22 +44,25 @@ class Program:
     value: tuple[int, ...]
     columns: tuple[Column, ...] = ()
     slope: tuple[int | None, ...] = ()
+    cast: bool = False
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: self.__dict__[field.name] for field in fields(self)}
 
     @cached_property
-    def _by(self) -> dict[tuple[Column, ...], Program]:
+    def _by(self) -> dict[tuple[tuple[Column, ...], int], Program]:
         return {}
 
-    def by(self, columns: tuple[Column, ...]) -> Program:
-        """The same value, and its derivative by some components of the arguments."""
-        found = self._by.get(columns)
+    def by(self, columns: tuple[Column, ...], height: int | None = None) -> Program:
+        """The same value, or its first components, and its derivative by some of the arguments'."""
+        value = self.value[:height]
+        found = self._by.get((columns, len(value)))
         if found is None:
             graph = self.graph.copy()
-            rows = derivatives(graph, self.value, [graph.input(*column) for column in columns])
+            rows = derivatives(graph, value, [graph.input(*column) for column in columns])
             slope = tuple(row.get(j) for row in rows for j in range(len(columns)))
-            found = self._by[columns] = replace(self, graph=graph, columns=columns, slope=slope)
+            found = replace(self, graph=graph, value=value, columns=columns, slope=slope)
+            self._by[columns, len(value)] = found
         return found
 
     @property
@@ -153,17 +158,24 @@ class Program:
                 self._batch(*parts, value[:, *cut], slope[:, :, *cut])
         return value, slope
 
+    def numbers(self, components: Sequence[float]) -> tuple[float, ...] | None:
+        """The value and the derivative, row by row, at all components of the arguments.
+
+        None where Python raises what NumPy makes infinities and NaNs of.
+        """
+        try:
+            return self._scalar(*components)
+        except (ArithmeticError, ValueError):
+            return None
+
     def single(self, arguments: Sequence[Array]) -> tuple[Array, Array, bool]:
         """The value (d,), the derivative (d, n), and whether they are finite, at (width,) each."""
-        height = len(self.value)
-        try:
-            found = self._scalar(*[c for argument in arguments for c in argument.tolist()])
-            finite = math.isfinite(sum(found))
-        except (ArithmeticError, ValueError):  # where NumPy has infinities and NaNs
+        found = self.numbers([c for argument in arguments for c in argument.tolist()])
+        if found is None:
             value, slope = self.batch(arguments, ())
             return value, slope, bool(np.isfinite(value).all() and np.isfinite(slope).all())
-        every = np.array(found, dtype=float)
-        return every[:height], every[height:].reshape(height, -1), finite
+        every, height = np.array(found, dtype=float), len(self.value)
+        return every[:height], every[height:].reshape(height, -1), math.isfinite(sum(found))
 
 
 def _cuts(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:

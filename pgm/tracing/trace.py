@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Mask, components_last, difference
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Mask, components_last
 from pgm.tracing.program import Program
-from pgm.tracing.surroundings import Surroundings
 from pgm.tracing.traced import STAND_INS, Node, Recorder, Traced, Untraceable, bare, traced_elements
 
 LIMIT = 2000  # operations
@@ -32,7 +32,7 @@ def trace(
             "(np.zeros, np.asarray(x, dtype=float)); np.stack and np.zeros_like are traced"
         )
     graph, outputs = made[0]
-    return Program(graph.copy(), tuple(widths), outputs)
+    return Program(graph.copy(), tuple(widths), outputs, cast=graph.cast)
 
 
 def _recorded(
@@ -81,12 +81,17 @@ _DIFFERS = (
 # What the points of a comparison are from its centre, as shares of 1 + |centre|.
 _SPREAD = np.array([[0.0, 0.01, 1.0], [1.0, 10.0, 100.0]])
 _EQUAL = 1e-12
+# A trace that fails for the n-th time in a row is left out of 2^n − 1 calls, at most so.
+_MOST_FAILURES = 6
 
 
 class Tracer:
-    """A function and its trace, which is made when it is first asked for.
+    """A function and its trace, which is made when a call first asks for it.
 
-    It is used once it has been compared with the function, and as long as it equals it.
+    It is compared with the function at some drawn points, and then used as long as no call that
+    used it finds it wrong (`pgm.tracing.judging`). One that is wrong though it was just made is
+    given up for some calls, twice as many each time: the function may have been disturbed once, by
+    another thread or a reading of the clock, or may draw at random.
 
     Parameters
     ----------
@@ -95,61 +100,83 @@ class Tracer:
         Components of each argument.
     angles : ndarray
         Which components of the value are angles, (d,).
+
+    Attributes
+    ----------
+    trace : Program or None
+    reason : str or None
+        The reason why there is no trace, or the last call did without.
     """
 
     def __init__(self, function: Callable[..., Any], widths: Sequence[int], angles: Mask) -> None:
         self.function, self.widths, self.angles = function, tuple(widths), angles
-        self.reason: str | None = None
         self.trace: Program | None = None
-        # Shapes of batches at which it has been compared since the last plan was made.
-        self.compared: set[tuple[int, ...]] = set()
-        self.surroundings: Surroundings | None = None
-        # Values, and points about them.
-        self._drawn: tuple[list[bytes], list[Array]] | None = None
+        self.reason: str | None = None
+        # Whether a call has found it right; how often it failed since, and calls to leave out.
+        self._proven, self._failures, self._waits = False, 0, 0
+        self._stale = False
 
-    def confirm(self, centres: Sequence[Array]) -> bool:
-        """Whether there is a trace that equals the function about some values (width,).
+    def confirm(self, centres: Sequence[Array], *, anew: bool = False) -> bool:
+        """Whether there is a trace; a new one equals its function about some values (width,).
 
-        A function that may have changed, with its closure, is traced again: no point shows all of
-        a change, such as that of a limit between them.
+        Where nobody judges the trace afterwards it is to be made `anew`.
         """
-        if self.reason is not None:
+        if self._waits:
+            self._waits -= 1
             return False
-        self.compared, settled, held = set(), self.settled(), self.surroundings
-        if held is None or (held.known and not settled):
-            held = Surroundings(self.function)
-        places = [centre.tobytes() for centre in centres]
-        if self._drawn is None or self._drawn[0] != places:
-            self._drawn = places, around(centres)
-            for point in self._drawn[1]:
-                point[-1, -1] = np.nan  # by which a function shows what it does about such
-        elif settled:
+        if self.trace is not None and not (anew or self._stale):
             return True
-        found: Program | str | None = self.trace
-        if found is None or not settled:
-            found = trace(self.function, self.widths, (self.angles.size,))
-            if repr(found) == repr(self.trace):
-                found = self.trace  # what was made of it is still good
-        if isinstance(found, Program) and self._equal(found, self._drawn[1]):
-            # Last, since other threads trust a trace by it.
-            self.trace, self.surroundings = found, held
-            return True
-        self.trace, self.reason = None, found if isinstance(found, str) else _DIFFERS
-        return False
+        self._stale = False
+        found = trace(self.function, self.widths, (self.angles.size,))
+        if not isinstance(found, Program):
+            self._fail(found)
+            return False
+        if not self._equal(found, centres):
+            self._fail(_DIFFERS)
+            return False
+        if repr(found) != repr(self.trace):  # else what was made of it is still good
+            self.trace = found
+        self._proven = False
+        return True
+
+    def renew(self) -> None:
+        """Have the function traced anew when it is next asked for."""
+        self._stale, self._waits = True, 0
+
+    def prove(self, proven: Program) -> None:
+        """Take a trace for right, since a call has found it so."""
+        if self.trace is proven:
+            self._proven, self._failures, self.reason = True, 0, None
+
+    def doubt(self, doubted: Program, reason: str, *, moved: bool) -> None:
+        """Give up a trace that a call has found wrong; where values have moved, make it anew once.
+
+        It was right before then, so that its function may have changed.
+        """
+        if self.trace is doubted:
+            if self._proven and moved:
+                self.trace = None
+            else:
+                self._fail(reason)
 
     def traced(self) -> Program | str:
-        """The trace, confirmed about zero, or the reason for none."""
-        self.confirm([np.zeros(width) for width in self.widths])
-        return self.trace or str(self.reason)
-
-    def settled(self) -> bool:
-        """Whether nothing that the function refers to can have changed since `confirm`."""
-        return self.surroundings is not None and self.surroundings.same()
+        """The trace as the function is now, or the reason for none."""
+        if self.reason is None:
+            self.confirm([np.zeros(width) for width in self.widths], anew=True)
+        return str(self.reason) if self.trace is None else self.trace
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"surroundings": None, "_drawn": None}
+        return self.__dict__ | {"_proven": False}
 
-    def _equal(self, found: Program, points: list[Array]) -> bool:
+    def _fail(self, reason: str) -> None:
+        self.trace, self.reason, self._proven = None, reason, False
+        self._failures = min(self._failures + 1, _MOST_FAILURES)
+        self._waits = 2**self._failures - 1
+
+    def _equal(self, found: Program, centres: Sequence[Array]) -> bool:
+        points = around(centres)
+        for point in points:
+            point[-1, -1] = np.nan  # by which a function shows what it does about such
         with np.errstate(all="ignore"):
             try:
                 due = np.asarray(self.function(*[point.copy() for point in points]), dtype=float)

@@ -1,9 +1,7 @@
-"""The viewer's script: one text of its modules, which a built wheel holds ready."""
+"""The viewer's script: its modules as one text, which a page holds."""
 
-import re
-from pathlib import Path
+from importlib.resources import files
 
-FOLDER = Path(__file__).parent
 # In the order in which they build on one another.
 SCRIPTS = (
     "numbers",
@@ -23,13 +21,7 @@ SCRIPTS = (
 
 
 def script() -> str:
-    """The script of a page: as the wheel has it, or of the modules of a checkout."""
-    packed = FOLDER / "script.js"
-    return packed.read_text("utf-8") if packed.is_file() else joined()
-
-
-def joined() -> str:
-    """The modules one after the other, without their comments and indents, as a page needs them."""
-    modules = (FOLDER.joinpath("script", f"{name}.js").read_text("utf-8") for name in SCRIPTS)
-    lean = re.sub(r"^\s*//.*\n|^[ \t]+", "", "\n".join(modules), flags=re.MULTILINE)
-    return '"use strict";\n(() => {\n' + lean + "\n})();\n"
+    """The modules one after the other, in a scope of their own."""
+    folder = files("pgm.viewer").joinpath("script")
+    modules = (folder.joinpath(f"{name}.js").read_text("utf-8") for name in SCRIPTS)
+    return '"use strict";\n(() => {\n' + "\n".join(modules) + "\n})();\n"

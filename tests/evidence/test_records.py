@@ -248,3 +248,22 @@ def test_columns_that_the_table_lacks():
 def test_variables_that_are_none():
     with pytest.raises(pgm.ModelError, match="records: the network holds variables, not 'wet'"):
         pgm.records(TEXTS, ["wet"])
+
+
+def test_cells_that_are_states_once_they_are_texts():
+    """Boolean and binned columns, of which fitted networks have the texts for states."""
+    pandas = pytest.importorskip("pandas")
+    ages = pandas.cut([5, 20, 40], [0, 10, 30, 99])
+    frame = pandas.DataFrame({"age": ages, "ok": [True, False, True]})
+    age = pgm.Discrete("age", tuple(map(str, ages.categories)))
+    ok = pgm.Discrete("ok", ("False", "True"))
+    for name in frame:
+        with pytest.raises(pgm.EvidenceError, match=r"column\.astype\(str\)"):
+            pgm.records(frame[[name]], (age, ok))
+    found = pgm.records(frame.astype(str), (age, ok))
+    assert {str(v.name): k.tolist() for v, k in found.items()} == {
+        "age": [0, 1, 2],
+        "ok": [1, 0, 1],
+    }
+    with pytest.raises(pgm.EvidenceError, match=r"has 'old' .*an empty text\)$"):
+        pgm.records({"age": ["old"]}, (age,))

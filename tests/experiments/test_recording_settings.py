@@ -140,8 +140,8 @@ def test_a_bag_with_fixes_and_a_laser(tmp_path, capsys):
         messages.append(("/odom", make.odometry(t, *at)))
         if k % 5 == 0:
             east, north = TRUE[k, :2]
-            degree = 6378137.0 * np.pi / 180.0
-            messages.append(("/gps", make.fix(t, north / (0.99331 * degree), east / degree)))
+            # Not at 0°, 0°, where receivers without a fix are; degrees are 110.6 and 111.2 km.
+            messages.append(("/gps", make.fix(t, 3.0 + north / 110_577.0, 4.0 + east / 111_169.0)))
             messages.append(("/scan", make.scan(t, [1.0, 2.0, 3.0])))
     bags.write(tmp_path / "drive", 2, messages)
     file = tmp_path / "bag.toml"

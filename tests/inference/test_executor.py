@@ -17,7 +17,7 @@ from robots import LANDMARKS, P0, SENSORS, controls, drive_along, drive_cpd, m, 
 import pgm
 from models import discrete
 from pgm.inference.parts import split as parts
-from pgm.inference.parts.parcels import idle_blocks
+from pgm.inference.parts.shared_memory import idle_blocks
 
 RUNS, T = 23, 8
 SIGHT = SENSORS["range_bearing"]

@@ -13,7 +13,7 @@ from textbooks import wrapped
 
 import pgm
 from pgm.inference.parts import split as parts
-from pgm.kernels import roots
+from pgm.kernels import mahalanobis
 
 SIGHT, FIX = SENSORS["range_bearing"], copy(SENSORS["position"])
 z = SIGHT.z
@@ -267,10 +267,10 @@ def test_squared_lengths_by_elimination():
         [off[k, :, r] @ np.linalg.solve(cov[k, :, :, r], off[k, :, r]) for r in range(5)]
         for k in range(3)
     ]
-    assert_allclose(roots.squares(off, cov), due, rtol=1e-7)
+    assert_allclose(mahalanobis.squares(off, cov), due, rtol=1e-7)
     cov[:, 3], cov[:, :, 3], off[:, 3] = cov[:, 0], cov[:, :, 0], off[:, 0]  # determined
-    part = roots.squares(off[:, :3], cov[:, :3, :3])
-    assert_allclose(roots.squares(off, cov), part, rtol=1e-6)
+    part = mahalanobis.squares(off[:, :3], cov[:, :3, :3])
+    assert_allclose(mahalanobis.squares(off, cov), part, rtol=1e-6)
 
 
 A, B = pgm.variables("a b")

@@ -177,9 +177,9 @@ GOOD = "0.0 1 2 0 0 0 0 1\n"
         (GOOD + "1.0 1 2_0 0 0 0 0 1\n", 2, "'2_0' is no number"),
         (GOOD + "1.0 1 nan 0 0 0 0 1\n", 2, "'nan' is not finite"),
         (GOOD + "inf 1 2 0 0 0 0 1\n", 2, "'inf' is not finite"),
-        (GOOD + GOOD, 2, r"t = 0 s does not come after 0 s of line 1; sort the lines"),
-        (GOOD + "# c\n-1.5 1 2 0 0 0 0 1\n", 3, r"t = -1.5 s does not come after 0 s of line 1"),
+        ("1403715524907143168 1 2 0 0 0 0 1\n", None, "seem to be nanoseconds"),
         (GOOD + "1.0 1 2 0 0 0 0 0\n", 2, "have the length 0, and were to be a unit"),
+        (GOOD + "1.0 1 2 0 0 0 0 1e300\n", 2, "have the length inf"),
         (GOOD + "1.0 1 2 0 0 0 1 1\n", 2, r"have the length 1.41421.*w last"),
     ],
 )
@@ -194,6 +194,25 @@ def test_malformed_poses(text, line, told, tmp_path):
 
 
 HEAD = "t,east*east,east*north,north*north\n"
+
+
+def test_stamps_that_repeat_or_go_back(tmp_path):
+    """Of two poses of one stamp the first is taken, and poses come in order of time; both told."""
+    path, beside = tmp_path / "a.tum", tmp_path / "a.csv"
+    rows = [(0.0, 1), (0.2, 3), (0.2, 4), (0.1, 2), (0.3, 5), (0.2, 6)]
+    path.write_text("".join(f"{t} {x} 0 0 0 0 0 1\r\n" for t, x in rows))
+    beside.write_text("t,east*east\n" + "".join(f"{t},{x / 10}\n" for t, x in rows))
+    poses = pgm.read_tum(path, beside)
+    assert_array_equal(poses.times, [0.0, 0.1, 0.2, 0.3])
+    assert_array_equal(poses.position[:, 0], [1, 2, 3, 5])
+    assert_array_equal(poses.cov[:, 0, 0], [0.1, 0.2, 0.3, 0.5])
+    back, again = poses.dropped
+    assert (back.rows.tolist(), back.kept) == ([3, 5], True)
+    assert (again.rows.tolist(), again.kept) == ([2, 5], False)
+    assert "2 dropped: of a stamp seen before (rows 2, 5)" in repr(poses)
+    drive = pgm.Recording(truth=poses)
+    assert {each.stream for each in drive.dropped} == {"truth"}
+    assert "of a stamp seen before" in repr(drive)
 
 
 @pytest.mark.parametrize(

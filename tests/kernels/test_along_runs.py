@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from pgm.kernels import along_runs, arrays, moments, roots
+from pgm.kernels import along_runs, arrays, moments, roots, solving
 from pgm.kernels.arrays import by_runs, stacked, transpose
 from tests.dense import random_covariance
 
@@ -171,7 +171,7 @@ def test_roots_and_solves_keep_the_layout(runs):
     right = by_run(np.random.default_rng(2).normal(size=(runs, 3, 2)))
     lower = roots.root(by_run(cov))
     assert_allclose(lower, np.linalg.cholesky(cov), atol=1e-12)
-    solved = [roots.solve_lower(lower, right), roots.solve_upper(lower, right)]
+    solved = [solving.solve_lower(lower, right), solving.solve_upper(lower, right)]
     assert_allclose(lower @ solved[0], right, atol=1e-9)
     assert_allclose(transpose(lower) @ solved[1], right, atol=1e-9)
     if runs >= 32:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pgm.kernels import roots
-from pgm.kernels.roots import Tridiagonal
+from pgm.kernels import tridiagonal
+from pgm.kernels.tridiagonal import Tridiagonal
 
 
 def system(rng, count, runs, size):
@@ -38,7 +38,7 @@ def dense(s, run):
 def test_the_solution_is_that_of_the_dense_system(count, runs, size):
     s = system(np.random.default_rng(count), count, runs, size)
     before = [part.copy() for part in s]
-    found = roots.solve_tridiagonal(s)
+    found = tridiagonal.solve_tridiagonal(s)
     for run in range(runs):
         due = np.linalg.solve(dense(s, run), s.right[:, run].ravel())
         np.testing.assert_allclose(found[:, run].ravel(), due, rtol=1e-8, atol=1e-8)
@@ -50,6 +50,6 @@ def test_the_solution_is_that_of_the_dense_system(count, runs, size):
 def test_what_is_not_positive_definite_is_nan(k):
     s = system(np.random.default_rng(0), 5, 2, 2)
     s.diagonal[k, 1] = 0.0
-    found = roots.solve_tridiagonal(s)
+    found = tridiagonal.solve_tridiagonal(s)
     assert np.isnan(found[:, 1]).all()
     assert np.isfinite(found[:, 0]).all()

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from pgm.kernels import slopes
+from pgm.kernels import differences
 from tests.dense import algebra, matrices, vectors
 
 PLAIN = np.array([False, False])
@@ -32,7 +32,7 @@ def smooth_by_x(x):
 @pytest.mark.parametrize("lead", [(), (7,), (2, 5)])
 def test_smooth_functions(lead, std):
     x = np.random.default_rng(0).normal(size=(*lead, 2))
-    found = slopes.jacobian(smooth, x, np.full(x.shape, std), PLAIN)
+    found = differences.jacobian(smooth, x, np.full(x.shape, std), PLAIN)
     assert found.shape == (*lead, 2, 2)
     assert_allclose(found, smooth_by_x(x), atol=1e-8)
 
@@ -40,7 +40,7 @@ def test_smooth_functions(lead, std):
 @algebra
 @given(matrices(2, 3), vectors(2), vectors(3), st.floats(0, 10))
 def test_affine_functions_are_exact(matrix, offset, x, std):
-    found = slopes.jacobian(
+    found = differences.jacobian(
         lambda p: p @ matrix.T + offset, x, np.full(3, std), np.array([False, False])
     )
     assert_allclose(found, matrix, atol=1e-9)
@@ -49,14 +49,14 @@ def test_affine_functions_are_exact(matrix, offset, x, std):
 def test_quartics_are_exact():
     # A fourth-order rule has no error on them, however long its steps.
     x = np.array([1.5])
-    found = slopes.jacobian(lambda p: p**4 - p**3, x, np.array([100.0]), np.array([False]))
+    found = differences.jacobian(lambda p: p**4 - p**3, x, np.array([100.0]), np.array([False]))
     assert_allclose(found, [[4 * 1.5**3 - 3 * 1.5**2]], rtol=1e-10)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e6])
 def test_large_coordinates(scale):
     x = scale * np.array([3.0, -4.0])
-    found = slopes.jacobian(
+    found = differences.jacobian(
         lambda p: np.hypot(p[..., 0], p[..., 1])[..., None], x, np.zeros(2), np.array([False])
     )
     # Below, the step of 1e-4 is long; above, the values' own rounding shows.
@@ -70,7 +70,7 @@ def test_angles_across_the_cut(offset):
 
     x = np.array([-2.0, offset])
     square = x @ x
-    found = slopes.jacobian(bearing, x, np.full(2, 0.1), np.array([True]))
+    found = differences.jacobian(bearing, x, np.full(2, 0.1), np.array([True]))
     assert_allclose(found, [[-x[1] / square, x[0] / square]], atol=1e-8)
 
 
@@ -81,5 +81,5 @@ def test_one_call():
         calls.append(x.shape)
         return x[..., :1]
 
-    slopes.jacobian(record, np.zeros((5, 3)), np.zeros((5, 3)), np.array([False]))
+    differences.jacobian(record, np.zeros((5, 3)), np.zeros((5, 3)), np.array([False]))
     assert calls == [(5, 12, 3)]

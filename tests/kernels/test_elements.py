@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from pgm.kernels import elements
+from pgm.kernels import elements, prefixes
 from pgm.kernels.elements import Belief, Element, Likelihood
 
 N = 3
@@ -131,17 +131,17 @@ def test_a_scan_is_a_loop(steps):
     start = Belief(
         np.zeros((1, runs, N)), np.broadcast_to(np.eye(N), (1, runs, N, N)), np.zeros((1, runs))
     )
-    found = elements.prefixes(start, elements.levels(stack, elements.compose), elements.push)
+    found = prefixes.prefixes(start, prefixes.levels(stack, elements.compose), elements.push)
     belief = start
     for step in range(steps):
-        belief = elements.push(belief, elements.take(stack, slice(step, step + 1)))
-        close(elements.take(found, slice(step, step + 1)), belief, 1e-7)
+        belief = elements.push(belief, prefixes.take(stack, slice(step, step + 1)))
+        close(prefixes.take(found, slice(step, step + 1)), belief, 1e-7)
 
 
 def test_chunks_are_as_good_as_the_whole(monkeypatch):
     rng = np.random.default_rng(1)
     rows = [element(rng, N, 2) for _ in range(50)]
     stack = Element(*(np.array([[getattr(e, f)] for e in rows]) for f in Element._fields))
-    whole = elements.in_chunks(elements.compose, stack, stack)
-    monkeypatch.setattr(elements, "_CHUNK", 7)
-    close(elements.in_chunks(elements.compose, stack, stack), whole, 1e-12)
+    whole = prefixes.in_chunks(elements.compose, stack, stack)
+    monkeypatch.setattr(prefixes, "_CHUNK", 7)
+    close(prefixes.in_chunks(elements.compose, stack, stack), whole, 1e-12)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from pgm.kernels.resampling import draws_needed, keys, occupied
+from pgm.kernels.kld_sampling import draws_needed, keys, occupied
 
 
 @pytest.mark.parametrize("bins", [10, 100, 1000])

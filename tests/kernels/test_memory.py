@@ -6,7 +6,8 @@ caching = pytest.importorskip("numba.core.caching", reason="kernels are compiled
 
 
 @pytest.mark.parametrize("writable", [True, False])
-def test_a_kernel_needs_no_folder_to_be_kept_in(writable, monkeypatch):
+def test_a_kernel_needs_no_folder_to_be_kept_in(writable, monkeypatch, caplog):
+    from pgm.kernels.compiled import store
     from pgm.kernels.compiled.memory import kept
 
     if not writable:
@@ -17,6 +18,10 @@ def test_a_kernel_needs_no_folder_to_be_kept_in(writable, monkeypatch):
         for kind in vars(caching).values():
             if "ensure_cache_path" in getattr(kind, "__dict__", ()):
                 monkeypatch.setattr(kind, "ensure_cache_path", refuse)
-    kernel = kept(lambda x: x + 1.0)
+    store.tell.cache_clear()
+    kernel = kept(lambda x: x + 1.0, "risen")
     assert kernel(1.0) == 2.0
     assert isinstance(kernel._cache, caching.FunctionCache) is writable
+    if not writable:
+        assert kernel._cache.cache_path is None
+        assert "in each process anew" in caplog.text

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from pgm.kernels.slopes import range_inverse, regress
+from pgm.kernels.regression import range_inverse, regress
 
 
 def data(rng, lead=(), count=12):

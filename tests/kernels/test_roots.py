@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from pgm.kernels import roots
+from pgm.kernels import roots, solving
 from tests.dense import algebra, definite, matrices, random_covariance
 
 # Batches that are solved matrix by matrix, and ones that are solved column by column.
@@ -118,17 +118,17 @@ def test_a_batch_is_its_singles(lead, rank):
     right = matrix @ rng.normal(size=(*lead, 4, 2))
     lower = roots.root(matrix)
     parts = {
-        "solve_lower": roots.solve_lower(lower, right),
-        "solve_upper": roots.solve_upper(lower, right),
-        "solve": roots.solve(lower, right),
-        "log_determinant": roots.log_determinant(lower),
+        "solve_lower": solving.solve_lower(lower, right),
+        "solve_upper": solving.solve_upper(lower, right),
+        "solve": solving.solve(lower, right),
+        "log_determinant": solving.log_determinant(lower),
     }
     for k in np.ndindex(lead):
         single = roots.root(matrix[k])
         assert_allclose(lower[k], single, atol=1e-7)
         for name, part in parts.items():
             arguments = () if name == "log_determinant" else (right[k],)
-            expected = getattr(roots, name)(lower[k], *arguments)
+            expected = getattr(solving, name)(lower[k], *arguments)
             assert_allclose(part[k], expected, rtol=1e-9, atol=1e-9)
 
 
@@ -150,11 +150,11 @@ def test_solving_is_that_of_numpy(lead):
     rng = np.random.default_rng(0)
     matrix = random_covariance(rng, 3, lead=lead) + np.eye(3)
     right, lower = rng.normal(size=(*lead, 3, 2)), roots.root(matrix)
-    assert_allclose(roots.solve_lower(lower, right), np.linalg.solve(lower, right), atol=1e-10)
+    assert_allclose(solving.solve_lower(lower, right), np.linalg.solve(lower, right), atol=1e-10)
     upper = lower.swapaxes(-1, -2)
-    assert_allclose(roots.solve_upper(lower, right), np.linalg.solve(upper, right), atol=1e-10)
-    assert_allclose(roots.solve(lower, right), np.linalg.solve(matrix, right), atol=1e-10)
-    assert_allclose(roots.log_determinant(lower), np.linalg.slogdet(matrix)[1], atol=1e-10)
+    assert_allclose(solving.solve_upper(lower, right), np.linalg.solve(upper, right), atol=1e-10)
+    assert_allclose(solving.solve(lower, right), np.linalg.solve(matrix, right), atol=1e-10)
+    assert_allclose(solving.log_determinant(lower), np.linalg.slogdet(matrix)[1], atol=1e-10)
 
 
 @pytest.mark.parametrize("many", [4, 40])
@@ -162,10 +162,10 @@ def test_right_sides_broadcast(many):
     rng = np.random.default_rng(0)
     matrix = random_covariance(rng, 3) + np.eye(3)
     right, lower = rng.normal(size=(many, 3, 2)), roots.root(matrix)
-    assert_allclose(roots.solve(lower, right), np.linalg.solve(matrix, right), atol=1e-10)
+    assert_allclose(solving.solve(lower, right), np.linalg.solve(matrix, right), atol=1e-10)
     stack = np.broadcast_to(lower, (many, 3, 3))
     assert_allclose(
-        roots.solve(stack, right[0]), np.linalg.solve(matrix, right[[0] * many]), atol=1e-10
+        solving.solve(stack, right[0]), np.linalg.solve(matrix, right[[0] * many]), atol=1e-10
     )
 
 
@@ -175,15 +175,15 @@ def test_a_singular_system_is_solved_in_its_range(factor, x):
     matrix = factor @ factor.T
     right = matrix @ x
     lower = roots.root(matrix)
-    assert_allclose(matrix @ roots.solve(lower, right), right, atol=1e-6)
-    left = roots.solve_lower(lower, right)[roots.determined(lower)]
+    assert_allclose(matrix @ solving.solve(lower, right), right, atol=1e-6)
+    left = solving.solve_lower(lower, right)[roots.determined(lower)]
     assert_allclose(left, 0.0, atol=1e-6)
 
 
 def test_what_is_left_outside_the_range():
     lower = roots.root(np.ones((2, 2)))
-    assert_allclose(roots.solve_lower(lower, np.array([[3.0], [5.0]])), [[3.0], [2.0]])
-    assert_allclose(roots.solve_upper(lower, np.array([[3.0], [5.0]])), [[3.0], [0.0]])
+    assert_allclose(solving.solve_lower(lower, np.array([[3.0], [5.0]])), [[3.0], [2.0]])
+    assert_allclose(solving.solve_upper(lower, np.array([[3.0], [5.0]])), [[3.0], [0.0]])
 
 
 @pytest.mark.parametrize("lead", [(), (3,), (60,)])
@@ -191,7 +191,7 @@ def test_what_is_left_outside_the_range():
 def test_the_gain_regresses_one_block_of_a_covariance_on_another(lead, rank):
     cov = random_covariance(np.random.default_rng(rank), 5, rank, lead)
     cross, rest = cov[..., :2, 2:], cov[..., 2:, 2:]
-    gain = roots.gain(cross, roots.root(rest))
+    gain = solving.gain(cross, roots.root(rest))
     assert_allclose(gain @ rest, cross, atol=1e-7)
     explained = gain @ cross.swapaxes(-1, -2)
     inverse = np.linalg.pinv(rest, hermitian=True, rcond=1e-10)
@@ -199,16 +199,16 @@ def test_the_gain_regresses_one_block_of_a_covariance_on_another(lead, rank):
 
 
 def test_the_determinant_is_that_of_what_is_not_determined():
-    assert roots.log_determinant(roots.root(np.zeros((2, 2)))) == 0.0
-    assert_allclose(roots.log_determinant(roots.root(4.0 * np.ones((3, 3)))), np.log(4.0))
+    assert solving.log_determinant(roots.root(np.zeros((2, 2)))) == 0.0
+    assert_allclose(solving.log_determinant(roots.root(4.0 * np.ones((3, 3)))), np.log(4.0))
 
 
 def test_matrices_of_no_components():
     empty = np.empty((7, 0, 0))
     lower = roots.root(empty)
     assert lower.shape == (7, 0, 0)
-    assert roots.solve(lower, np.empty((7, 0, 2))).shape == (7, 0, 2)
-    assert_allclose(roots.log_determinant(lower), np.zeros(7))
+    assert solving.solve(lower, np.empty((7, 0, 2))).shape == (7, 0, 2)
+    assert_allclose(solving.log_determinant(lower), np.zeros(7))
 
 
 def test_pivots_are_compared_with_what_they_came_from():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pgm.kernels.tables import LOG_SUM_PRODUCT, MAX_PRODUCT, SUM_PRODUCT, log_sum
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, MAX_PRODUCT, SUM_PRODUCT, log_sum
 
 VALUES = np.array([[0.2, 0.0, 3.0], [0.0, 0.0, 0.5]])
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
-from pgm.kernels.slopes import fit, regress
+from pgm.kernels.regression import fit, regress
 from pgm.linearisers.lineariser import prepare
 from tests.dense import bound_function, random_covariance
 

@@ -40,6 +40,22 @@ def test_broken_images(tmp_path, pixels):
         OccupancyMap.read(tmp_path / "plan.yaml")
 
 
+def test_a_png_of_which_a_bit_is_flipped(tmp_path):
+    """It is refused, or, behind the pixels, changes nothing: never a map of other walls."""
+    rng, (plan, image) = np.random.default_rng(0), (tmp_path / "plan.yaml", tmp_path / "plan.png")
+    OccupancyMap(rng.integers(0, 2, (20, 30)).astype(float), 0.1).write(plan, image=".png")
+    whole, due, refused = image.read_bytes(), OccupancyMap.read(plan).occupied, 0
+    for bit in rng.choice(8 * len(whole), 60, replace=False).tolist():
+        data = bytearray(whole)
+        data[bit // 8] ^= 1 << bit % 8
+        image.write_bytes(data)
+        try:
+            assert_array_equal(OccupancyMap.read(plan).occupied, due)
+        except FileError:
+            refused += 1
+    assert refused > 50
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from pgm.errors import EvidenceError, FileError
 from pgm.recordings import read_bag
-from pgm.recordings.readers.messages import local
+from pgm.recordings.earth import local
 
 rosbags = pytest.importorskip("rosbags")
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
@@ -258,7 +258,8 @@ def test_messages_that_are_no_measurements(tmp_path):
 
 def test_metres_of_latitudes_and_longitudes():
     here = np.radians([[48.0, 9.0], [48.0, 9.001], [48.001, 9.0], [-89.9, 0.0]])
-    found = local(here, np.array([500.0, 500.0, 510.0, 0.0]))
+    heights = np.array([500.0, 500.0, 510.0, 0.0])
+    found = local(here, heights, np.append(here[0], heights[0]))
     # Radii of curvature in the prime vertical and the meridian.
     a, e2, sin = 6378137.0, 6.69437999014e-3, np.sin(here[0, 0])
     prime = a / np.sqrt(1 - e2 * sin**2)
@@ -268,3 +269,35 @@ def test_metres_of_latitudes_and_longitudes():
     assert_allclose(found[2, 1], (meridian + 510) * step, rtol=3e-6)
     assert_allclose(found[:3, 2], [0.0, 0.0, 10.0], atol=2e-3)
     assert np.isfinite(found).all()
+
+
+def test_fixes_at_null_and_beyond_a_pole(tmp_path):
+    make = Maker(2)
+    places = [(0.0, 0.0), (48.0, 11.0), (0.0, 0.0), (48.00001, 11.0)]
+    bag = write(tmp_path / "a", 2, [("/gps", make.fix(k, *at)) for k, at in enumerate(places)])
+    found = read_bag(bag)
+    assert_allclose(found.fixes["north"], [0.0, 1.11192], rtol=2e-5)
+    (told,) = found.dropped
+    assert told.rows.tolist() == [0, 2]
+    assert "0°, 0°" in repr(found)
+    bag = write(tmp_path / "b", 2, [("/gps", make.fix(0.0, 95.0, 48.0))])
+    with pytest.raises(FileError, match=r"latitude 95°, longitude 48°, .*exchanged"):
+        read_bag(bag)
+    bag = write(tmp_path / "c", 2, [("/gps", make.fix(0.0, 0.0, 0.0))])
+    assert read_bag(bag).fixes is None
+
+
+def test_two_receivers_are_on_one_plane(tmp_path):
+    make = Maker(2)
+    rows = [("/left", make.fix(0.0, 48.0, 11.0)), ("/right", make.fix(0.1, 48.001, 11.0))]
+    bag = write(tmp_path / "a", 2, rows)
+    found = read_bag(bag, {"/left": "fixes", "/right": "sightings"})
+    assert_allclose(found.fixes.values, 0.0)
+    assert_allclose(found.sightings["/right"]["north"], 111.2, rtol=1e-3)
+
+
+def test_variances_that_are_all_zero_are_none(tmp_path):
+    make = Maker(2)
+    fix = make.fix(0.0, 48.0, 11.0)
+    fix.position_covariance = np.zeros(9)
+    assert read_bag(write(tmp_path / "a", 2, [("/gps", fix)])).fixes.variances is None

@@ -2,7 +2,6 @@
 
 import io
 import os
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -122,7 +121,7 @@ def test_barfoot():
         ({"v": np.zeros((3, 1))}, r"the table v has shape \(3, 1\); \(4, 1\)"),
         ({"d": np.zeros((2, 1))}, r"the table d has shape \(2, 1\); one number"),
         ({"r": np.full((4, 2), np.nan)}, "the table r, row 0: .* is not finite"),
-        ({"l": np.array(["a", "b"])}, r"the table l has shape \(2,\) of <U1"),
+        ({"l": np.array(["a", "b"])}, "the table l is text; numbers in 2 columns were due"),
         ({"t": np.array([[0.0]])}, "was due"),
     ],
 )
@@ -418,9 +417,7 @@ def test_mangled_files_are_read_or_refused(kind, tmp_path):
         path = tmp_path / f"{name}.{ending}"
         path.write_bytes(mangled(as_bytes(texts[name]), rng))
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", DeprecationWarning)  # SciPy's, of damaged files
-                found = read(tmp_path)
+            found = read(tmp_path)
             assert repr(found)
             if isinstance(found, Recording) and (found.odometry or found.velocities):
                 with np.errstate(all="ignore"):  # of numbers that overflow

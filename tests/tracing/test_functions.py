@@ -305,8 +305,30 @@ def test_a_function_whose_closure_changes_is_traced_again():
     step = 0.5
     tracer = Tracer(lambda x: step * x[..., :2], (3,), np.zeros(2, dtype=bool))
     for step in (0.5, 2.0):
-        assert tracer.confirm([np.ones(3)])
+        assert tracer.confirm([np.ones(3)], anew=True)
         assert tracer.trace.single([np.ones(3)])[0].tolist() == [step, step]
+
+
+def test_a_trace_that_a_call_doubts_is_made_anew_once_and_then_given_up_for_a_while():
+    tracer, at = Tracer(lambda x: x[..., :2], (3,), np.zeros(2, dtype=bool)), [np.ones(3)]
+    assert tracer.confirm(at)
+    first = tracer.trace
+    tracer.prove(first)
+    tracer.doubt(first, "moved", moved=True)
+    assert tracer.trace is tracer.reason is None
+    assert tracer.confirm(at)
+    tracer.doubt(first, "of another call", moved=True)  # has no say about the new one
+    tracer.doubt(tracer.trace, "moved again", moved=True)
+    assert (tracer.reason, tracer.traced()) == ("moved again", "moved again")
+    assert [tracer.confirm(at) for _ in range(3)] == [False, True, True]
+    tracer.doubt(tracer.trace, "again", moved=True)
+    assert [tracer.confirm(at) for _ in range(5)] == [False, False, False, True, True]
+    tracer.prove(tracer.trace)
+    assert tracer.reason is None
+    tracer.doubt(tracer.trace, "cancels", moved=False)  # the same function has the same trace
+    assert tracer.reason == "cancels"
+    tracer.renew()
+    assert tracer.confirm(at)
 
 
 def test_a_turn_more_is_the_same_angle():

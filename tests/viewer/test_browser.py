@@ -5,7 +5,6 @@ import pytest
 from viewer import posteriors
 
 import pgm
-from pgm.viewer import scripts
 
 Keys = pytest.importorskip(
     "selenium.webdriver.common.keys", reason="selenium, which drives the browser, is not installed"
@@ -389,23 +388,6 @@ def test_the_frame_of_a_notebook_comes_to_life(browser, tmp_path):
     browser.slide("#step", 3)
     require_form(browser, "belief", posteriors.smoothed().belief(3))
     browser.driver.switch_to.default_content()
-
-
-def test_a_wheels_minified_page_works(look, tmp_path, monkeypatch):
-    minify = pytest.importorskip("minify", reason="tdewolff-minify, as the build has, is missing")
-    script = minify.string("text/javascript", scripts.joined())
-    assert len(script) < 0.7 * len(scripts.joined())
-    (tmp_path / "script.js").write_text(script, "utf-8")
-    monkeypatch.setattr(scripts, "FOLDER", tmp_path)
-    for made in (posteriors.smoothed(), posteriors.branches(8)):
-        page = look(made)
-        page.press("/")
-        page.press("x", Keys.ENTER)
-        page.press("?")
-        page.press(Keys.ESCAPE)
-        page.click('[data-cluster="3"]')
-        require_form(page, "belief", made.belief(3))
-        assert page.all("#inspector .picture path.shape.belief")
 
 
 def test_the_policy_lets_nothing_out(browser, tmp_path):

@@ -111,7 +111,7 @@ def test_every_posterior_shows_itself(made):
 
 
 def test_large_graphs_and_tables_are_cut_in_a_frame():
-    posterior = posteriors.lattice(14, schedule=pgm.Flooding(max_iterations=2))
+    posterior = posteriors.lattice(14, schedule=pgm.Flooding(iterations=2))
     frame = posterior._repr_html_()
     page = html.unescape(re.search(r'srcdoc="(.*?)" sandbox', frame, re.S)[1])
     data = data_of(page)
@@ -222,14 +222,11 @@ def test_the_package_holds_what_the_page_is_made_of():
     assert folder.joinpath("page.html").is_file()
 
 
-def test_a_wheel_has_the_script_that_a_checkout_joins(tmp_path, monkeypatch):
-    from pgm.viewer import scripts
+def test_the_script_is_its_modules_in_order():
+    from importlib.resources import files
 
-    whole = scripts.script()
-    modules = [scripts.FOLDER / "script" / f"{name}.js" for name in scripts.SCRIPTS]
-    lines = [line.strip() for each in modules for line in each.read_text("utf-8").splitlines()]
-    code = [line for line in lines if line and not line.startswith("//")]
-    assert [line for line in whole.splitlines()[2:-1] if line] == code
-    (tmp_path / "script.js").write_text(whole, encoding="utf-8")
-    monkeypatch.setattr(scripts, "FOLDER", tmp_path)
-    assert scripts.script() == whole
+    from pgm.viewer.scripts import SCRIPTS, script
+
+    folder, whole, end = files("pgm.viewer").joinpath("script"), script(), 0
+    for name in SCRIPTS:
+        end = whole.index(folder.joinpath(f"{name}.js").read_text("utf-8"), end) + 1

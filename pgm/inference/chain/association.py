@@ -27,9 +27,9 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.vector import vector
 from pgm.inference.schedule import ONCE, Filtering
-from pgm.kernels import roots
+from pgm.kernels import mahalanobis, roots, solving
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
-from pgm.kernels.tables import log_sum
+from pgm.kernels.semirings import log_sum
 from pgm.linearisers import Lineariser
 from pgm.progress import counted
 from pgm.variables import Variable
@@ -89,6 +89,7 @@ def associated_at(
 
 
 def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
+    """The evidence with its open sightings associated, and what they were taken for."""
     closed = {each.reading.cpd.child: each.closed for each in pending}
     readings = tuple(closed.get(r.cpd.child, r) for r in bound.readings)
     found = dict(
@@ -130,6 +131,12 @@ class _Pending:
         rows: range,
         belief: Moments,
     ) -> Moments:
+        """Decide about the sightings of some rows at a belief, and take them in.
+
+        Their shares are ∝ N(ν; 0, S) times the share of each candidate, zero outside the gate,
+        beside the densities of a spurious and a new one; the likeliest is taken, together with the
+        rest of the step if `association` is joint.
+        """
         runs, unknown = bound.runs, self.unknown
         pairs = _innovations(
             graph, bound, lineariser, step, self._expanded(rows, runs), belief, len(rows)
@@ -137,7 +144,7 @@ class _Pending:
         square, count = pairs.square, pairs.size
         terms = pairs.density + unknown.log_shares[:-2]
         if unknown.gate is not None:
-            limit = roots.square_within(unknown.gate, np.maximum(count, 1))
+            limit = mahalanobis.square_within(unknown.gate, np.maximum(count, 1))
             terms = np.where(square > limit, -np.inf, terms)
         others = np.broadcast_to(unknown.log_outliers, (len(rows), runs, 2))
         terms = np.concatenate([terms, others], axis=-1)
@@ -157,6 +164,7 @@ class _Pending:
         return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
 
     def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
+        """The logarithms of a joint decision about a step's sightings: 0 if taken, else −∞."""
         assert self.unknown.gate is not None
         compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
         parts = pairs.matrix, pairs.residual, pairs.noise, pairs.size[..., 0], compatible
@@ -221,6 +229,7 @@ class _Pending:
 
     @property
     def closed(self) -> Reading:
+        """All sightings, with the candidates that they were associated with as inputs."""
         whole = self.part(range(len(self.reading.step))) if self.values else self.reading
         inputs = whole.inputs
         if not self.values:
@@ -238,6 +247,7 @@ def _taken(
     belief: Moments,
     gate: Asked | None,
 ) -> Moments:
+    """The belief given some measurements of its step; their rows count steps from zero."""
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
     chain = MomentChain(plan, Filtering(gate=gate), keep=False)
@@ -267,6 +277,7 @@ def _innovations(
     belief: Moments,
     rows: int,
 ) -> _Pairs:
+    """The innovations of each sighting with each candidate, linearised at the belief of its run."""
     every = reading.values.shape[1]
     one = BoundEvidence(0, (every,), (), (reading,))
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
@@ -294,11 +305,11 @@ def _innovations(
             step=step,
         )
     left = residual.reshape(height, -1).T
-    white = roots.whiten(lower, left)
+    white = solving.whiten(lower, left)
     square = np.einsum("bi,bi->b", white, white)
     count = reading.taken[0].sum(axis=-1)
     # A missing component is one of unit variance without a residual.
-    density = -0.5 * (square + roots.log_determinant(lower) + count * LOG_2PI)
+    density = -0.5 * (square + solving.log_determinant(lower) + count * LOG_2PI)
     shape = rows, bound.runs, -1
     return _Pairs(
         density.reshape(shape),

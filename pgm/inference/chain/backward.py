@@ -14,19 +14,11 @@ import numpy as np
 from pgm.inference import sweep as loops
 from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.plan import ChainPlan
-from pgm.kernels import moments, roots
+from pgm.kernels import moments, roots, solving
 from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich, symmetric, transpose
-from pgm.kernels.elements import (
-    Moments,
-    compose_conditionals,
-    gather,
-    in_chunks,
-    levels,
-    prefixes,
-    push_moments,
-    take,
-)
 from pgm.kernels.moments import Conditional
+from pgm.kernels.prefixes import gather, in_chunks, levels, prefixes, take
+from pgm.kernels.segment_maps import Moments, compose_conditionals, push_moments
 
 # From this many runs on, a sweep along rows of runs beats a scan along rows of steps, which does
 # twice the work; and so it does with few steps, where a scan has nearly as many rounds.
@@ -169,10 +161,15 @@ class _Step(NamedTuple):
 
 
 def _reverse(step: _Step) -> Conditional:
+    """The slice at a step given the next one, by Bayes' rule for the transition between them."""
     return moments.reverse(*step)
 
 
 def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
+    """The slice given its states, and the measurements up to it.
+
+    States are given exactly; a control follows by its regression on them.
+    """
     layout = plan.layout
     states, controls = layout.state_places, layout.control_places
     known = block(forward.cov, states, states)
@@ -180,7 +177,7 @@ def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
     size, front = layout.slice_size, layout.state_size
     gain = np.zeros((*forward.mean.shape[:-1], size, front))
     gain[..., states, :] = np.eye(front)
-    gain[..., controls, :] = roots.gain(block(forward.cov, controls, states), lower, known)
+    gain[..., controls, :] = solving.gain(block(forward.cov, controls, states), lower, known)
     rest = np.eye(size) - gain @ np.eye(size)[states]
     offset = forward.mean - apply(gain, forward.mean[..., states])
     return Conditional(gain, offset, symmetric(sandwich(rest, forward.cov)))

@@ -16,7 +16,8 @@ from pgm.inference.status import FILTERED, SMOOTHED
 from pgm.kernels import canonical
 from pgm.kernels.arrays import block
 from pgm.kernels.canonical import Canonical
-from pgm.kernels.elements import Element, compose, take
+from pgm.kernels.elements import Element, compose
+from pgm.kernels.prefixes import take
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,6 +103,7 @@ class BalancedPosterior(ChainPosterior):
         return CanonicalForm._make(form.scope, K, h, form.g)
 
     def _future(self, step: int) -> Canonical:
+        """The likelihood of the measurements after a step, as far as the belief knows them."""
         if self.kind == SMOOTHED:
             K, h, g = self._backward_messages
             return K[step], h[step], g[step]
@@ -110,6 +112,10 @@ class BalancedPosterior(ChainPosterior):
         return np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)
 
     def _segment(self, first: int, last: int) -> Canonical:
+        """The canonical form of a segment over the states at both ends, about the origin.
+
+        It was composed about the filtered means at its ends, where its numbers are small.
+        """
         whole = _composed(self._leaves(first, last))
         precision, h, g = (part[0] for part in canonical.from_affine(*whole[:3]))
         # The right end comes first in the form of a conditional.
@@ -124,6 +130,7 @@ class BalancedPosterior(ChainPosterior):
         return canonical.shift(precision, h, g + whole.g[0], np.concatenate(ends, axis=-1))
 
     def _leaves(self, first: int, last: int) -> Element:
+        """The elements of the steps after the first up to the last, steps first."""
         conditionals = transition(self._plan)
         size, runs = self.graph.layout.state_size, self._plan.runs
         nothing = np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)
@@ -135,6 +142,7 @@ class BalancedPosterior(ChainPosterior):
 
 
 def _composed(segments: Element) -> Element:
+    """All segments, (S, ...), as one: neighbours are composed in log₂ S rounds."""
     while (count := segments.F.shape[0]) > 1:
         even = count - count % 2
         pairs = compose(take(segments, slice(0, even, 2)), take(segments, slice(1, even, 2)))
@@ -145,6 +153,7 @@ def _composed(segments: Element) -> Element:
 
 
 def _side_by_side(left: Canonical, right: Canonical) -> Canonical:
+    """The product of two canonical forms over different variables."""
     size = left[1].shape[-1]
     precision = np.zeros((*left[1].shape[:-1], 2 * size, 2 * size))
     precision[..., :size, :size], precision[..., size:, size:] = left[0], right[0]

@@ -86,9 +86,10 @@ def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
 
 
 def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
-    """Whether means come from so large numbers that their last digits count where they are small.
+    """Whether a mean comes from numbers so large that its last digits count where it is small.
 
-    An error is at most as many deviations at later steps, or with `both` at earlier ones.
+    The error of a mean is ε |mean|: in deviations ε |mean| / σ. It is carried along the chain, and
+    stays at most as many deviations at later steps, and with `both` at earlier ones.
     """
     mean, left = swept.mean, variances(swept.cov)
     axes = tuple(range(mean.ndim - 1))
@@ -106,6 +107,10 @@ def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
 
 
 def _is_regular(cov: Array, limit: float) -> bool:
+    """Whether in all beliefs (T+1, runs, n, n) each component has a share 1 / `limit` of its own.
+
+    That is, the part of its variance that the components before it leave open.
+    """
     size = cov.shape[-1]
     last = np.moveaxis(cov, (-2, -1), (0, 1)).reshape(size, size, -1)
     if np.shares_memory(last, cov):
@@ -114,13 +119,21 @@ def _is_regular(cov: Array, limit: float) -> bool:
 
 
 def _hold(before: Array, after: Array, limit: float) -> bool:
-    """Whether no variance falls by much; one of zero is known, and a negative one is rounding."""
+    """Whether no variance falls to less than 1 / `limit` from before a measurement to after it.
+
+    One that falls to zero is known exactly, which loses nothing; a negative one is rounding.
+    """
     left = variances(after)
     fallen = limit * left < variances(before)
     return not fallen.any() or not (fallen & (left != 0.0)).any()
 
 
 def _told_apart(plan: ChainPlan, swept: Forward) -> bool:
+    """Whether innovations of measurements without noise keep enough digits of their variances.
+
+    The variance that the readings before it leave open of one, its pivot in H P Hᵀ + R, is compared
+    with (Σⱼ |hⱼ| σⱼ)², the largest summands that it is the difference of.
+    """
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:
         cov = swept.predicted_cov[steps]

@@ -25,7 +25,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.family import Family, cancellation
 from pgm.kernels.arrays import Array, apply, block, sandwich, variances
-from pgm.kernels.elements import gather
+from pgm.kernels.prefixes import gather
 
 _EPS = float(np.finfo(np.float64).eps)
 # A part of a deviation, added up, of which nothing need be told.

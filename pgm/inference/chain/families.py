@@ -56,11 +56,13 @@ def family_beliefs(posterior: ChainPosterior) -> dict[CPD, FamilyBelief]:
 
 
 def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
+    """The belief of a family whose variables stand in one vector of moments."""
     mean, cov = moments.mean[..., chosen], block(moments.cov, chosen, chosen)
     return FamilyBelief(family, mean, cov, None, None)
 
 
 def _pairs(posterior: ChainPosterior) -> Beliefs:
+    """The moments of (states at t − 1, slice at t) at the steps 1..T."""
     beliefs, careful = posterior._beliefs, posterior._careful
     if careful is None:
         return backward.pairs(beliefs, posterior._reverse, slice(None))

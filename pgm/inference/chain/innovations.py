@@ -1,28 +1,22 @@
-"""Innovations of measurements, what gates reject of them, and where chains are lost."""
+"""Innovations of measurements, and statistics of them."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.display import NoArray, Shown, Summary, number, stacked
-from pgm.inference.associations import Found, Rejections, RejectionsBySensor
+from pgm.inference.by_sensor import EachSensor
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import stacks
-from pgm.inference.lost import Lost, Read
-from pgm.inference.posterior import EachSensor
-from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, quiet, sandwich
-from pgm.variables import Variable
+from pgm.kernels import roots, solving
+from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, sandwich
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,18 +29,20 @@ class Innovations(Shown, NoArray):
     Attributes
     ----------
     residual : ndarray
-        (..., M, d): measurement less prediction; NaN in components not taken, and where the
-        prediction still has an infinite variance.
+        (..., M, d): measurement less prediction; NaN in components not taken, and in those that
+        depend on a direction of which nothing is known yet, given a flat prior.
     cov : ndarray
         (..., M, d, d): its predictive covariance, S = H P Hᵀ + noise; NaN in rows and columns of
-        components not taken.
+        the same components.
     step : ndarray of int
         (M,).
     nis : ndarray
         (..., T+1): the normalised innovation squared of each step, rᵀS⁻¹r with the joint
-        covariance of all components that were read at the step; NaN without any.
+        covariance of all components that were read at the step; NaN without any. While a
+        direction is unknown it is the limit of that of wide priors.
     dof : ndarray of int
-        (..., T+1): the number of components read at each step.
+        (..., T+1): the number of components read at each step, less the number of directions of
+        them of which nothing was known.
     rejected : ndarray of bool
         (..., M): sightings that a gate has rejected: they have a residual and a covariance, and no
         part in `nis` and `dof`.
@@ -97,15 +93,16 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
     family, parents, lead = sensor.family, sensor.parents, plan.lead
     mean = forward.predicted_mean[family.step][..., parents]
     residual = sensor.moved - family.value(slice(None), mean)
-    spread = block(forward.predicted_cov[family.step], parents, parents)
+    ahead = forward.predicted_cov if forward.diffuse is None else forward.diffuse.cov
+    spread = block(ahead[family.step], parents, parents)
     given = sensor.taken if sensor.gated is None else sensor.gated.given
     taken = np.broadcast_to(True if given is None else given, residual.shape)
     rejected = np.zeros(residual.shape[:2], dtype=bool)
     if sensor.gated is not None:
         rejected |= sensor.gated.rejected
-    if (improper := np.isinf(spread)).any():
-        spread = np.where(improper, 0.0, spread)
-        taken = taken & ~np.any(improper, axis=(-2, -1), keepdims=True)[..., 0]
+    if forward.diffuse is not None:
+        reach = forward.diffuse.at(family.step).of(parents).reach(family.matrix)
+        taken = taken & ~reach.any(axis=-1)
     cov = sandwich(family.matrix, spread) + family.noise
     nis, dof = by_step(plan, [sensor], forward)
     back = np.argsort(sensor.order)
@@ -130,13 +127,14 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
     shape = plan.steps + 1, plan.runs
     nis, dof = np.full(shape, np.nan), np.zeros(shape, dtype=np.intp)
     for steps, matrix, residual, noise, missing in stacks(plan, sensors, forward.predicted_mean):
-        spread = forward.predicted_cov[steps]
-        # Of a prediction that still has an infinite variance there are no innovations.
-        read = [block(spread, sensor.parents, sensor.parents) for sensor in sensors]
-        proper = np.logical_and.reduce([np.isfinite(own).all(axis=(-2, -1)) for own in read])
-        lower = roots.root(sandwich(matrix, np.where(np.isinf(spread), 0.0, spread)) + noise)
-        white = roots.whiten(lower, residual)
-        seen = np.where(proper, residual.shape[-1] - missing, 0)
+        unknown: Integers | int = 0
+        if forward.diffuse is None:
+            spread = sandwich(matrix, forward.predicted_cov[steps]) + noise
+        else:
+            ahead = forward.diffuse.at(steps)
+            residual, spread, unknown = ahead.innovations(matrix, residual, noise)
+        white = solving.whiten(roots.root(spread), residual)
+        seen = white.shape[-1] - missing - unknown
         dof[steps] = seen
         nis[steps] = np.where(seen > 0, inner(white, white), np.nan)
     return nis, dof
@@ -150,7 +148,7 @@ def whitened(innovations: Innovations) -> Array:
     cov = innovations.cov.reshape(*residual.shape, shape[-1])
     rejected = np.broadcast_to(innovations.rejected, shape[:-1]).reshape(residual.shape[:2])
     taken = ~np.isnan(residual) & ~rejected[..., None]
-    white = roots.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
+    white = solving.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
 
     order = np.argsort(innovations.step, kind="stable")
     _, first, step, counts = np.unique(
@@ -173,63 +171,3 @@ def autocorrelation(now: Array, later: Array) -> tuple[float, float]:
     # The measurements of a step are no independent ones: their products are one term.
     terms = product.sum(axis=-1)
     return float(terms.sum() / scale), float(np.sqrt(np.sum(terms**2)) / scale)
-
-
-class Innovated(ABC):
-    """Base of results that know a forward pass; what they tell is found when it is asked for."""
-
-    _planned: ChainPlan
-    associations: Found
-
-    @property
-    @abstractmethod
-    def _forward(self) -> Forward:
-        """The forward pass."""
-
-    @property
-    @abstractmethod
-    def _plan(self) -> ChainPlan:
-        """The plan with its linearisations."""
-
-    @cached_property
-    @quiet()
-    def innovations(self) -> Mapping[Variable, Innovations]:
-        """The innovations of each sensor with evidence."""
-        plan, forward = self._plan, self._forward
-        return BySensor({s.variable: innovations(plan, s, forward) for s in plan.sensors})
-
-    @property
-    def rejected(self) -> Mapping[Variable, Rejections]:
-        """The decisions of the schedule's gates, by sensor."""
-        plan = self._planned
-        return RejectionsBySensor(
-            {
-                s.variable: Rejections.of(s.gated, s.family.step, s.order, plan.lead)
-                for s in plan.sensors
-                if s.gated is not None
-            }
-        )
-
-    @cached_property
-    @quiet()
-    def lost(self) -> Lost:
-        """The steps at which the belief was probably wrong, by its innovations and rejections."""
-        plan = self._plan
-        nis, dof = by_step(plan, plan.read, self._forward)
-        rejected, judged = np.zeros_like(dof), np.zeros_like(dof)
-        for sensor in plan.read:
-            found = None if sensor.gated is None else sensor.gated.judged
-            found = sensor.weights.judged(found) if sensor.robust else found
-            if found is not None:
-                np.add.at(rejected, sensor.family.step, found[0])
-                np.add.at(judged, sensor.family.step, found[1])
-        read = Read(np.nan_to_num(nis), dof, rejected, judged)
-        gated = {sensor.variable for sensor in plan.read if sensor.gated is not None}
-        for variable, each in self.associations.items():
-            strange, opened = np.zeros_like(dof), np.zeros_like(dof)
-            for total, rows in zip(
-                (strange, opened), each.judged(gated=variable in gated), strict=True
-            ):
-                np.add.at(total, each.step, rows)
-            read = read.and_(Read.of_open(strange, opened, each.outliers))
-        return Lost.of(read, plan.lead)

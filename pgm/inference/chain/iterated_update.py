@@ -18,16 +18,9 @@ from pgm.inference.chain.vector import Measured
 from pgm.inference.chain.weights import SETTLED
 from pgm.inference.iteration import Anchor, Point, Solution, iterate
 from pgm.inference.schedule import Filtering
-from pgm.kernels import roots
-from pgm.kernels.arrays import (
-    Array,
-    Kind,
-    Mask,
-    components_first,
-    components_last,
-    difference,
-    inner,
-)
+from pgm.kernels import roots, solving
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, inner
 
 # Reweighings of a step's measurements at the most.
 _REWEIGHINGS = 200
@@ -107,7 +100,8 @@ class UpdateProblem(ABC, Generic[U]):
         before = [(copy(part.weights), part.seen) for part in robust]
         active = np.full(found.means.shape[1], bool(robust))
         for _ in range(_REWEIGHINGS if robust else 0):
-            mean, cov = self._moments(found.point)
+            point = found.point
+            mean, cov = self._moments(point._replace(cov=point.known_cov))
             moved = [part.reweigh(mean, cov, active) for part in robust]
             found = self._solved(anchor)
             active = np.max(moved, axis=0) > SETTLED
@@ -144,7 +138,7 @@ class UpdateProblem(ABC, Generic[U]):
         """The cost of means, (runs,)."""
         mean, cov = self._moments(at)
         spread = _as_point(self.cov, 2)[0]
-        white = roots.whiten(roots.root(spread), at.mean[0] - _as_point(self.mean, 1)[0])
+        white = solving.whiten(roots.root(spread), at.mean[0] - _as_point(self.mean, 1)[0])
         total: Array = inner(white, white)
         for part in self.parts:
             seen = part.seen
@@ -154,7 +148,7 @@ class UpdateProblem(ABC, Generic[U]):
             angles = np.tile(family.cpd.child.angle_mask, len(expected) // family.shape[2])
             left = difference(left, np.zeros_like(left), angles)
             if part.weights is not None:
-                total = total + part.loss(left[0], at.cov[0])
+                total = total + part.loss(left[0], at.known_cov[0])
                 continue
             noise = _as_point(seen.noise, 2)
             if seen.taken is not None:

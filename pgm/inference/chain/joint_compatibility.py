@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import roots
+from pgm.kernels import mahalanobis
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 
 # Hypotheses, whole ones and parts, that a step of a run may take to look at.
@@ -49,7 +49,7 @@ def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
     TooManyError with the number of a run that has more hypotheses than may be looked at.
     """
     every = int(pairs.size.sum(axis=0).max(initial=0))
-    limits = np.concatenate([[0.0], roots.square_within(gate, np.arange(1, every + 1))])
+    limits = np.concatenate([[0.0], mahalanobis.square_within(gate, np.arange(1, every + 1))])
     number = pairs.compatible.sum(axis=-1)
     chosen = np.where(number > 0, np.argmax(pairs.compatible, axis=-1), NOTHING)
     # Where no sighting has a choice, and no two have the same, the whole is looked at first.
@@ -62,6 +62,7 @@ def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
 
 
 def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Integers) -> Mask:
+    """Whether the hypotheses `chosen`, (sightings, all runs), of some runs lie within the gate."""
     spread, shift = cov[runs], np.zeros((runs.size, cov.shape[-1]))
     square, dof = np.zeros(runs.size), np.zeros(runs.size, dtype=np.intp)
     for k, own in enumerate(chosen[:, runs]):
@@ -85,6 +86,11 @@ class _Step(NamedTuple):
 
 
 def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Step:
+    """Take pairings into beliefs N(shift, cov), (..., n) and (..., n, n), about the mean.
+
+    `matrix` is H (..., d, n). The square is νᵀ S⁻¹ ν, the density −½ (νᵀ S⁻¹ ν + ln |S|), for the
+    innovation ν given the pairings before.
+    """
     cross = matrix @ cov
     spread = cross @ matrix.mT + noise
     left = residual - np.einsum("...dn,...n->...d", matrix, shift)
@@ -126,6 +132,12 @@ class _Search:
         score: float,
         chosen: list[int],
     ) -> None:
+        """Pair the sighting at this depth with each candidate left, likeliest first, or with none.
+
+        Branch and bound (Neira & Tardós, 2001): a branch is left where it cannot pair as many
+        sightings, or as well, as the best hypothesis, or where its squared length is beyond the
+        gate of all that may follow.
+        """
         self.nodes += 1
         if self.nodes > NODES:
             raise TooManyError(self.run)

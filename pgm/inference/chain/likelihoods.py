@@ -16,7 +16,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import Stack, stacks
 from pgm.inference.iteration import Anchor
-from pgm.kernels import moments, roots
+from pgm.kernels import moments, roots, solving
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
@@ -30,7 +30,9 @@ from pgm.kernels.arrays import (
     sandwich,
     transpose,
 )
-from pgm.kernels.elements import Belief, Likelihood, Moments, condition, gather
+from pgm.kernels.elements import Belief, Likelihood, condition
+from pgm.kernels.prefixes import gather
+from pgm.kernels.segment_maps import Moments
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +116,12 @@ def know(before: Belief, likelihood: Likelihood) -> Known:
     −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) − ½ ln |I + P WᵀW|, which does not subtract.
     """
     after = condition(before, likelihood)
-    evidence = -0.5 * (inner(after.moved, after.moved) + roots.log_determinant(after.U))
+    evidence = -0.5 * (inner(after.moved, after.moved) + solving.log_determinant(after.U))
     return Known(after.mean, multiply(transpose(after.X), after.X), evidence)
 
 
 def _is_all(places: Index, size: int) -> bool:
+    """Whether an index takes all of a vector, in its order."""
     return isinstance(places, slice) and places == slice(0, size)
 
 
@@ -151,8 +154,10 @@ class Whitened:
         lower = roots.root(noise)
         if not roots.is_proper(lower) or roots.determined(lower).any():
             return None
-        white = roots.solve_lower(lower, np.broadcast_to(np.eye(noise.shape[-1]), noise.shape))
-        return cls(sensor, reference, white, -0.5 * (roots.log_determinant(lower) + size * LOG_2PI))
+        white = solving.solve_lower(lower, np.broadcast_to(np.eye(noise.shape[-1]), noise.shape))
+        return cls(
+            sensor, reference, white, -0.5 * (solving.log_determinant(lower) + size * LOG_2PI)
+        )
 
     def likelihood(self) -> Likelihood:
         """The likelihood of all measurements of each step, (T+1, runs, ...)."""
@@ -188,9 +193,11 @@ class Whitened:
         return _by_step(self.sensor, density)[0]
 
     def _white(self, rows: slice) -> Array:
+        """The whitening matrices of some rows, or the one of all."""
         return self.white if len(self.white) == 1 else self.white[rows]
 
     def _residual(self, rows: slice, mean: Array) -> Array:
+        """Residuals at means in deviations of the noise, (rows, runs, d); zero where missing."""
         sensor, family = self.sensor, self.sensor.family
         at = gather(mean, family.step[rows])[..., sensor.parents]
         left = sensor.moved[rows] - family.offset[rows] - apply(family.matrix[rows], at)
@@ -200,6 +207,7 @@ class Whitened:
 
 
 def _surplus(sensor: Sensor) -> Array:
+    """The log-density of robust measurements beyond their weighted Gaussians', (T+1, runs)."""
     each = sensor.weights.surplus()
     return _by_step(sensor, lambda rows, counts: (_added(each[rows], counts),))[0]
 
@@ -236,6 +244,7 @@ def _by_step(
 
 
 def _added(parts: Array, counts: Integers) -> Array:
+    """Sums of rows (M, runs, ...) by step: of so many rows each, (steps, runs, ...)."""
     memory = np.moveaxis(parts, (0, 1), (-2, -1))
     out = np.zeros((*memory.shape[:-2], counts.size, memory.shape[-1]))
     some = np.flatnonzero(counts)

@@ -15,11 +15,12 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import stored
 from pgm.inference.chain.reweighting import by_step, surplus
 from pgm.inference.chain.vector import stacks
-from pgm.kernels import canonical, elements, moments, roots
+from pgm.kernels import canonical, elements, moments, solving
 from pgm.kernels.arrays import LOG_2PI, Array, apply, block, inner, sandwich, transpose
 from pgm.kernels.canonical import Canonical
-from pgm.kernels.elements import Element, levels, prefixes, take
+from pgm.kernels.elements import Element
 from pgm.kernels.moments import Conditional
+from pgm.kernels.prefixes import levels, prefixes, take
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
@@ -43,6 +44,7 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
 
 
 def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonical:
+    """The messages to all slices, last to first, one step after the other."""
     messages = [message]
     conditionals = transition(plan)
     for later in range(plan.steps, 0, -1):
@@ -73,6 +75,7 @@ class _Message(NamedTuple):
 
 
 def _passed(message: _Message, segment: Element) -> _Message:
+    """The message to the left end of a segment, from that to its right end."""
     K, h, g = canonical.backward(*segment[:3], *message)
     assert segment.g is not None
     return _Message(K + segment.K, h + segment.h, g + segment.g)
@@ -138,16 +141,16 @@ def absorb_readings(
     """
     cross = h_matrix @ noise
     lower = canonical.strict_root(cross @ transpose(h_matrix) + reading_noise)
-    gain = roots.gain(transpose(cross), lower)
+    gain = solving.gain(transpose(cross), lower)
     reach = h_matrix @ matrix
-    white = roots.solve_lower(lower, reach)
-    white_residual = roots.solve_lower(lower, residual[..., None])
+    white = solving.solve_lower(lower, reach)
+    white_residual = solving.solve_lower(lower, residual[..., None])
     keep, absorbed = moments.joseph(noise, gain, h_matrix, reading_noise)
     h = (transpose(white) @ white_residual)[..., 0]
     white_residual = white_residual[..., 0]
     g = -0.5 * (
         inner(white_residual, white_residual)
-        + roots.log_determinant(lower)
+        + solving.log_determinant(lower)
         + residual.shape[-1] * LOG_2PI
     )
     if missing is not None:
@@ -166,11 +169,11 @@ def likelihoods(plan: ChainPlan, reference: Array) -> Canonical:
     read = [sensor for sensor in plan.sensors if sensor.family.step.size]
     for steps, matrix, residual, noise, missing in stacks(plan, read, reference):
         lower = canonical.strict_root(noise)
-        white = roots.solve_lower(lower, matrix)
-        left = roots.solve_lower(lower, residual[..., None])[..., 0]
+        white = solving.solve_lower(lower, matrix)
+        left = solving.solve_lower(lower, residual[..., None])[..., 0]
         K[steps] = transpose(white) @ white
         h[steps] = apply(transpose(white), left)
-        log_scale = roots.log_determinant(lower) + (matrix.shape[-2] - missing) * LOG_2PI
+        log_scale = solving.log_determinant(lower) + (matrix.shape[-2] - missing) * LOG_2PI
         g[steps] = -0.5 * (inner(left, left) + log_scale)
     return K, h, g + by_step(plan)
 

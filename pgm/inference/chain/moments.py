@@ -11,10 +11,12 @@ from pgm.inference.chain.iterated_update import MomentUpdate, iterated
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading, Room
 from pgm.inference.iteration import Anchor
-from pgm.inference.rows import At, require_finite
+from pgm.inference.linearisation_failures import require_finite
+from pgm.inference.rows import At
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels import gaussian
-from pgm.kernels.arrays import TURN, Array, Mask, components_first, components_last, times, within
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Mask, components_first, components_last, times, within
 
 _HALF_TURN = 0.5 * TURN
 
@@ -152,6 +154,7 @@ class MomentChain:
     def _reweighed(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
+        """The belief given sightings of robust noise, weighed anew at each linearisation."""
         if self.check:
             for part in parts:
                 part.linearise(mean, cov)
@@ -161,6 +164,7 @@ class MomentChain:
     def _iterated(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
+        """The belief given sightings linearised several times, and their log-density."""
         if self.gate is not None:
             seen = [part.linearise(mean, cov) for part in parts]
             gate.decide(self.gate, parts, seen, mean, cov)
@@ -174,11 +178,13 @@ class MomentChain:
         return Moments(shown, last.known.cov, False), last.log_density
 
     def _at(self, link: Link, row: int) -> At:
+        """A CPD at its row, to be linearised, or as it was."""
         if self.linearises:
             return link.family.at(row, row + 1)
         return link.family.stored_at(row, row + 1)
 
     def _extend(self, link: Link, at: At, step: int, mean: Array, cov: Array) -> None:
+        """Write a CPD's child into the joint moments that its parents stand in, in place."""
         parents = mean[link.parents]
         matrix, value, noise, bare = self._linearised(
             link, at, mean, parents, within(cov, link.parents)

@@ -16,10 +16,10 @@ from pgm.inference.chain.likelihoods import Readings, shortened
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.iteration import Point
-from pgm.kernels import roots
+from pgm.kernels import normal_density, roots, tridiagonal
 from pgm.kernels.arrays import Array, apply, block, multiply, transpose
-from pgm.kernels.elements import in_chunks
-from pgm.kernels.roots import Tridiagonal
+from pgm.kernels.prefixes import in_chunks
+from pgm.kernels.tridiagonal import Tridiagonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
     system = _equations(plan, readings)
     if system is None:
         return None
-    found = roots.solve_tridiagonal(system)
+    found = tridiagonal.solve_tridiagonal(system)
     if not np.isfinite(found.sum()):
         return None
     variance = 1.0 / np.diagonal(system.diagonal, axis1=-2, axis2=-1)
@@ -65,6 +65,11 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
 
 
 def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
+    """The normal equations A ξ = r of the means, as moves ξ from the reference of the measurements.
+
+    With x_t = F x_{t−1} + b + n, n ~ N(0, Q), diagonal blocks are Q⁻¹ + Fᵀ Q⁻¹ F + HᵀR⁻¹H, the
+    blocks beside them −Fᵀ Q⁻¹. None where a noise is singular, and has no precision.
+    """
     layout = plan.layout
     states = layout.state_places
     mean, cov = MomentChain(plan, None).start().by_run
@@ -112,6 +117,7 @@ class _Terms(NamedTuple):
 
 
 def _terms(move: _Move, precision: _Precision) -> _Terms:
+    """The products Fᵀ W F, W F, Fᵀ W b and W b of a transition and its precision W."""
     across = multiply(precision.matrix, move.matrix)
     after = apply(precision.matrix, move.offset)
     back = transpose(move.matrix)
@@ -121,5 +127,5 @@ def _terms(move: _Move, precision: _Precision) -> _Terms:
 def precision(cov: Array) -> Array | None:
     """The inverses of covariances, (..., n, n); None where one is singular."""
     lower = roots.root(cov)
-    white = roots.whitener(lower) if roots.is_proper(lower) else None
+    white = normal_density.whitener(lower) if roots.is_proper(lower) else None
     return None if white is None else multiply(transpose(white), white)

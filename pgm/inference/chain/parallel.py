@@ -21,23 +21,10 @@ from pgm.inference.iteration import Anchor
 from pgm.inference.schedule import ONCE
 from pgm.kernels import elements, moments
 from pgm.kernels.arrays import Array, apply, deviation, room
-from pgm.kernels.elements import (
-    Belief,
-    Element,
-    Likelihood,
-    Map,
-    Moments,
-    Value,
-    after,
-    gather,
-    in_chunks,
-    levels,
-    prefixes,
-    push_moments,
-    send,
-    take,
-)
+from pgm.kernels.elements import Belief, Element, Likelihood
 from pgm.kernels.moments import Conditional
+from pgm.kernels.prefixes import gather, in_chunks, levels, prefixes, take
+from pgm.kernels.segment_maps import Map, Moments, Value, after, push_moments, send
 
 # Beliefs this many deviations from the reference leave too few digits: they are solved for again.
 _FAR = 1e4
@@ -145,6 +132,7 @@ class _First(NamedTuple):
 
 
 def _first(plan: ChainPlan, anchor: Anchor | None) -> _First:
+    """The beliefs at step 0, before and after its measurements, and the log-density of these."""
     chain = MomentChain(plan, None, anchor=anchor)
     predicted = chain.start()
     known, log_density = chain.take(0, predicted)
@@ -154,6 +142,11 @@ def _first(plan: ChainPlan, anchor: Anchor | None) -> _First:
 def _solve(
     plan: ChainPlan, moves: Conditional, first: _First, readings: Readings, anchor: Anchor | None
 ) -> Scanned:
+    """Both passes by scans, as deviations from the reference of the measurements.
+
+    The filtered beliefs are prefixes of the elements of all steps. Whether they can be trusted is
+    found by predicting each anew from the one before: rounding in sharp elements would show there.
+    """
     reference = readings.reference
     near = about(moves, reference)
     known = _from(first.known, reference[0], plan.steps)
@@ -196,6 +189,7 @@ def _solve(
 
 
 def _read(predicted: Moments, readings: Readings) -> Moments:
+    """Predictions after the measurements of their steps."""
     mean, cov, _ = in_chunks(
         know, Belief(*predicted, np.zeros(predicted.mean.shape[:2])), readings.likelihood
     )
@@ -207,6 +201,7 @@ def _read(predicted: Moments, readings: Readings) -> Moments:
 
 
 def _agree(found: Moments, due: Moments) -> bool:
+    """Whether moments are the same but for the rounding that does not matter."""
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)
     far = off > _CLOSE * np.where(std > 0.0, std, np.abs(due.mean) + off.max(initial=0.0))
@@ -215,6 +210,7 @@ def _agree(found: Moments, due: Moments) -> bool:
 
 
 def _from(belief: Belief, reference: Array, steps: int) -> Moments:
+    """Arrays for the moments of all steps, about a reference; those of the first step are there."""
     runs, size = belief.mean.shape
     out = Moments(room((steps + 1, runs), (size,)), room((steps + 1, runs), (size, size)))
     out.mean[0], out.cov[0] = belief.mean - reference, belief.cov
@@ -222,6 +218,7 @@ def _from(belief: Belief, reference: Array, steps: int) -> Moments:
 
 
 def _predicted(moves: Conditional, start: Array) -> Array:
+    """The prior's means as the transition moves them, unmeasured, (T+1, runs, n)."""
     out = room((moves.offset.shape[0] + 1, start.shape[0]), start.shape[1:])
     out[0] = start
     if len(out) > 1:
@@ -267,6 +264,7 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
 
 
 def _absorb_exact(moves: Element, stack: Stack) -> None:
+    """Take measurements without noise into the transitions to their steps, in place."""
     later = np.flatnonzero(stack.steps)
     if not later.size:
         return

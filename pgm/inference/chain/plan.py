@@ -8,7 +8,7 @@ runs second.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,11 +21,13 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
+from pgm.inference.argument_checks import require_plain
+from pgm.inference.chain.compiled.account import Account
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
-from pgm.inference.options import require_plain
 from pgm.kernels.arrays import Array, Index, Integers, cut
 from pgm.linearisers import Lineariser
+from pgm.tracing import Judge
 
 
 @dataclass(eq=False)
@@ -55,7 +57,8 @@ class ChainPlan:
 
     `steps` is T; `runs` are flattened from the user's axes `lead`. `first` is the number of the
     first step, not zero online and of a window; `begin` the belief there given its measurements,
-    (n, *batch) and (n, n, *batch), where it takes the prior's place.
+    (n, *batch) and (n, n, *batch), where it takes the prior's place. `account` is of all sweeps of
+    this plan and of those cut from it.
     """
 
     layout: SliceLayout
@@ -66,6 +69,7 @@ class ChainPlan:
     sensors: list[Sensor]
     first: int = 0
     begin: tuple[Array, Array] | None = None
+    account: Account = field(default_factory=Account)
 
     @cached_property
     def linear(self) -> bool:
@@ -177,8 +181,12 @@ class ChainPlan:
         first: int = 0,
         prior: bool = True,
         probe: bool = True,
+        judge: Judge | None = None,
     ) -> ChainPlan:
-        """Lay out the families of a graph with evidence, and probe their functions."""
+        """Lay out the families of a graph with evidence, and probe their functions.
+
+        Their traces have a judge, or are compared with them at each evaluation.
+        """
         layout, lead = graph.layout, bound.lead
 
         def family(cpd: Any, place: Place, step: Integers, inputs: Inputs) -> Family:
@@ -219,7 +227,7 @@ class ChainPlan:
         ]
         sensors = [sensor(reading) for reading in bound.readings]
         plan = cls(layout, bound.steps, lead, links, transition, sensors, first)
-        if not probe:
+        if not probe and judge is None:
             return plan
         means = {
             cpd.child: cpd.offset.reshape(-1, cpd.child.dimension)[0]
@@ -228,10 +236,10 @@ class ChainPlan:
         }
         for made in plan.families:
             # A graph is probed once; what comes back is checked in every call.
-            if made.cpd not in layout.probed:
+            if probe and made.cpd not in layout.probed:
                 made.probe(means)
                 layout.probed.update([made.cpd] * bool(made.step.size))
-            made.confirm(means)
+            made.trace(means, judge)
         return plan
 
 

@@ -20,8 +20,9 @@ from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Careful
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
-from pgm.inference.chain.innovations import Innovated
-from pgm.inference.chain.marginals import Marginals, joint_moments, require_at_steps
+from pgm.inference.chain.innovated import Innovated
+from pgm.inference.chain.joints import joint_moments
+from pgm.inference.chain.marginals import Marginals, require_at_steps
 from pgm.inference.chain.messages import backward_messages, first_potential, potentials
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reweighting import Weights, evidence_kind
@@ -196,11 +197,21 @@ class ChainPosterior(Innovated, Posterior):
             cov.reshape(*shape, *cov.shape[1:]),
         )
 
+    @cached_property
+    def _careful_slices(self) -> list[adjoint.Smooth] | None:
+        """All slices given all measurements, in twice the digits; None if none knows all."""
+        if self._careful is None or self.kind != SMOOTHED:
+            return None
+        return adjoint.smoothed(self._careful, self.graph.steps)
+
     def _careful_joint(self, careful: Careful, variables: Scope) -> Gaussian:
         steps = [variable.step for variable in variables if variable.step is not None]
         distinct = sorted(set(steps))
         last = self.kind.last(distinct[-1], self.graph.steps)
-        mean, cov = adjoint.joint(careful, distinct, adjoint.smoothed(careful, last))
+        slices = self._careful_slices
+        if slices is None:
+            slices = adjoint.smoothed(careful, last, distinct[0])
+        mean, cov = adjoint.joint(careful, distinct, slices)
         if self.kind == SMOOTHED:  # a step control may have kept other means
             mean = np.concatenate(list(self._beliefs.mean[distinct]), axis=-1)
         layout, size = self.graph.layout, self.graph.layout.slice_size

@@ -14,11 +14,12 @@ from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import Measured, Vector, vector
 from pgm.inference.chain.weights import Weights, by_sighting, own_blocks, scale
 from pgm.inference.iteration import Anchor
-from pgm.inference.rows import At, require_finite
+from pgm.inference.linearisation_failures import require_finite
+from pgm.inference.rows import At
 from pgm.kernels import gaussian
+from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import (
     LOG_2PI,
-    TURN,
     Array,
     Mask,
     block,
@@ -207,11 +208,13 @@ class Reading:
         return seen
 
     def _weighed(self, weights: Weights) -> Array:
+        """The noise of the sightings, each divided by its weight."""
         each = scale(weights.weight, self.sensor.height, self.sensor.family.batch)
         found: Array = self.at.noise * each[:, None] * each[None]
         return found
 
     def _keep_error(self, error: Array | None, active: Mask | None) -> None:
+        """Keep the error of a linearisation, for the active runs."""
         if active is not None and self.error is not None and error is not None:
             error = np.where(active, error, self.error)
         self.error = error
@@ -292,6 +295,7 @@ class Reading:
 
 
 def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
+    """A measurement with angles, at the places `turning`, moved to the branch nearest a value."""
     moved = reading
     for k in turning:
         if reading.ndim == 1:

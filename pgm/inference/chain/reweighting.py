@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.display import Summary, number
+from pgm.inference.by_sensor import EachSensor
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.weights import shown
 from pgm.inference.iteration import Point
-from pgm.inference.posterior import EachSensor
 from pgm.kernels.arrays import Array, Mask, block
-from pgm.kernels.elements import gather
+from pgm.kernels.prefixes import gather
 
 
 def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:
@@ -19,7 +19,7 @@ def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:
     for sensor in plan.robust:
         family = sensor.family
         error = None if family.taylor else family.noise - family.own_noise
-        square = squares(sensor, at.mean, at.cov, plan.first, error)
+        square = squares(sensor, at.mean, at.known_cov, plan.first, error)
         sensor.weights.take(square, active)
         noise = sensor.weights.scaled(family.own_noise)
         if error is not None:

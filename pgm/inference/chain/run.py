@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -29,17 +30,19 @@ from pgm.inference.chain import (
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.balanced import BalancedPosterior
 from pgm.inference.chain.careful import Careful
+from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.fixed_lag import Lagged, Windows
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
-from pgm.inference.options import Start, over_runs, require_hidden
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.inference.starting_points import Start, over_runs, require_hidden
 from pgm.inference.status import CLOSE_POINTS, FILTERED, SMOOTHED, Kind, Status, digits
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
+from pgm.tracing import Judge, judged
 
 
 class Solver(ABC):
@@ -79,6 +82,7 @@ class Solver(ABC):
         windows: Windows | None = None,
         error: Array | None = None,
     ) -> ChainPosterior:
+        status = status.with_compilation(plan.account.words(plan.runs))
         if error is not None:
             status = status.with_digits(digits(error, plan.lead))
         parts = kind, plan, swept, smoothed, reverse, careful, windows
@@ -233,7 +237,21 @@ def run(
             f"a start is for smoothing all at once, not {schedule!r}, which linearises at beliefs"
         )
     given = None if start is None else _start(graph.layout, bound, start)
-    plan = ChainPlan.make(graph, bound, lineariser)
+    return judged(partial(_solved, graph, bound, lineariser, schedule, solver, given, room))
+
+
+def _solved(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    schedule: Schedule,
+    solver: Solver,
+    given: Array | None,
+    room: Room | None,
+    judge: Judge,
+) -> ChainPosterior:
+    """The solution in float64, or where that loses too many digits, in twice as many."""
+    plan = ChainPlan.make(graph, bound, lineariser, judge=judge)
     gates = getattr(schedule, "gate", None)  # a plain calibration has none
     gate.prepare(plan, gates)
     if not certificate.is_flat(plan):
@@ -246,8 +264,10 @@ def run(
                 return _told(found)
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
-        plan = ChainPlan.make(graph, bound, lineariser, probe=False)
+        plan = ChainPlan.make(graph, bound, lineariser, probe=False, judge=judge)
         gate.prepare(plan, gates)
+    if compiled.is_used(plan):
+        plan.account.leave("float64 has too few digits, and twice as many are computed by NumPy")
     found = solver.carefully(plan, given)
     _refuse_infinite(found)
     return _told(found)

@@ -15,6 +15,7 @@ from pgm.inference.chain.weights import Weights
 from pgm.inference.family import Family
 from pgm.inference.rows import At
 from pgm.kernels import along_runs, roots
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Index,
@@ -27,7 +28,6 @@ from pgm.kernels.arrays import (
     components_last,
     cut,
     independent,
-    nearest_branch,
 )
 from pgm.linearisers import BoundFunction
 from pgm.variables import Variable
@@ -170,6 +170,7 @@ class Sensor:
 
     @cached_property
     def _angles(self) -> list[int]:
+        """The places of angles among the components."""
         return [int(k) for k in np.flatnonzero(self.variable.angle_mask)]
 
     def sharpness(self, noise: Array) -> Array | None:
@@ -178,10 +179,12 @@ class Sensor:
 
     @cached_property
     def _constant(self) -> Array | None:
+        """The noise covariance, if it is one for all measurements."""
         return self.family._own(0, 1) if len(self.family.own_noise) == 1 else None
 
     @cached_property
     def _sharpness(self) -> Array:
+        """The sharpness of that noise: see `along_runs.sharpness`."""
         assert self._constant is not None
         return along_runs.sharpness(self._constant)
 
@@ -211,9 +214,11 @@ class Sensor:
 
     @cached_property
     def _by_row(self) -> list[Array]:
+        """The values of each row, (d,), of one run."""
         return list(self.values[:, 0])
 
     def _flat(self, rows: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
+        """Some rows (k, runs or 1, d) as one vector, (k d, *batch)."""
         if not self.family.batch:
             return rows.reshape(-1)
         return rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
@@ -303,6 +308,7 @@ class Sensor:
         return np.where(seen[..., None] & seen[..., None, :], cross, 0.0)
 
     def _taken(self, rows: slice | Integers) -> Mask | None:
+        """The mask of components of some rows that were taken, (k, runs or 1, d); None for all."""
         if self.taken is None or (taken := self.taken[rows]).all():
             return None
         return taken

@@ -9,24 +9,27 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from pgm.compile.machine import CONTROL, POINTS
 from pgm.errors import NumericalError
 from pgm.factors.scope import angle_mask
-from pgm.inference.chain import backward, careful, cost, forward, newton, parallel
+from pgm.inference.chain import backward, careful, cost, exact_relations, forward, newton, parallel
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
 from pgm.inference.chain.compiled import sweep as compiled
-from pgm.inference.chain.compiled.table import Uncompiled, is_known
+from pgm.inference.chain.compiled.judged import judge_at
+from pgm.inference.chain.compiled.table import Uncompiled, unknown
 from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.moments import on_chart, turns_far
 from pgm.inference.chain.newton import Means
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reweighting import reweigh, settled
 from pgm.inference.chain.sensor import linearise_grouped
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.iteration import Anchor, Point, iterate
-from pgm.inference.options import LevenbergMarquardt
 from pgm.inference.schedule import Smoothing
 from pgm.inference.status import Status
 from pgm.kernels import moments
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Mask,
@@ -34,10 +37,9 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     deviation,
-    nearest_branch,
     variances,
 )
-from pgm.kernels.elements import gather
+from pgm.kernels.prefixes import gather
 from pgm.progress import counted
 
 
@@ -111,11 +113,15 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
     steps = _is_newton(plan, schedule) and schedule.gate is None and not plan.exact
     anchored = isinstance(schedule.damping, LevenbergMarquardt)
     machine = compiled.is_used(plan) and not anchored
+    if anchored and plan.account.due:
+        plan.account.leave(CONTROL)
     if steps and machine:
         found = _compiled(plan, schedule, first)
         if found is not None:
             return found
-    machine = machine and is_known(plan)
+    machine = machine and unknown(plan) is None
+    if machine and schedule.iterations > 1 and not (steps or plan.exact):
+        plan.account.leave(POINTS)
     rounds = _is_long(plan) and schedule.iterations > 1 and not machine
     chain = Chain(plan, _in_rounds if rounds else swept)
     if isinstance(first, Smoothed):
@@ -213,15 +219,19 @@ def _compiled(
             newton.linearise(at, active)
             solution = newton.solve()
         result = iterate(newton, solution, schedule, ~active, at)
-    except Uncompiled:
+    except Uncompiled as error:
+        if str(error) not in plan.account.left:
+            plan.account.leave(f"Gauss–Newton steps, since {error}")
         return None
     last = result.solution.point
     found = swept(plan, last.mean, None)
     std = deviation(found.beliefs.cov)
+    judge_at(plan, newton.at, std)
     off = moments.marginal_error(last.mean, found.means, std)
     spread = moments.marginal_error(last.std, std, std)
     if off.max() <= _CLOSE and spread.max() <= _ALIKE:
         return found, Status.of(result.residuals, result.converged, plan.lead)
+    plan.account.leave("Gauss–Newton steps, since normal equations have too few digits")
     return None
 
 
@@ -291,7 +301,7 @@ class Chain(Generic[Either]):
 
     def feasible(self, mean: Array, found: Point) -> Array:
         """Means projected onto the exact CPDs."""
-        nearest, obeyed = cost.projected(self.plan, mean, found.std)
+        nearest, obeyed = exact_relations.projected(self.plan, mean, found.std)
         return np.where(obeyed[:, None], nearest, found.mean)
 
 

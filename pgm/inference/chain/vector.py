@@ -109,6 +109,11 @@ def vector(parts: Sequence[Measured], mean: Array) -> Vector:
 
 
 def _masked(seen: Measured, mean: Array) -> Vector:
+    """The sightings of a sensor over its own parents.
+
+    A missing component has H = 0, no residual, and unit variance without correlations: it says
+    nothing.
+    """
     residual = seen.residual(mean if seen.sensor.whole else mean[seen.sensor.parents])
     if seen.taken is None:
         return Vector(seen.matrix, residual, seen.noise, None)
@@ -148,6 +153,10 @@ def stacks(plan: ChainPlan, sensors: list[Sensor], reference: Array) -> list[Sta
 def _stack(
     plan: ChainPlan, sensors: list[Sensor], steps: Integers, counts: Integers, reference: Array
 ) -> Stack:
+    """The measurements of steps with equally many sightings, as vectors about a reference.
+
+    Sensors stand below one another, with the covariances between the sightings of a step.
+    """
     heights = [int(count) * s.moved.shape[-1] for s, count in zip(sensors, counts, strict=True)]
     size, shape = plan.layout.slice_size, (steps.size, plan.runs)
     matrix = np.zeros((*shape, sum(heights), size))

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds import ConditionalGaussian, RobustNoise, TruncatedLeastSquares
-from pgm.kernels import roots
+from pgm.kernels import roots, solving
 from pgm.kernels.arrays import Array, Integers, Kind, Mask, independent, inner
 
 # Weights that move by no more than this have settled.
@@ -50,7 +50,7 @@ class Weights:
             own = independent(own, taken)
         lower = roots.root(own)
         cpd.require_regular(lower)
-        white = roots.solve_lower(lower, np.broadcast_to(np.eye(own.shape[-1]), own.shape))
+        white = solving.solve_lower(lower, np.broadcast_to(np.eye(own.shape[-1]), own.shape))
         stage = np.full(shape[1], np.nan if cpd.noise.graduated else np.inf)
         return cls(cpd.noise, white, taken, np.ones(shape), np.zeros(shape), stage)
 
@@ -102,6 +102,11 @@ class Weights:
         return np.asarray(np.where(active, moved, 0.0))
 
     def _weights(self, square: Array) -> tuple[Array, Array]:
+        """The weights at squared lengths, and the stage of graduated non-convexity they are of.
+
+        Truncated least squares begins with a wide loss and sharpens it stage by stage, until the
+        weights are those of the hard loss.
+        """
         noise = self.noise
         hard = noise.weight(square, self.count)
         if not isinstance(noise, TruncatedLeastSquares):

@@ -13,9 +13,8 @@ back a factor of each of its rows.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import cast
 
@@ -24,9 +23,6 @@ import numpy as np
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import TableCPD
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.storage import Storage
-from pgm.inference.discrete.tree_beliefs import TreeBeliefs
-from pgm.inference.limits import Room, require_size
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete
 
@@ -68,6 +64,7 @@ def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
 
 @np.errstate(all="raise")
 def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
+    """The beliefs of one run; an underflow raises `FloatingPointError`."""
     return _Tree(graph, evidence).answer()
 
 
@@ -134,6 +131,7 @@ class _Tree:
                         waiting.append(other)
 
     def _of_cpd(self, family: Sequence[int], table: Array) -> Factor:
+        """A CPD as a factor, with its observed variables at their states, on axes of length one."""
         given = [*family[1:], family[0]]
         if not self.shown.keys().isdisjoint(given):
             state = self.shown.get
@@ -145,6 +143,7 @@ class _Tree:
         return scope, table
 
     def _of_weights(self, place: int, weights: Array) -> Factor:
+        """Soft evidence of a variable, (states,), as a factor."""
         state = self.shown.get(place)
         return [place], weights if state is None else weights[state : state + 1]
 
@@ -167,6 +166,11 @@ class _Tree:
         return Answer(self._distribute(tables), log_evidence)
 
     def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
+        """Messages towards the roots: tables times all messages from below, and ln p(evidence).
+
+        Tables are matrices (variables of its own, variables shared with its parent), whose rows a
+        message sums; `shapes` are those of the messages as factors of the parent.
+        """
         tables: list[Array] = [NOTHING] * len(self.order)
         log_evidence = 0.0
         for k in reversed(self.order):
@@ -183,6 +187,7 @@ class _Tree:
         return tables, log_evidence
 
     def _product(self, scope: Sequence[int], factors: Iterable[Factor]) -> Array:
+        """The product of some factors, with an axis for each variable of a scope."""
         sizes = self.sizes
         table: Array | None = None
         for own, values in factors:
@@ -195,6 +200,11 @@ class _Tree:
         return table
 
     def _distribute(self, tables: list[Array]) -> dict[Discrete, Array]:
+        """Messages back from the roots; marginals, each from the smallest table with the variable.
+
+        A table becomes the joint of its variables by the ratio of the parent's joint of the shared
+        ones and the message that went up.
+        """
         sizes = self.sizes
         homes: list[Factor] = [((), NOTHING)] * len(sizes)
         least = [math.inf] * len(sizes)
@@ -219,6 +229,7 @@ class _Tree:
         return self._normalised(hidden, [_to((place,), *homes[place]) for place in hidden])
 
     def _normalised(self, hidden: Sequence[int], sums: Sequence[Array]) -> dict[Discrete, Array]:
+        """The marginals of the hidden variables, divided by their sums."""
         if not hidden:
             return {}
         widths = [self.sizes[place] for place in hidden]
@@ -239,6 +250,7 @@ NOTHING = np.empty(0)
 
 
 def _to(wanted: Sequence[int], scope: Sequence[int], table: Array) -> Array:
+    """The sums of a table over all variables but the wanted ones, which stay in its order."""
     if len(wanted) == len(scope):
         return table
     axes = [axis for axis, place in enumerate(scope) if place not in wanted]
@@ -248,71 +260,3 @@ def _to(wanted: Sequence[int], scope: Sequence[int], table: Array) -> Array:
     for gone, axis in enumerate(axes):
         table = np.add.reduce(table, axis - gone)
     return table
-
-
-@dataclass(frozen=True, eq=False)
-class FirstBeliefs:
-    """The beliefs of one run, of a graph that had not been asked before.
-
-    Marginals and log-evidence are there; joints, messages and beliefs of clusters are read from
-    tables that are laid out and calibrated when the first of them is asked for.
-    """
-
-    graph: ClusterGraph
-    evidence: BoundStates
-    _room: Room
-    _answer: Answer
-
-    @classmethod
-    def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> FirstBeliefs | None:
-        """Answer a graph's first question, of evidence without leading axes.
-
-        None, if it is not the first; or where numbers do not do, or the evidence is impossible:
-        then logarithms serve, or tell what contradicts what.
-        """
-        if not _first(graph):
-            return None
-        require_size(graph, graph.sizes, "tables")
-        found = answer(graph, evidence)
-        return None if found is None else cls(graph, evidence, room, found)
-
-    def marginal(self, variable: Discrete) -> Array:
-        """The probabilities of a variable, (states,)."""
-        return self._answer.marginals[variable]
-
-    def log_evidence(self) -> Array:
-        """The value ln p(evidence), ()."""
-        return np.asarray(self._answer.log_evidence)
-
-    @cached_property
-    def _planned(self) -> TreeBeliefs:
-        return TreeBeliefs.of(self.graph, self.evidence, self._room)
-
-    @property
-    def storage(self) -> Storage:
-        """The layout of the tables that `read` is given."""
-        return self._planned.storage
-
-    def read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of a function of the tables."""
-        return self._planned.read(reader)
-
-    def log_total(self, cluster: int) -> Array:
-        """The logarithm of p(evidence) of a cluster's tree, ()."""
-        return self._planned.log_total(cluster)
-
-    def message(self, source: int, target: int) -> tuple[Array, Array]:
-        """The message from one cluster to a neighbour, (sizes..., 1), and its log-scale."""
-        return self._planned.message(source, target)
-
-
-def _first(graph: ClusterGraph) -> bool:
-    """Whether nothing was laid out for a graph yet, nor asked of it; from now on it was."""
-    if graph._derived:
-        return False
-    graph.derived(_asked)
-    return True
-
-
-def _asked(graph: ClusterGraph) -> bool:
-    return True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,14 +10,14 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.factors.axes import States, discrete, sizes, without
+from pgm.factors.axes import sizes
 from pgm.inference import limits
-from pgm.inference.discrete.place import positions, steps
-from pgm.inference.discrete.storage import Storage, contiguous, enter_everywhere
-from pgm.inference.discrete.tree_passes import contradicted
-from pgm.inference.loopy import Directed
+from pgm.inference.discrete.entered_evidence import enter_everywhere
+from pgm.inference.discrete.impossible import contradicted
+from pgm.inference.discrete.loopy_plan import Group, LoopyPlan, Outlet
+from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.kernels.tables import exp, log_sum
+from pgm.kernels.semirings import exp, log_sum
 from pgm.variables import Discrete
 
 
@@ -41,6 +40,11 @@ class TableMessages:
         equal = np.repeat(-np.log(self.plan.widths), self.plan.widths)
         self.logs = np.repeat(equal[:, None], self.runs, axis=1)
         self._proposed = np.empty_like(self.logs)
+
+    @property
+    def bounded(self) -> bool:
+        """A probability changes by one at the most."""
+        return True
 
     def round(self, messages: Sequence[int]) -> Sequence[Group]:
         """Lay out the computation of some messages."""
@@ -74,18 +78,20 @@ class TableMessages:
         return products.reshape(-1, self.runs)
 
     def _normalised(self, messages: Array, outlet: Outlet) -> Array:
+        """Logarithms of messages, (messages, columns, runs), less those of their sums."""
         total = log_sum(messages, 1)
         self._require_possible(total, outlet.senders)
         normalised: Array = messages - total[:, None]
         return normalised
 
     def _require_possible(self, totals: Array, clusters: Integers) -> None:
+        """Refuse logarithms of sums, (clusters, runs), that are −∞: the evidence is impossible."""
         empty = totals == -np.inf
         if empty.any():
             found = [self.storage.graph.clusters[k] for k in clusters.tolist()]
             raise contradicted(empty, found, self.evidence.lead)
 
-    def accept(self, round: Sequence[Group], active: Mask) -> None:
+    def accept(self, round: Sequence[Group], active: Mask, lost: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active, (runs,)."""
         for group in round:
             for outlet in group.outlets:
@@ -125,6 +131,7 @@ class TableMessages:
 
 
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
+    """Refuse a graph and evidence whose tables and products of messages would not fit memory."""
     # A cluster's table is multiplied by the messages of all neighbours but each in turn: where
     # these meet it is laid out for all clusters, the products are made for some at once.
     products = [size * max(1, len(graph.neighbours(k))) for k, size in enumerate(graph.sizes)]
@@ -163,6 +170,7 @@ class LoopyBeliefs:
 
     @cached_property
     def _marginals(self) -> Array:
+        """The marginals of all variables, one after the other, (entries, runs)."""
         return self.storage.marginals.read(self._tables)
 
     def marginal(self, variable: Discrete) -> Array:
@@ -190,118 +198,3 @@ class LoopyBeliefs:
         first = plan.first[number]
         logs = self.messages.logs[first : first + plan.widths[number]]
         return exp(logs).reshape((*sizes(plan.sepsets[number]), -1)), None
-
-
-# Which axes of a cluster its sepset has.
-Kept = tuple[bool, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Outlet:
-    """Messages of one shape that a group of clusters sends.
-
-    index: (rows, messages · columns): the entries, of all but one neighbour's product, to sum.
-    columns: (messages, columns): where the messages are kept.
-    order: (messages,): which of the round's messages they are.
-    senders: (messages,): the clusters that send them.
-    """
-
-    index: Integers
-    columns: Integers
-    order: Integers
-    senders: Integers
-
-
-@dataclass(frozen=True, eq=False)
-class Group:
-    """Clusters with equally many neighbours and entries, and the messages asked of them.
-
-    entries: (clusters · entries,): where their tables stand.
-    incoming: (neighbours, clusters · entries): the columns of messages that meet each entry.
-    """
-
-    entries: Integers
-    incoming: Integers
-    outlets: Sequence[Outlet]
-
-
-class LoopyPlan:
-    """Lays out rounds of messages of a graph."""
-
-    def __init__(self, graph: ClusterGraph) -> None:
-        self.storage, self.directed = contiguous(graph), Directed.of(graph)
-        edges = graph.sepsets.values()
-        self.sepsets: list[States] = [discrete(s) for s in edges for _ in range(2)]
-        self.widths = np.array([math.prod(sizes(s)) for s in self.sepsets], dtype=np.intp)
-        self.first = np.cumsum(self.widths) - self.widths
-        self._slot = {m: k for found in self.directed.outgoing for k, m in enumerate(found)}
-        self._all: tuple[int, list[Group]] | None = None
-        self._shapes: dict[tuple[tuple[int, ...], Kept], tuple[Integers, Integers]] = {}
-
-    def everything(self, runs: int) -> list[Group]:
-        """All messages; laid out once for a number of runs."""
-        if self._all is None or self._all[0] != runs:
-            self._all = runs, self.lay_out(range(len(self.directed)), runs)
-        return self._all[1]
-
-    def lay_out(self, messages: Sequence[int], runs: int) -> list[Group]:
-        """Group the sources of some messages by shape."""
-        asked: dict[int, list[tuple[int, int]]] = {}
-        for order, message in enumerate(messages):
-            asked.setdefault(int(self.directed.source[message]), []).append((order, message))
-        kinds: dict[tuple[int, int], list[int]] = {}
-        for cluster in asked:
-            degree = len(self.directed.outgoing[cluster])
-            kinds.setdefault((degree, self.storage.graph.sizes[cluster]), []).append(cluster)
-        groups = []
-        for (degree, entries), clusters in kinds.items():
-            some = max(1, limits.BATCH // (degree * entries * runs))
-            for at in range(0, len(clusters), some):
-                groups.append(self._group(clusters[at : at + some], asked))
-        return groups
-
-    def _group(self, clusters: list[int], asked: dict[int, list[tuple[int, int]]]) -> Group:
-        size = self.storage.graph.sizes[clusters[0]]
-        total = size * len(clusters)
-        places = [self.storage.places[k] for k in clusters]
-        entries = [place.positions(place.scope).ravel() for place in places]
-        incoming = [self._incoming(k) for k in clusters]
-        shapes: dict[int, list[tuple[int, int, Integers]]] = {}
-        for place, cluster in enumerate(clusters):
-            for order, message in asked[cluster]:
-                start = self._slot[message] * total + place * size
-                rows = start + self._shape(cluster, message)[0]
-                shapes.setdefault(rows.shape[1], []).append((order, message, rows))
-        outlets = [
-            Outlet(
-                np.concatenate([rows for _, _, rows in found], axis=1),
-                np.array([self.first[m] + np.arange(width) for _, m, _ in found]),
-                np.array([order for order, _, _ in found]),
-                self.directed.source[[m for _, m, _ in found]],
-            )
-            for width, found in shapes.items()
-        ]
-        return Group(np.concatenate(entries), np.concatenate(incoming, axis=1), outlets)
-
-    def _incoming(self, cluster: int) -> Integers:
-        return np.array(
-            [
-                self.first[message ^ 1] + self._shape(cluster, message)[1]
-                for message in self.directed.outgoing[cluster]
-            ]
-        )
-
-    def _shape(self, cluster: int, message: int) -> tuple[Integers, Integers]:
-        """The sum of a cluster's entries to a sepset, and the column that meets each.
-
-        Entries (rows, columns), and columns (entries,); they depend on shapes alone.
-        """
-        scope, sepset = self.storage.scopes[cluster], self.sepsets[message]
-        kept = tuple(v in sepset for v in scope)
-        key = sizes(scope), kept
-        if key not in self._shapes:
-            # Sepsets and clusters both have the network's order.
-            rows = positions(0, steps(scope, 1), (*without(scope, sepset), *sepset))
-            columns = positions(0, steps(sepset, 1), scope)
-            self._shapes[key] = rows.reshape(-1, self.widths[message]), columns.ravel()
-        return self._shapes[key]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import LEFT_OUT, Listing, Shown, Summary, few, titled
@@ -18,22 +19,24 @@ from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
+from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.place import steps
-from pgm.inference.discrete.storage import Distinct, some_runs, tree_pieces
-from pgm.inference.discrete.tree_passes import collect, enter, require_possible
+from pgm.inference.discrete.run_pieces import Distinct, some_runs, tree_pieces
+from pgm.inference.discrete.tree_passes import collect, enter
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs
-from pgm.inference.markov.chain import require_chain
-from pgm.inference.markov.marginals import most_probable_path
+from pgm.inference.markov.most_probable_path import most_probable_path
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.run import require_beliefs
+from pgm.inference.markov.schedule_kinds import require_chain
 from pgm.inference.parts.workers import Workers
 from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.kernels.tables import MAX_PRODUCT
+from pgm.kernels.semirings import MAX_PRODUCT
 from pgm.progress import Progress, counted, reporting
 from pgm.variables import Discrete, Variable
 
@@ -92,7 +95,8 @@ class MostProbable(Shown, Immutable):
         if not isinstance(variable, Discrete) or variable not in self.assignment:
             require_variable(variable)
             raise EvidenceError(
-                f"{variable!r} is not in the network; its variables are {list(self.assignment)}",
+                f"{variable!r} is not in the network; its variables are {list(self.assignment)}"
+                f"{namesake(variable, self.assignment)}",
                 variable=variable,
             )
         found = self.assignment[variable]
@@ -135,6 +139,7 @@ class MostProbable(Shown, Immutable):
         return Summary(self._title, parts + [f"... {left} more"] * (left > 0))
 
 
+@public
 def most_probable(
     graph: ClusterGraph,
     evidence: Evidence,
@@ -322,6 +327,7 @@ def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
 
 
 def _decode(plan: TreePlan, entry: Integers) -> Integers:
+    """The states of all variables, (variables, runs), at entries of their homes' tables."""
     homes = plan.storage.homes
     scopes = {home: plan.storage.places[home].scope for home in homes.values()}
     strides = np.array([steps(scopes[home], 1)[variable] for variable, home in homes.items()])

@@ -1,4 +1,4 @@
-"""Products and sums of entries of the flat storage."""
+"""Sums of the entries of tables in the flat storage, over the axes that a message leaves out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from pgm.factors.axes import States, sizes, without
 from pgm.inference.discrete.place import Merged, Place
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.tables import SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
 # Entries of a matrix that sums the storage to all marginals, at the most.
@@ -31,7 +31,7 @@ class GatheredSum:
 
     @classmethod
     def of(cls, sources: Sequence[tuple[Place, States]], start: int) -> GatheredSum:
-        """Of tables to some of their variables each, with the sums from a place on."""
+        """The sums of tables over all but the wanted variables of each, kept from `start` on."""
         matrices = []
         for place, wanted in sources:
             positions = place.positions((*without(place.scope, wanted), *wanted))
@@ -61,7 +61,7 @@ class BlockSum:
 
     @classmethod
     def of(cls, place: Place, wanted: States, start: int) -> BlockSum:
-        """With the sums from a place on."""
+        """The sums of one large table over all but the wanted variables, kept from `start` on."""
         target = slice(start, start + math.prod(sizes(wanted)))
         view = place.merged(wanted)
         return cls(place.entries, view, AxisSums.of(view.shape, view.others), target)
@@ -106,7 +106,7 @@ class Marginals:
 
     @classmethod
     def of(cls, sources: Mapping[Discrete, Place], length: int) -> Marginals:
-        """From where to sum the probabilities of each variable, in a storage of some length."""
+        """The sums of the marginals of all variables, each from the table of its home."""
         # A large table is summed by itself, others with those of as many entries for each state.
         together: dict[Discrete | int, list[tuple[Place, States]]] = {}
         for variable, place in sources.items():
@@ -163,7 +163,7 @@ class AxisSums:
 
     @classmethod
     def of(cls, shape: tuple[int, ...], axes: tuple[int, ...]) -> AxisSums:
-        """Choose what sums the last axes."""
+        """The quickest way to sum a table of this shape over some axes."""
         for first in axes:
             block = shape[first:]
             kept = tuple(1 if k in axes else n for k, n in enumerate(block, first))
@@ -194,80 +194,3 @@ def _one_by_one(table: Array, axes: Sequence[int], semiring: Semiring) -> Array:
     for gone, axis in enumerate(axes):
         table = semiring.total(table, axis - gone, None)
     return table
-
-
-# A product whose last axis is shorter is a loop over so few entries; the message is written out for
-# blocks of at most so many.
-SHORT, WIDE = 8, 128
-
-
-@dataclass(frozen=True, eq=False)
-class GatheredProduct:
-    """Messages to the tables of a stack, of any kind.
-
-    children: (messages, clusters): the senders, for each cluster of the stack.
-    index: (messages, entries): the columns.
-    """
-
-    children: Integers
-    index: Integers
-
-    def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
-        """Multiply entries and messages; the entries may be those that the products replace."""
-        if len(self.index) == 1:
-            product = messages.take(self.index[0], 0)
-        else:
-            product = semiring.times.reduce(messages.take(self.index, 0), 0)
-        semiring.times(source, product, out)
-
-    def columns(self, at: Integers) -> Integers:
-        """The columns that meet some entries, (clusters, runs): (messages, clusters, runs)."""
-        return self.index.take(at, 1)
-
-
-@dataclass(frozen=True, eq=False)
-class BlockProduct:
-    """A message to a contiguous table.
-
-    children: (1, 1): the sender.
-    wide: The axis from which on the message of a single run is written out for all entries.
-    """
-
-    children: Integers
-    place: Place
-    sepset: States
-    view: Merged
-    source: slice
-    wide: int
-
-    @classmethod
-    def of(cls, child: int, place: Place, sepset: States, first: int) -> BlockProduct:
-        """From a child, with the message's columns from one on."""
-        source = slice(first, first + math.prod(sizes(sepset)))
-        view = place.merged(sepset)
-        wide = len(view.shape)
-        if view.shape[-1] < SHORT:
-            while wide and math.prod(view.shape[wide - 1 :]) <= WIDE:
-                wide -= 1
-        return cls(np.array([[child]]), place, sepset, view, source, wide)
-
-    def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
-        """Multiply entries and the message; the entries may be those that the products replace."""
-        table = source.reshape((*self.view.shape, *source.shape[1:]))
-        message = self.view.spread(messages[self.source])
-        if message.ndim == len(self.view.shape):
-            shape = message.shape[: self.wide] + self.view.shape[self.wide :]
-            message = np.ascontiguousarray(np.broadcast_to(message, shape))
-        semiring.times(table, message, out.reshape((*self.view.shape, *out.shape[1:])))
-
-    def columns(self, at: Integers) -> Integers:
-        """The columns that meet some entries."""
-        stored = self.place.stored
-        states = np.unravel_index(at, sizes(stored))
-        own = tuple(states[stored.index(v)] for v in self.sepset)
-        column = np.ravel_multi_index(own, sizes(self.sepset)) if own else np.zeros_like(at)
-        columns: Integers = self.source.start + column[None]
-        return columns
-
-
-Product = GatheredProduct | BlockProduct

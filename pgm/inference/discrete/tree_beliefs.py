@@ -10,12 +10,15 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.storage import Distinct, Storage, pieces, tree_pieces
-from pgm.inference.discrete.tree_passes import Calibrated, TreeMessages, calibrate, require_possible
+from pgm.inference.discrete.impossible import OF_RUNS, require_possible
+from pgm.inference.discrete.run_pieces import Distinct, pieces, tree_pieces
+from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.tree_messages import TreeMessages
+from pgm.inference.discrete.tree_passes import Calibrated, calibrate
 from pgm.inference.discrete.tree_plan import TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import exp
+from pgm.kernels.semirings import exp
 from pgm.variables import Discrete
 
 
@@ -55,13 +58,14 @@ class TreeBeliefs:
             del done  # before the next ones are made
         log_tops = tops.whole
         if distinct.which is None or not np.isfinite(log_tops).all():
-            require_possible(plan, evidence, distinct.spread(log_tops))
+            require_possible(plan, evidence, distinct.spread(log_tops), OF_RUNS)
         if keep:
             return cls(plan, storage, evidence, room, distinct, kept, None, log_tops)
         return cls(plan, storage, evidence, room, distinct, None, marginals.whole, log_tops)
 
     @cached_property
     def _marginals(self) -> Array:
+        """The marginals of all variables one after the other, (entries, distinct runs)."""
         given = self._read(self.plan.marginals.read) if self._given is None else self._given
         # Tables of parts of it are handed out as they are.
         given.flags.writeable = False
@@ -76,6 +80,7 @@ class TreeBeliefs:
         return self._distinct.spread(self._read(reader))
 
     def _read(self, reader: Callable[[Array], Array]) -> Array:
+        """The results of a function of the calibrated tables for all distinct runs, in pieces."""
         found = _Gathered(self._distinct.evidence.runs)
         if self._kept is not None:
             for done, runs in self._kept:
@@ -97,6 +102,7 @@ class TreeBeliefs:
 
     @cached_property
     def _whole(self) -> TreeMessages:
+        """The messages by their definition, of all distinct runs."""
         return TreeMessages(self.storage, self._distinct.evidence)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
@@ -127,6 +133,7 @@ class _Gathered:
         self.done = 0
 
     def add(self, values: Array, runs: int) -> None:
+        """Add the values of the next runs, (..., runs)."""
         if runs == self.runs:
             self.whole = values
             return

@@ -1,26 +1,16 @@
-"""Messages over a tree of tables, to the roots and back; evidence that contradicts the tables."""
+"""Messages over a tree of tables: towards the roots, and back."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.clustergraph import Cluster, ClusterGraph
-from pgm.errors import EvidenceError
+from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.factors.scope import in_run, names
-from pgm.inference.discrete.storage import (
-    Storage,
-    enter_everywhere,
-    multiply,
-    sepset_between,
-    some_runs,
-)
+from pgm.inference.discrete.entered_evidence import multiply
 from pgm.inference.discrete.tree_plan import TreePlan
-from pgm.kernels.arrays import Array, Mask
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp, log_sum
-from pgm.variables import Discrete
+from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +202,7 @@ def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
 
 
 def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Calibrated:
+    """Both passes over a tree in one semiring; only the first, where the evidence is impossible."""
     entry = enter(plan, evidence, semiring)
     done = collect(plan, entry, semiring)
     tables, log_tops = entry.tables, semiring.logs(done.tops)
@@ -221,103 +212,3 @@ def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Cal
     if not semiring.linear:
         exp(tables, out=tables)
     return Calibrated(tables, log_tops)
-
-
-class TreeMessages:
-    """Messages of a graph without loops, each from the potential and the other messages.
-
-    All are logarithms, with an axis for each variable, and one of runs.
-    """
-
-    def __init__(self, storage: Storage, evidence: BoundStates) -> None:
-        self.storage = storage
-        self.potentials = enter_everywhere(storage, evidence)
-        self._messages: dict[tuple[int, int], Array] = {}
-
-    def message(self, source: int, target: int) -> Array:
-        """The message from one cluster to a neighbour; it and those it is made of are kept."""
-        waiting = [] if (source, target) in self._messages else [(source, target)]
-        while waiting:
-            i, j = waiting[-1]
-            inputs = [(k, i) for k in self.storage.graph.neighbours(i) if k != j]
-            missing = [edge for edge in inputs if edge not in self._messages]
-            waiting += missing
-            if not missing:
-                waiting.pop()
-                self._messages[i, j] = self._sent(i, j, inputs)
-        return self._messages[source, target]
-
-    def _sent(self, i: int, j: int, inputs: Iterable[tuple[int, int]]) -> Array:
-        scope, graph = self.storage.scopes[i], self.storage.graph
-        total = self.storage.table(self.potentials, i)
-        for edge in inputs:
-            # Sepsets and clusters both have the network's order.
-            own = sepset_between(graph, *edge)
-            sizes = (v.size if v in own else 1 for v in scope)
-            total = total + self._messages[edge].reshape((*sizes, -1))
-        kept = sepset_between(graph, i, j)
-        return log_sum(total, tuple(k for k, v in enumerate(scope) if v not in kept))
-
-
-ADVICE = (
-    "Leave some of it out; or, if it can happen, replace the zeros that forbid it in the CPDs' "
-    "tables by small probabilities"
-)
-
-
-def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> None:
-    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞."""
-    # One sum finds out, whatever is infinite.
-    if math.isfinite(np.add.reduce(log_tops, None)):
-        return
-    impossible = log_tops == -np.inf
-    runs = impossible.any(axis=0)
-    first = int(runs.argmax())
-    lost = impossible[:, first] if runs.ndim else impossible
-    root = int(plan.tree_of_top[lost.argmax()])
-    alone = some_runs(evidence, slice(first, first + 1))
-    cluster, involved = _contradiction(plan, alone, root)
-    where = in_run(runs.reshape(evidence.lead))
-    raise EvidenceError(
-        f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
-        f"for all states of cluster {cluster.index} over {names(cluster.scope)} are impossible "
-        f"given it. {ADVICE}",
-        variable=involved[0],
-        cluster=cluster.index,
-    )
-
-
-def _contradiction(
-    plan: TreePlan, evidence: BoundStates, root: int
-) -> tuple[Cluster, list[Discrete]]:
-    """The deepest cluster of a tree whose message upward is all zero, and the evidence below."""
-    forest, scopes = plan.forest, plan.storage.scopes
-    messages = TreeMessages(plan.storage, evidence)
-    upward = (
-        k
-        for level in reversed(forest.levels[1:])
-        for k in level.tolist()
-        if forest.roots[k] == root and (messages.message(k, int(forest.parent[k])) == -np.inf).all()
-    )
-    at = next(upward, root)
-    below, waiting = [], [at]
-    while waiting:
-        below.append(waiting.pop())
-        waiting += forest.children[below[-1]]
-    members = {v for k in below for v in scopes[k]}
-    states = [v for v, s in evidence.states.items() if v in members and np.min(s) >= 0]
-    weights = [v for v in evidence.weights if plan.storage.homes[v] in below]
-    return plan.graph.clusters[at], list(dict.fromkeys((*states, *weights)))
-
-
-def contradicted(empty: Mask, clusters: Iterable[Cluster], lead: tuple[int, ...]) -> EvidenceError:
-    """The error where sums over clusters' states, (clusters, runs), are zero."""
-    runs = empty.any(axis=0)
-    row = int(empty[:, runs.argmax()].argmax())
-    cluster = list(clusters)[row]
-    return EvidenceError(
-        f"the evidence has probability zero{in_run(runs.reshape(lead))}: all states of cluster "
-        f"{cluster.index} over {names(cluster.scope)} are impossible given it and the messages "
-        f"of the cluster's neighbours. {ADVICE}",
-        cluster=cluster.index,
-    )

@@ -23,18 +23,13 @@ from pgm.clustergraph.structure import Forest
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference.discrete.place import LARGE, Place, positions, steps
-from pgm.inference.discrete.storage import Storage, at_once, sepset_between
-from pgm.inference.discrete.sums import (
-    BlockProduct,
-    GatheredProduct,
-    Marginals,
-    Product,
-    Sum,
-    summed,
-)
+from pgm.inference.discrete.products import BlockProduct, GatheredProduct, Product
+from pgm.inference.discrete.run_pieces import at_once
+from pgm.inference.discrete.storage import Storage, sepset_between
+from pgm.inference.discrete.sums import Marginals, Sum, summed
 from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.tables import SUM_PRODUCT
+from pgm.kernels.semirings import SUM_PRODUCT
 from pgm.variables import Discrete
 
 # Entries of this matrix, at the most.
@@ -206,6 +201,7 @@ class TreePlan:
 
     @cached_property
     def _roots(self) -> int:
+        """The stacks of root clusters, as a set of bits."""
         return _union(stack.bit for stack in self.stacks if stack.down is None)
 
     @cached_property
@@ -263,6 +259,7 @@ def make_plan(graph: ClusterGraph, large: int) -> TreePlan:
 
 
 def _union(sets: Iterable[int]) -> int:
+    """The union of sets of stacks, which are bits of integers."""
     return reduce(or_, sets, 0)
 
 
@@ -277,6 +274,7 @@ class _Planner:
         self.bits = [0] * len(graph)
 
     def plan(self) -> TreePlan:
+        """Group clusters of equal depth and shape into stacks, and lay their tables out."""
         groups: dict[tuple[int, ...], list[int]] = {}
         for level in self.forest.levels:
             for k in level.tolist():
@@ -295,9 +293,11 @@ class _Planner:
         return TreePlan(*made)
 
     def _rows(self, cluster: int) -> int:
+        """The rows of a table as a matrix with a column for each entry of the sepset above it."""
         return self.graph.sizes[cluster] // self.width[cluster]
 
     def _kind(self, cluster: int) -> tuple[int, ...]:
+        """The depth and shape that all clusters of a stack have; a large one has a stack alone."""
         parent = int(self.forest.parent[cluster])
         above = self.graph.sizes[parent] // self.width[cluster] if parent >= 0 else 0
         depth, children = int(self.forest.depth[cluster]), len(self.forest.children[cluster])
@@ -305,6 +305,7 @@ class _Planner:
         return depth, self._rows(cluster), children, above, alone
 
     def _large(self, cluster: int) -> bool:
+        """Whether a table is so large that it is worked on by itself, in blocks."""
         return self.graph.sizes[cluster] >= self.large
 
     def _ordered(self, cluster: int, scope: States, sepsets: Sequence[States]) -> States:
@@ -336,6 +337,7 @@ class _Planner:
         return start + rows * columns, column + columns
 
     def _stack(self, clusters: list[int], storage: Storage, tops: int) -> Stack:
+        """The stack of some clusters: their tables, their messages up, products and sums."""
         rows = self._rows(clusters[0])
         widths = np.array([self.width[k] for k in clusters])
         columns = int(widths.sum())
@@ -362,6 +364,7 @@ class _Planner:
     def _absorbed(
         self, clusters: list[int], storage: Storage, start: int, entries: int
     ) -> list[Product]:
+        """The products of children's messages into tables: the column that meets each entry."""
         only = storage.places[clusters[0]]
         if only.large:
             return [
@@ -382,6 +385,7 @@ class _Planner:
         return [GatheredProduct(senders[some], maps[some]) for some in chunks]
 
     def _down(self, clusters: list[int], storage: Storage) -> Sum | None:
+        """The sums of the parents' tables to the columns of a stack; None of roots."""
         parent = int(self.forest.parent[clusters[0]])
         if parent < 0:
             return None

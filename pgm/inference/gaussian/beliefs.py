@@ -1,4 +1,4 @@
-"""Clusters about a frame: linearised CPDs as rows, beliefs as moments."""
+"""Beliefs of the clusters of a Gaussian network, as moments about a frame."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.gaussian.layout import Layout, Stack
-from pgm.inference.gaussian.model import Frame, Model, indefinite_noise
-from pgm.kernels import roots
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent, transpose
-from pgm.kernels.rows import NEGLIGIBLE, largest_first
+from pgm.inference.gaussian.layout import Layout
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.prior import Frame
+from pgm.inference.gaussian.rounds import Stack
+from pgm.kernels.arrays import Array, Integers, Mask
 
 
 def by_run(array: Array, *, shared: bool) -> Array:
@@ -42,12 +42,12 @@ class Places:
 
     @cached_property
     def starts(self) -> Integers:
-        """Of each cluster's means."""
+        """The places of clusters' means in the vector of all."""
         return np.cumsum([0, *self.sizes])
 
     @cached_property
     def block_starts(self) -> Integers:
-        """Of each cluster's covariance."""
+        """The places of clusters' covariances in the vector of all."""
         return np.cumsum([0, *(size * size for size in self.sizes)])
 
     def means(self, clusters: Integers, columns: Integers) -> Integers:
@@ -92,7 +92,7 @@ class Beliefs:
 
     @classmethod
     def empty(cls, places: Places, frame: Frame, stacked: int, sides: int) -> Beliefs:
-        """To be filled in."""
+        """Beliefs whose arrays are still to be filled in."""
         return cls(
             places,
             frame,
@@ -164,10 +164,6 @@ def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
     model.relinearise(beliefs.components()[0], at, active)
 
 
-# The size of a residual's summands that costs as many digits as an entry of one.
-COARSE = 1e-1
-
-
 class Flat(NamedTuple):
     """The rows of many factors, one after the other: (V, entries) and (V, rows, N)."""
 
@@ -176,7 +172,7 @@ class Flat(NamedTuple):
 
     @classmethod
     def of(cls, matrices: list[Array], rights: list[Array]) -> Flat:
-        """Of stacks (V, B, k, n) and (V, B, k, N)."""
+        """All entries and sides of stacks (V, B, k, n) and (V, B, k, N) in one vector each."""
         return cls(
             np.concatenate([part.reshape(part.shape[0], -1) for part in matrices], axis=1),
             np.concatenate(
@@ -197,156 +193,3 @@ class Flat(NamedTuple):
     ) -> None:
         """Keep some entries and some rows."""
         self.matrix[:, entries], self.right[:, rows] = matrix, right
-
-
-@dataclass(frozen=True, eq=False)
-class Potentials:
-    """The factors of all CPDs, one after the other in the order of the groups.
-
-    Where all runs share their matrices, V is 1 and each of N runs is a right side; else each of V
-    runs has a matrix, and N is 1. `exact` rows have no noise; log-scales are (V, CPDs, N). `coarse`
-    is the largest of the numbers that residuals are differences of, over the noise's deviations or
-    a relation's size; infinite where a component may be certain by rounding alone.
-    """
-
-    proper: Flat
-    exact: Flat | None
-    log_scale: Array
-    coarse: float
-
-
-def make_potentials(model: Model) -> Potentials:
-    """Turn the linearised CPDs into rows.
-
-    For a residual e = y − (F p + b) at the frame's means the factor is N(e + s_y ξ_y − F s_p ξ_p;
-    0, Σ); with Σ = L Lᵀ its rows are L⁻¹[s_y, −F s_p] and −L⁻¹e. Where L has no pivot the
-    component of the noise is determined by those before, and the row is exact.
-    """
-    if not model.layout.shapes:
-        stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
-        empty = np.zeros((stacked, 0, sides))
-        return Potentials(Flat(np.zeros((stacked, 0)), empty), None, empty, 0.0)
-    parts = [_factor(model, groups) for groups in model.layout.shapes]
-    return Potentials(
-        Flat.of([part.matrix for part in parts], [part.right for part in parts]),
-        Flat.of([part.exact for part in parts], [part.exact_right for part in parts])
-        if any(part.fixed for part in parts)
-        else None,
-        np.concatenate([part.log_scale for part in parts], axis=1),
-        max(part.coarse for part in parts),
-    )
-
-
-class _Linearised(NamedTuple):
-    """CPDs of one shape, about a frame: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ); CPDs first.
-
-    `matrix` is [s_y, −F s_p], (CPDs, V, d, w), without s_y where children are observed; `residual`
-    e, and `size` the numbers it is a sum of, (CPDs, runs, d); `known` columns are of certain
-    parents. Missing components, counted (CPDs, V), have unit variance. Where a child is certain
-    though a parent is not, it is `doubtful` whether what cancels does so exactly.
-    """
-
-    matrix: Array
-    residual: Array
-    noise: Array
-    known: Mask
-    size: Array
-    missing: Integers
-    doubtful: Mask
-
-    @classmethod
-    def of(cls, model: Model, g: int) -> _Linearised:
-        frame, runs = model.frame, 1 if model.shared else model.runs
-        group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
-        at = frame.mean[:, group.parents].swapaxes(0, 1)
-        value = family.value(slice(None), at)
-        child = frame.mean[:, group.child].swapaxes(0, 1) if reading is None else reading
-        certain, doubtful = frame.certain[group.parents], np.zeros(len(group.cpds), dtype=bool)
-        matrix = family.matrix[:, :runs] * -frame.scale[group.parents][:, None, None, :]
-        if reading is None:
-            varying = (family.matrix[:, :runs] != 0.0) & ~certain[:, None, None]
-            fixed = frame.certain[group.child][:, None, :, None]
-            doubtful = (varying & fixed).any(axis=(1, 2, 3))
-            diagonal = frame.scale[group.child][:, None, :, None] * np.eye(group.height)
-            wide = np.broadcast_to(diagonal, (*matrix.shape[:3], group.height))
-            matrix = np.concatenate([wide, matrix], axis=-1)
-        terms = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
-        size, noise = np.maximum(terms, np.abs(child)), family.noise[:, :runs]
-        residual, missing = child - value, np.zeros((len(group.cpds), runs), dtype=np.intp)
-        taken = model.taken[g]
-        if taken is not None:
-            matrix = np.where(taken[..., None], matrix, 0.0)
-            residual, size = np.where(taken, residual, 0.0), np.where(taken, size, 0.0)
-            noise, missing = independent(noise, taken), missing + (~taken).sum(axis=-1)
-        known = np.pad(certain, [(0, 0), (matrix.shape[-1] - certain.shape[1], 0)])
-        return cls(matrix, residual, noise, known, size, missing, doubtful)
-
-
-@dataclass(frozen=True, eq=False)
-class _Factor:
-    """The rows of some CPDs, (V, CPDs, d, w) and (V, CPDs, d, N); whether some are exact."""
-
-    matrix: Array
-    right: Array
-    exact: Array
-    exact_right: Array
-    fixed: bool
-    log_scale: Array
-    coarse: float
-
-
-def _factor(model: Model, groups: list[int]) -> _Factor:
-    each = zip(*(_Linearised.of(model, g) for g in groups), strict=True)
-    given = _Linearised(*map(np.concatenate, each))
-    matrix, noise = given.matrix.swapaxes(0, 1), given.noise.swapaxes(0, 1)
-    residual, size = (by_run(part, shared=model.shared) for part in (given.residual, given.size))
-    # In deviations, those first that vary most: then no row takes up the rounding of another.
-    variance = np.diagonal(noise, axis1=-2, axis2=-1)
-    deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))[..., None]
-    correlation = noise / (deviation * transpose(deviation))
-    order = largest_first(correlation)[..., None]
-    correlation = np.take_along_axis(correlation, order, axis=-2)
-    correlation = np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1)
-    lower = roots.root(correlation, negligible=NEGLIGIBLE)
-    if not roots.is_proper(lower):
-        bad = np.isnan(lower).any(axis=(0, 2, 3))
-        cpds = [cpd for g in groups for cpd in model.layout.groups[g].cpds]
-        raise indefinite_noise(cpds[int(np.flatnonzero(bad)[0])])
-    own, residual, size = (
-        np.take_along_axis(part / deviation, order, axis=-2) for part in (matrix, residual, size)
-    )
-    matrix = roots.solve_lower(lower, own)
-    right = -roots.solve_lower(lower, residual)
-    fixed = roots.determined(lower)
-    height = lower.shape[-1]
-    dimension = height - fixed.sum(axis=-1) - given.missing.T
-    log_scale = -0.5 * (dimension * LOG_2PI + roots.log_determinant(lower))
-    log_scale = log_scale - np.log(deviation).sum(axis=(-2, -1))
-    log_scale = np.broadcast_to(log_scale[..., None], (*log_scale.shape, right.shape[-1]))
-    if not fixed.any():
-        none = np.zeros_like(matrix), np.zeros_like(right)
-        coarse = COARSE * float(size.max(initial=0.0))
-        return _Factor(matrix, right, *none, False, log_scale, coarse)
-    exact = np.where(given.known[:, None], 0.0, matrix)
-    length = np.sqrt(np.einsum("...ij,...ij->...i", exact, exact))
-    # A row without variables left is evidence that is met or not, in units of its own size.
-    weights = np.abs(roots.solve_lower(lower, np.broadcast_to(np.eye(height), lower.shape)))
-    summands = np.sqrt(np.einsum("...ij,...ij->...i", own, own))
-    nothing = fixed & (length <= roots.NEGLIGIBLE * apply(weights, summands))
-    numbers = weights @ size
-    size = np.maximum(numbers, 1.0)
-    length = np.where(fixed & ~nothing, length, 1.0)
-    share = (fixed & ~nothing)[..., None] / length[..., None]
-    coarse = COARSE * float((numbers / length[..., None]).max(initial=0.0))
-    # A pivot of a noise between what may be rounding and what may not leaves it open.
-    if given.doubtful.any() or (roots.determined(roots.root(correlation)) != fixed).any():
-        coarse = np.inf
-    return _Factor(
-        np.where(fixed[..., None], 0.0, matrix),
-        np.where(fixed[..., None], 0.0, right),
-        exact * share,
-        right * np.where(nothing[..., None], 1.0 / size, share),
-        True,
-        log_scale - np.log(length).sum(axis=-1)[..., None],
-        coarse,
-    )

@@ -2,16 +2,8 @@
 
 The linearised CPDs are conditionals of a dense joint (`dense`), taken to all digits, so that only
 the rounding of a lineariser is lost: of F μ + b the last places of its summands. Where these go, to
-first order, says how many digits of a posterior mean they leave.
-
-Whether float64 keeps digits enough is told by how far apart the deviations of a tree lie. Rows are
-divided by their noise and multiplied by the prior's deviations: the size a of their entries is by
-how much a CPD or measurement is sharper than the prior. A factorisation moves each row by some
-10⁻¹⁶ a, and a mean by as many of its deviations, times its distance from the prior's mean in
-deviations of the prior. A covariance pushed down the tree keeps what is small to 10⁻¹⁶ of the
-prior's, 10⁻¹⁶ a² of itself. What relations without noise put into rows counts as they do, and the
-reciprocals of what they are divided by; where it is not certain how many of them are independent,
-no digits are. Residuals, being differences, are compared with the noise, or else the prior.
+first order, says how many digits of a posterior mean they leave. Residuals, being differences, are
+compared with the noise, or else the prior.
 """
 
 from __future__ import annotations
@@ -21,27 +13,25 @@ from decimal import Decimal
 
 import numpy as np
 
-from pgm.inference.family import Family, cancellation
+from pgm.inference.family import Family
 from pgm.inference.gaussian.beliefs import Beliefs
-from pgm.inference.gaussian.dense import Conditional, Conditionals, Joint, Root
+from pgm.inference.gaussian.conditionals import Conditional, Conditionals, Root
+from pgm.inference.gaussian.dense import Joint
 from pgm.inference.gaussian.layout import Layout
-from pgm.inference.gaussian.messages import Buffer
-from pgm.inference.gaussian.model import SHARE, Frame, Model, contradiction
+from pgm.inference.gaussian.linearised_rounding import rounding
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.prior import SHARE, Frame
+from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.tree import TreePlan
-from pgm.inference.status import CLOSE_POINTS, FAR_APART
-from pgm.kernels import extended, slopes
-from pgm.kernels.arrays import Array, Integers, apply, deviation, variances
-from pgm.kernels.extended import ONE, ZERO, Decimals
-from pgm.linearisers import Taylor
-from pgm.linearisers.regression import StatisticalRegression
+from pgm.kernels import decimals
+from pgm.kernels.arrays import Array, Integers, deviation, variances
+from pgm.kernels.decimals import ONE, ZERO, Decimals
 
 # How far a measurement that a model without noise determines may miss it: in parts of the numbers
 # that it is a sum of, and of deviations of the prior, as float64 leaves of a user's arithmetic.
 CONTRADICTION = Decimal("1e-12")
 # The same in parts of what rounding of linearised values comes to at most.
 OF_ROUNDING = 10
-# Rounding of a linearised value, in parts of its summands.
-ROUNDING = 2.0**-52
 # Digits of a mean that float64 holds.
 ALL_DIGITS = -np.log10(2.0**-52)
 # Element operations of a solution beyond which it would take longer than some ten seconds.
@@ -88,9 +78,12 @@ def predictive(
     shared: bool,
     start: Array | None = None,
 ) -> Frame:
-    """As `prior_predictive` without a start, but that moments are rounded once, at the end."""
+    """The prior predictive moments in decimals, rounded once, at the end.
+
+    See `prior_predictive`, without a start.
+    """
     conditionals = Conditionals(layout, families, runs, shared)
-    with extended.precision(MANY):
+    with decimals.precision(MANY):
         joint = Joint.empty(
             conditionals.stacked, layout.size, runs if shared else 1, Decimal(10) ** -(MANY // 2)
         )
@@ -98,7 +91,7 @@ def predictive(
             group, family = layout.groups[g], families[g]
             parents = group.parents[row]
             if not family.exact:
-                inside = extended.floats(joint.cov[:, parents[:, None], parents])
+                inside = decimals.floats(joint.cov[:, parents[:, None], parents])
                 mean = conditionals.by_float(joint.mean[:, parents])
                 family.linearise(row, mean, np.broadcast_to(inside, (runs, *inside.shape[1:])))
             if not group.observed:
@@ -106,7 +99,7 @@ def predictive(
                 made = conditional.matrix, conditional.offset, conditional.noise
                 joint.add(group.child[row], parents, *made)
         mean = conditionals.by_float(joint.mean)
-        variance = extended.floats(variances(joint.cov))
+        variance = decimals.floats(variances(joint.cov))
     scale = np.sqrt(variance.max(axis=0, initial=0.0))
     scale = np.maximum(scale, SHARE * np.abs(mean).max(axis=0, initial=0.0))
     return Frame(mean, np.where(scale > 0.0, scale, 1.0), (variance == 0.0).all(axis=0))
@@ -115,19 +108,26 @@ def predictive(
 def solve(plan: TreePlan, model: Model) -> Solution:
     """The beliefs of a network as it is linearised."""
     conditionals = Conditionals(plan.layout, model.families, model.runs, model.shared)
-    with extended.precision(FEW):
+    with decimals.precision(FEW):
         count = min(2 * (2 * conditionals.span() + FEW), MOST_DIGITS)
-    with extended.precision(count):
+    with decimals.precision(count):
         return _solve(plan, model, conditionals, Decimal(10) ** -(count // 2))
 
 
 def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: Decimal) -> Solution:
+    """Solve with so many decimals: condition the prior's joint on one observed CPD after another.
+
+    A column besides the means, for each component of a nonlinear CPD, carries the rounding of that
+    component's linearisation through the same operations: its last entries say how far a posterior
+    mean moves with it. A number below the share `nothing` of the summands it is made of counts as
+    zero.
+    """
     layout = plan.layout
     sides = model.runs if model.shared else 1
-    rounding = [None if f.exact else _rounding(model, g) for g, f in enumerate(model.families)]
+    roundings = [None if f.exact else rounding(model, g) for g, f in enumerate(model.families)]
     columns = sum(
         len(group.cpds) * group.height
-        for group, lost in zip(layout.groups, rounding, strict=True)
+        for group, lost in zip(layout.groups, roundings, strict=True)
         if lost is not None
     )
     height = max((group.height for group in layout.groups if group.observed), default=0)
@@ -135,14 +135,14 @@ def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: De
     log_density, moved = np.zeros((conditionals.stacked, sides)), np.zeros(conditionals.stacked)
     done = sides
     for conditional in conditionals:
-        group, row, lost = conditional.group, conditional.row, rounding[conditional.g]
+        group, row, lost = conditional.group, conditional.row, roundings[conditional.g]
         offset = np.concatenate(
-            [conditional.offset, extended.zeros(conditionals.stacked, group.height, columns)],
+            [conditional.offset, decimals.zeros(conditionals.stacked, group.height, columns)],
             axis=-1,
         )
         if lost is not None:
             own = np.arange(group.height)
-            offset[:, own, done + own] = extended.exact(lost[row])
+            offset[:, own, done + own] = decimals.exact(lost[row])
             done += group.height
         parents = group.parents[row]
         if not group.observed:
@@ -152,7 +152,7 @@ def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: De
             log_density += said
             moved = np.maximum(moved, lost_of_it)
     size = layout.size
-    mean, cov = joint.mean[:, :size, :sides], extended.floats(joint.cov[:, :size, :size])
+    mean, cov = joint.mean[:, :size, :sides], decimals.floats(joint.cov[:, :size, :size])
     found = DenseBeliefs(plan.places, model.frame, conditionals.by_float(mean), cov)
     return Solution(found, log_density, _digits(model, joint, sides, moved))
 
@@ -171,7 +171,7 @@ def _read(
     group, row, g = conditional.group, conditional.row, conditional.g
     reading, taken = model.moved[g], model.taken[g]
     assert reading is not None
-    value = conditionals.by_run(extended.exact(reading[row]))
+    value = conditionals.by_run(decimals.exact(reading[row]))
     matrix, noise = conditional.matrix, conditional.noise
     open_ = np.ones((conditionals.stacked, group.height), dtype=bool)
     if taken is not None:
@@ -180,7 +180,7 @@ def _read(
         matrix, offset, value = (
             np.where(open_[..., None], part, ZERO) for part in (matrix, offset, value)
         )
-        alone = np.where(open_, ZERO, ONE)[..., None] * extended.exact(np.eye(group.height))
+        alone = np.where(open_, ZERO, ONE)[..., None] * decimals.exact(np.eye(group.height))
         noise = np.where(open_[..., None] & open_[..., None, :], noise, alone)
     each = [root for root in map(Root.of, noise) if root is not None]
     matrix, offset, value = (
@@ -191,16 +191,16 @@ def _read(
     pivots = np.stack([root.pivots for root in each])
     parents = group.parents[row]
     places = np.arange(model.layout.size, model.layout.size + group.height)
-    diagonal = pivots[..., None] * extended.exact(np.eye(group.height))
+    diagonal = pivots[..., None] * decimals.exact(np.eye(group.height))
     joint.add(places, parents, matrix, offset, diagonal)
     sides = value.shape[-1]
     total, moved = np.zeros((conditionals.stacked, sides)), np.zeros(conditionals.stacked)
     for k, place in enumerate(places.tolist()):
         at = np.abs(joint.mean[:, parents, :sides])
-        numbers = extended.product(np.abs(matrix[:, k : k + 1]), at)[:, 0]
+        numbers = decimals.product(np.abs(matrix[:, k : k + 1]), at)[:, 0]
         numbers = numbers + np.abs(offset[:, k, :sides]) + np.abs(value[:, k])
         allowed = CONTRADICTION * (numbers + joint.edge[:, place, None])
-        rounded = extended.total(np.abs(joint.mean[:, place, sides:]))
+        rounded = decimals.total(np.abs(joint.mean[:, place, sides:]))
         allowed = allowed + OF_ROUNDING * rounded[:, None]
         read = joint.read(place, value[:, k], allowed)
         if read.contradiction.any():
@@ -212,89 +212,20 @@ def _read(
     return total, moved
 
 
-def _rounding(model: Model, g: int) -> Array:
-    """The rounding that F x + b of a linearised CPD may have, (CPDs, runs, d)."""
-    family = model.families[g]
-    rule, template = family.lineariser, family.template
-    assert template is not None
-    at, spread = model.points[g]
-    here: Array = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
-    away: Array = apply(np.abs(family.matrix), spread)
-    if not family.hidden:
-        return ROUNDING * here
-    if isinstance(rule, StatisticalRegression):
-        # The slope is a sum of values at all points, and so is the offset.
-        points = rule.points(at.shape[-1], template.child.name, 0)
-        slope = float(np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max())
-        return ROUNDING * (float(np.abs(points.mean_weights).sum()) + slope) * (here + away)
-    share = np.ones((*at.shape[:-1], 1))
-    if isinstance(rule, Taylor):
-        some = list(template.numerical)
-        share += (spread / slopes.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
-        away = away if some else np.zeros_like(away)
-    return ROUNDING * (here * share + away)
-
-
 def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     """The digits that rounding of linearised values leaves of each run's means, and of ln p."""
     size = model.layout.size
-    lost = extended.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))
+    lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))
     if joint.mean.shape[-1] == sides:
         return np.full(model.runs, ALL_DIGITS)
     variance = variances(joint.cov[:, :size, :size])
-    std = extended.floats(extended.sqrt(np.maximum(variance, ZERO)))
+    std = decimals.floats(decimals.sqrt(np.maximum(variance, ZERO)))
     # Where there is no deviation a billionth of the numbers is as good.
     unit = np.where(std > 0.0, std, 1e-3 * model.frame.scale)
     share = np.maximum((lost / unit).max(axis=-1, initial=0.0), moved)
     if model.first:
         # Far from where it was linearised a slope's rounding counts the more.
-        mean, frame = extended.floats(joint.mean[:, :size, 0]), model.frame
+        mean, frame = decimals.floats(joint.mean[:, :size, 0]), model.frame
         share = share * (np.abs(mean - frame.mean) / frame.scale).max(axis=-1, initial=1.0)
     digits = np.minimum(-np.log10(np.maximum(share, 1e-300)), ALL_DIGITS)
     return np.broadcast_to(digits, (model.runs,)).copy()
-
-
-def shift(model: Model) -> float:
-    """How many 10⁻¹⁶ of a deviation CPDs are shifted by, whose sigma points lie close together.
-
-    By the rounding of their values, counted from the noise, or where there is none from the prior.
-    """
-    most = 0.0
-    for g, family in enumerate(model.families):
-        if cancellation(family):
-            noise = deviation(family.noise)
-            prior = apply(np.abs(family.matrix), model.points[g][1])
-            unit = np.where(noise > 0.0, noise, prior)
-            lost = _rounding(model, g) / np.where(unit > 0.0, unit, np.inf)
-            most = max(most, float(lost.max(initial=0.0)) / ROUNDING)
-    return most
-
-
-def cause(model: Model) -> str:
-    """Why digits are few."""
-    return CLOSE_POINTS if _OF_SUMS - np.log10(max(shift(model), 1.0)) < SAFE_DIGITS else FAR_APART
-
-
-# What float64 holds; a sum of many roundings takes a digit of it.
-_DIGITS, _OF_SUMS = 15.6, 14.6
-# Digits, counted from the deviations, that answers have where nothing is said.
-SAFE_DIGITS = 6.6
-# Units whose squares are in range.
-_RANGE = 1e-140, 1e140
-
-
-def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
-    """The digits, counted from the deviations, of passes in float64."""
-    model = buffer.model
-    frame = model.frame
-    total = beliefs.cov.sum() + log_evidence.sum() + frame.mean.sum()
-    scale = frame.scale
-    if scale.size and not (_RANGE[0] < scale.min() and scale.max() < _RANGE[1]):
-        return 0.0
-    far = float(np.abs(beliefs.mean).max(initial=1.0))
-    if not np.isfinite(total + far + buffer.largest + buffer.coarse):
-        return 0.0
-    moved = max(buffer.largest * far, buffer.coarse, 1.0)
-    moved = max(moved, shift(model))
-    spread = max(buffer.largest, 1.0) ** 2
-    return float(min(_OF_SUMS - np.log10(moved), _DIGITS - np.log10(spread)))

@@ -1,4 +1,4 @@
-"""Posteriors of Gaussian networks, and joints of variables that no single cluster holds."""
+"""Posteriors of Gaussian networks."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import Scope, as_scope, names
-from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, runs_first
-from pgm.inference.gaussian.careful import DenseBeliefs
-from pgm.inference.gaussian.messages import Buffer, RowMessages
+from pgm.factors.scope import Scope, as_scope, names, namesake
+from pgm.inference.gaussian.beliefs import Calibrated, runs_first
+from pgm.inference.gaussian.joints import joint_moments
+from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
-from pgm.inference.gaussian.tree import TreeBeliefs, TreePlan
+from pgm.inference.gaussian.row_buffer import Buffer
+from pgm.inference.gaussian.tree import TreePlan
+from pgm.inference.gaussian.walks import spectral_radius
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
 from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, Integers, apply, frozen, inner, quiet, transpose
-from pgm.kernels.roots import regression
 from pgm.kernels.rows import Rows
 from pgm.variables import Variable
 
@@ -59,7 +60,9 @@ class GaussianPosterior(Posterior):
             return layout.places[variable]
         if variable in layout.observed:
             raise EvidenceError(
-                f"{variable!r} is observed: its value is its evidence", variable=variable
+                f"{variable!r} is observed: its value is its evidence, and a component that is "
+                "NaN there is left out of the network; for a belief about it give it no evidence",
+                variable=variable,
             )
         if variable in layout.absent:
             raise EvidenceError(
@@ -69,7 +72,7 @@ class GaussianPosterior(Posterior):
             )
         raise EvidenceError(
             f"{variable!r} is not in the network; its variables without evidence are "
-            f"{list(layout.hidden)}",
+            f"{list(layout.hidden)}{namesake(variable, layout.hidden)}",
             variable=variable,
         )
 
@@ -215,6 +218,23 @@ class GaussianPosterior(Posterior):
             return "exact"
         return "laplace" if model.taylor and bool(self.status.converged.all()) else "linearised"
 
+    @quiet()
+    def _why_unsettled(self) -> str:
+        """Whether the network is walk-summable, of the run that is furthest from settled."""
+        if self._sent is None or not len(self.status.residuals):
+            return ""
+        last = np.where(self.status.converged, -1.0, self.status.residuals[-1])
+        radius = spectral_radius(self._sent, int(last.argmax()))
+        if radius is None:
+            return ""
+        about = "the spectral radius of |R|, R = I - D^(-1/2) J D^(-1/2) of its information J,"
+        if radius >= 1.0:
+            return (
+                f"The network is not walk-summable: {about} is {radius:.3g}, and from 1 on "
+                "messages round loops may diverge. "
+            )
+        return f"The network is walk-summable ({about} is {radius:.4g}): the nearer 1, the slower. "
+
     @property
     def _title(self) -> str:
         lead = self._model.lead
@@ -222,78 +242,3 @@ class GaussianPosterior(Posterior):
 
     def _summary(self) -> Summary:
         return of_network(self._title, self, self._plan.layout.hidden, self._model.lead)
-
-
-def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[Array, Array]:
-    """Mean (runs, n) and covariance (V, n, n) of components of any clusters.
-
-    Given the sepset with its parent, a cluster is independent of what is above: walking down from
-    the top, its covariance with all that is known goes through the regression on the sepset.
-    """
-    if isinstance(beliefs, DenseBeliefs):
-        return beliefs.moments(wanted, wanted, wanted)
-    walk = _walk(plan, wanted)
-    places, layout = beliefs.places, plan.layout
-    known: list[int] = []
-    cov = np.zeros((beliefs.cov.shape[0], 0, 0))
-    for k, cluster in enumerate(walk):
-        columns = layout.columns[cluster]
-        shared = [place for place in known if place in columns]
-        fresh = [place for place in columns if place not in shared]
-        order = np.array([[*shared, *fresh]], dtype=np.intp)
-        inside = beliefs.cov[:, places.of(np.array([cluster]), order)[1][0]]
-        along = cov[:, [known.index(place) for place in shared]]
-        cross = _gain(plan, beliefs, cluster, inside, shared, fresh) @ along
-        cov = np.block([[cov, transpose(cross)], [cross, inside[:, len(shared) :, len(shared) :]]])
-        # What neither the user nor a cluster further down asks for is dropped.
-        needed = {*wanted.tolist(), *(p for below in walk[k + 1 :] for p in layout.columns[below])}
-        known += fresh
-        keep = [at for at, place in enumerate(known) if place in needed]
-        known = [known[at] for at in keep]
-        cov = cov[:, keep][:, :, keep]
-    order = np.array([known.index(place) for place in wanted.tolist()])
-    scale = beliefs.frame.scale[wanted]
-    mean, _ = beliefs.components()
-    return mean[:, wanted], cov[:, order][:, :, order] * (scale[:, None] * scale)
-
-
-def _walk(plan: TreePlan, wanted: Integers) -> list[int]:
-    """The clusters of subtrees that hold some components, parents before children."""
-    home, _ = plan.places.homes
-    parent, depth = plan.forest.parent, plan.forest.depth
-    ends = {int(home[place]) for place in wanted}
-    # Climb from the deepest end until one cluster is left, or only roots.
-    found, front = set(ends), set(ends)
-    while len(front) > 1:
-        deepest = max(front, key=lambda k: (depth[k], k))
-        if parent[deepest] < 0:
-            break
-        front.remove(deepest)
-        front.add(int(parent[deepest]))
-        found.add(int(parent[deepest]))
-    return sorted(found, key=lambda k: (depth[k], k))
-
-
-def _gain(
-    plan: TreePlan,
-    beliefs: Beliefs,
-    cluster: int,
-    inside: Array,
-    shared: list[int],
-    fresh: list[int],
-) -> Array:
-    """The regression of a cluster's other components on those of the sepset with its parent.
-
-    `inside` is the cluster's covariance, the sepset first. A calibrated tree knows the gain.
-    """
-    if not isinstance(beliefs, TreeBeliefs) or not shared:
-        count = len(shared)
-        return regression(inside[:, count:, :count], inside[:, :count, :count])
-    level, stack, row = plan.senders[cluster]
-    components = plan.levels[level][stack].components[row].tolist()
-    drop = plan.levels[level][stack].drop
-    rows = [components[:drop].index(place) for place in fresh]
-    columns = [components[drop:].index(place) for place in shared]
-    gain = beliefs.gains[level][stack][:, row][:, rows][:, :, columns]
-    varies = np.diagonal(inside, axis1=-2, axis2=-1)[:, len(shared) :] > 0.0
-    return np.where(varies[..., None], gain, 0.0)

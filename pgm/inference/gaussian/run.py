@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -13,22 +14,25 @@ from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, require_finite
 from pgm.evidence.static import BoundValues, bind_values
+from pgm.inference.argument_checks import require_gaussian, require_plain
 from pgm.inference.gaussian import careful
 from pgm.inference.gaussian.beliefs import Calibrated, TreePoint, relinearise
-from pgm.inference.gaussian.careful import SAFE_DIGITS, kept_digits
+from pgm.inference.gaussian.certificate import SAFE_DIGITS, cause, kept_digits
 from pgm.inference.gaussian.layout import Layout, barren, known_parents
-from pgm.inference.gaussian.messages import Buffer, RowMessages
+from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior
+from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.gaussian.tree import TreePlan, calibrate
 from pgm.inference.iteration import Anchor, iterate
 from pgm.inference.limits import require_runs, require_size
 from pgm.inference.loopy import run_loopy
-from pgm.inference.options import Start, over_runs, require_gaussian, require_hidden, require_plain
 from pgm.inference.schedule import Calibration, Loopy, Schedule, Smoothing
+from pgm.inference.starting_points import Start, over_runs, require_hidden
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Mask, quiet
 from pgm.linearisers import Lineariser
+from pgm.tracing import Judge, judged
 from pgm.variables import Variable
 
 
@@ -57,37 +61,54 @@ def run(
     loopy = isinstance(schedule, Loopy)
     again = not loopy and careful.work(plan.layout, bound.runs, linear) <= careful.MOST_WORK
     with quiet():
-        try:
-            model = Model.make(plan.layout, bound, lineariser, at)
-            buffer = Buffer.make(plan.rounds, model)
-            if isinstance(schedule, Loopy):
-                found = _sent(plan, buffer, schedule)
-            else:
-                done, status = _iterated(model, lambda: calibrate(plan, buffer), schedule)
-                found = GaussianPosterior(graph, status, plan, model, done)
-            digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
-            if digits >= SAFE_DIGITS or (loopy and not found.status.converged.all()):
-                return found
-            if not again:
-                every = np.full(bound.lead, digits)
-                return replace(found, status=found.status.with_digits(every, careful.cause(model)))
-        except NumericalError:
-            if not again:
-                raise
-        model = Model.make(plan.layout, bound, lineariser, at, careful.predictive)
-        done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
-        assert done.digits is not None
-        status = status.with_digits(done.digits.reshape(bound.lead), careful.cause(model))
-        return GaussianPosterior(graph, status, plan, model, done)
+        return judged(partial(_solved, graph, plan, bound, schedule, lineariser, at, again))
+
+
+def _solved(
+    graph: ClusterGraph,
+    plan: TreePlan,
+    bound: BoundValues,
+    schedule: Schedule | None,
+    lineariser: Lineariser,
+    at: Array | None,
+    again: bool,
+    judge: Judge,
+) -> GaussianPosterior:
+    """The solution in float64, or where that loses too many digits, `again` in twice as many."""
+    loopy = isinstance(schedule, Loopy)
+    try:
+        model = Model.make(plan.layout, bound, lineariser, at, judge=judge)
+        buffer = Buffer.make(plan.rounds, model)
+        if isinstance(schedule, Loopy):
+            found = _sent(plan, buffer, schedule)
+        else:
+            done, status = _iterated(model, lambda: calibrate(plan, buffer), schedule)
+            found = GaussianPosterior(graph, status, plan, model, done)
+        digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
+        if digits >= SAFE_DIGITS or (loopy and not found.status.converged.all()):
+            return found
+        if not again:
+            every = np.full(bound.lead, digits)
+            return replace(found, status=found.status.with_digits(every, cause(model)))
+    except NumericalError:
+        if not again:
+            raise
+    model = Model.make(plan.layout, bound, lineariser, at, careful.predictive, judge=judge)
+    done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
+    assert done.digits is not None
+    status = status.with_digits(done.digits.reshape(bound.lead), cause(model))
+    return GaussianPosterior(graph, status, plan, model, done)
 
 
 def _plan(
     graph: ClusterGraph, observed: frozenset[Variable], absent: frozenset[Variable]
 ) -> TreePlan:
+    """The plan of messages of a tree, for evidence of these variables; made once for a graph."""
     return TreePlan(Layout(graph, observed, absent))
 
 
 def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
+    """The posterior of a graph of any shape, by messages that are sent until none changes."""
     graph, model = plan.layout.graph, buffer.model
     messages = RowMessages.make(buffer, plan.places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
@@ -100,6 +121,7 @@ class _Tree:
     solver: Callable[[], Calibrated]
 
     def linearise(self, at: TreePoint, active: Mask) -> None:
+        """Linearise every CPD anew at its cluster's belief, for the runs that are active."""
         relinearise(at.beliefs, self.model, active)
 
     def settled(self) -> bool:
@@ -107,6 +129,7 @@ class _Tree:
         return True
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
+        """Calibrate the tree with the CPDs as they are linearised now."""
         return self.solver()
 
 
@@ -124,6 +147,7 @@ def _iterated(
 
 
 def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
+    """Solve the network as it is linearised in as many decimals as its numbers need."""
     found = careful.solve(plan, model)
     return Calibrated(found.beliefs, found.log_evidence, found.digits)
 

@@ -14,8 +14,9 @@ import numpy as np
 
 from pgm.clustergraph.structure import Forest
 from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, Places
-from pgm.inference.gaussian.layout import Layout, Rounds, Stack
-from pgm.inference.gaussian.messages import Buffer
+from pgm.inference.gaussian.layout import Layout
+from pgm.inference.gaussian.rounds import Rounds, Stack
+from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.kernels.arrays import Array, Integers, frozen, transpose
 from pgm.kernels.rows import Eliminated
 from pgm.progress import counted
@@ -140,6 +141,7 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
 
 
 def _certain(cov: Array) -> Array:
+    """Covariances without variances that are no more than rounding, and what varies with these."""
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) > CERTAIN
     if open_.all():
         return cov

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_generator, as_lengths, is_whole
 from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
@@ -19,7 +20,8 @@ from pgm.factors.scope import Scope, places_of, whole_variables
 from pgm.immutable import Immutable
 from pgm.inference.grid.lattice import Axis
 from pgm.inference.summaries import moments_of
-from pgm.kernels.arrays import Array, Integers, wrap
+from pgm.kernels.angles import wrap
+from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
 
 
@@ -86,6 +88,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
     def _over(self, places: tuple[int, ...]) -> Self:
         raise NotImplementedError
 
+    @public
     def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
         """Draws of the point masses, (*size, ..., n).
 
@@ -195,6 +198,7 @@ class GridBelief(PointMassBelief):
         )
 
     def _mean(self) -> Array:
+        """The means (..., axes), of angles about the direction of their mean vector."""
         each = [
             axis.reference + about + offset
             for axis, (about, _, offset) in zip(self._parts, self._moments, strict=True)
@@ -202,6 +206,10 @@ class GridBelief(PointMassBelief):
         return np.stack(each, axis=-1)
 
     def _cov(self) -> Array:
+        """The covariances (..., axes, axes), by marginals of one or two axes.
+
+        Centres count by their distance from the mean, of an angle the shorter way round.
+        """
         count = len(self._parts)
         found = np.empty((*self.lead, count, count))
         for i, j in itertools.combinations_with_replacement(range(count), 2):
@@ -228,10 +236,12 @@ class GridBelief(PointMassBelief):
         return np.stack(each, axis=-1).reshape(*flat.shape, -1)
 
     def _over(self, places: tuple[int, ...]) -> GridBelief:
+        """The belief over some of the axes, in this order."""
         axes = [self._parts[k] for k in places]
         return GridBelief(axes, self._marginal(places), self.steps)
 
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
+        """Draws (count, ..., axes) of the centres of cells, by their probabilities."""
         rows = self.values.reshape(int(np.prod(self.lead)), -1)
         drawn = np.empty((count, len(rows)), dtype=np.intp)
         for k, row in enumerate(rows):
@@ -242,6 +252,7 @@ class GridBelief(PointMassBelief):
         return self._centres(drawn)
 
     def _at(self, index: Any, chosen: Integers) -> GridBelief:
+        """The belief at an index of the leading axes; its steps, if they are alike in all runs."""
         places = *(index if isinstance(index, tuple) else (index,)), ...
         values = self.values[(*places, *(slice(None),) * len(self._parts))]
         steps = self.steps
@@ -276,7 +287,7 @@ class GridBelief(PointMassBelief):
 
     @cached_property
     def _moments(self) -> list[tuple[Array, Array, Array]]:
-        """Of each axis: a place about which offsets count, the offsets, and their mean."""
+        """For each axis: a reference, the offsets of centres from it, and their mean."""
         found = []
         for k, axis in enumerate(self._parts):
             marginal = self._marginal((k,))

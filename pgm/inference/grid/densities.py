@@ -5,7 +5,6 @@ integrals: by how much is found by shifting the centres by parts of a cell. With
 normalised over the lattice, continued beyond the bounds; what is missing besides has left them.
 """
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,20 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.cpds import CPD, GaussianCPD
+from pgm.cpds import CPD
 from pgm.errors import ModelError
-from pgm.inference.grid.groups import Group, Members
+from pgm.inference.grid.groups import Members
 from pgm.inference.grid.lattice import Window
 from pgm.inference.grid.values import (
     at_a_time,
-    covariance_of,
     gaussian_parts,
     log_density_at,
-    mean_at,
     require_noise,
     settled,
 )
-from pgm.kernels.arrays import LOG_2PI, TURN, Array, Integers
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.lattice import Span
 from pgm.resources import require_memory
 from pgm.variables import Variable
@@ -94,6 +91,7 @@ class Dense:
 
     @property
     def _order(self) -> tuple[int, ...]:
+        """Axes as the weights have them: those depended on, those that stay, those moved."""
         moved = {*self.axes, *self.by}
         return (*self.by, *(k for k in range(len(self.source)) if k not in moved), *self.axes)
 
@@ -104,6 +102,7 @@ class Dense:
         return np.ascontiguousarray(array.transpose(self._order)).reshape(groups, -1, count)
 
     def _whole(self, lines: Array, window: Window) -> Array:
+        """Lines of a product, (G, rest, cells), as an array with the axes of the window."""
         shape = [window[k].length for k in self._order]
         found: Array = lines.reshape(shape).transpose(np.argsort(self._order))
         return found
@@ -154,6 +153,7 @@ class DensityGroup(Members):
         return self._cut(self.kept[self.key], window)
 
     def _cut(self, dense: Dense, window: Window) -> Dense:
+        """The part of the weights from all cells that are from a window."""
         lattice = self.lattice
         own = dense.weights.shape[1] > 1
         each = (*dense.by, *self.axes) if own else dense.by
@@ -186,6 +186,7 @@ class _Maker:
         self.share = 0.0
 
     def made(self) -> Dense:
+        """The weights from a window to all cells, refused where they would not fit memory."""
         group, lattice, window = self.group, self.lattice, self.window
         used = (*self.by, *self.own)
         count = math.prod(window[k].length for k in used)
@@ -293,9 +294,11 @@ class _Maker:
 
     @property
     def _allowed(self) -> float:
+        """The difference from one that shifting the centres allows a sum over them."""
         return 2.0 * self.share + _ROUNDING
 
     def _error(self, found: str, reason: str) -> ModelError:
+        """An error about the density, which found what is wrong and names the step and the run."""
         states = self.group.states
         named = " and ".join(f"the density of {cpd!r}" for cpd in states)
         return ModelError(
@@ -307,6 +310,7 @@ class _Maker:
         )
 
     def _near_bounds(self, weights: Array) -> Array:
+        """The weights, (rows,), at the last cells within bounds."""
         shape = [self.lattice.shape[k] for k in self.group.axes]
         inner = np.zeros(shape, dtype=bool)
         angles = (self.lattice.axes[k].angle for k in self.group.axes)
@@ -315,67 +319,17 @@ class _Maker:
         return found
 
     def _sums(self, rows: Integers, shift: float, beyond: bool) -> Array:
+        """The sums of the weights of some rows over centres shifted by a part of a cell."""
         places = self._places(shift, beyond)
         length = max(_KEPT // 16 // math.prod(len(each) for each in places), 1)
         parts = [rows[k : k + length] for k in range(0, len(rows), length)]
         return np.concatenate([np.exp(self._logs(part, places)).sum(axis=1) for part in parts])
 
     def _shift(self, rows: Integers, whole: Array, near: Array, parts: Array) -> None:
+        """Find by how much the sums of some rows differ with the shift of the centres."""
         for beyond in (False, True):
             some = rows[near[rows] == beyond]
             if some.size:
                 shifted = (self._sums(some, part, beyond) for part in parts.tolist())
                 every = np.stack([whole[some], *shifted])
                 self.share = max(self.share, float(np.ptp(every, axis=0).max()))
-
-
-# From this many cells on, of the deviation of each component given the others, the density at
-# centres is a normal on the lattice: its sum and moments are right to e^(−2π²s²).
-_WIDE = 1.3
-
-
-def wide(group: Group, run: int, window: Window) -> Dense | None:
-    """The correlated density of a state without parents, where it is wide; None of others."""
-    cpd, lattice = group.states[0], group.lattice
-    if len(group.states) > 1 or not isinstance(cpd, GaussianCPD):
-        return None
-    cov = covariance_of(cpd, {}, 0, run)
-    if not np.isfinite(cov).all() or np.array_equal(cov, np.diag(np.diagonal(cov))):
-        return None
-    widths = group.widths
-    scaled = cov / np.multiply.outer(widths, widths)
-    values = np.linalg.eigvalsh(scaled)
-    if not values[0] > 1e-12 * values[-1]:
-        return None
-    precision = np.linalg.inv(scaled)
-    if not (np.diagonal(precision) <= _WIDE**-2).all():
-        return None
-    mean = mean_at(cpd, {}, {}, 0, run)[0]
-    total = np.zeros((1,) * len(lattice.axes))
-    # A wide angle goes round the circle.
-    turns = []
-    for k, axis in enumerate(group.axes):
-        far = int(np.ceil(9.0 * np.sqrt(cov[k, k]) / TURN)) if lattice.axes[axis].angle else 0
-        turns.append(range(-far, far + 1))
-    centre = list(mean)
-    for k, axis in enumerate(group.axes):
-        if lattice.axes[axis].angle:
-            centre[k] = mean[k] - TURN * np.rint(mean[k] / TURN)
-    for shift in itertools.product(*turns):
-        exponent = np.zeros((1,) * len(lattice.axes))
-        offsets = []
-        for k, axis in enumerate(group.axes):
-            own = lattice.axes[axis]
-            offset = own.offsets + (own.reference - centre[k]) + TURN * shift[k]
-            shape = [1] * len(lattice.axes)
-            shape[axis] = own.cells
-            offsets.append((offset / own.width).reshape(shape))
-        for i, j in itertools.product(range(len(offsets)), repeat=2):
-            exponent = exponent - 0.5 * precision[i, j] * offsets[i] * offsets[j]
-        total = total + np.exp(exponent)
-    log_scale = -0.5 * (np.linalg.slogdet(scaled)[1] + len(mean) * LOG_2PI)
-    target, order = list(window), [k for k in range(len(window)) if k not in group.axes]
-    for axis in group.axes:
-        target[axis] = Span(0, lattice.axes[axis].cells)
-    weights = (total * np.exp(log_scale)).transpose(*group.axes, *order).reshape(1, 1, -1)
-    return Dense(group.axes, (), weights, window, tuple(target), EVEN)

@@ -137,6 +137,12 @@ class Dependence:
         seed: int,
         everywhere: bool = False,
     ) -> bool:
+        """Whether a new axis was found that the values depend on, by moving one axis at a time.
+
+        At cells drawn at random, or `everywhere`, each axis of the slice before, and those of its
+        own that may be depended on (`later`), is moved to another cell; a component whose value
+        differs depends on it.
+        """
         lattice, grown = self.lattice, False
         sets = blocks(lattice) if everywhere else iter([places(lattice, PROBES, seed)])
         for here in sets:

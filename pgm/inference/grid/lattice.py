@@ -12,7 +12,8 @@ import numpy as np
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, listed
 from pgm.inference.grid.value import Extent, Grid
-from pgm.kernels.arrays import TURN, Array, Integers, Mask
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import Span
 from pgm.variables import Variable
 
@@ -182,6 +183,7 @@ def _component(
     components: Sequence[tuple[Variable, int]],
     names: Sequence[str],
 ) -> tuple[Variable, int]:
+    """The state, and the place in it, that a key of a grid names."""
     if isinstance(key, Variable):
         if key not in states:
             raise ModelError(
@@ -211,6 +213,7 @@ def _component(
 
 
 def _axis(variable: Variable, place: int, label: str, extent: Extent) -> Axis:
+    """The axis of a component, with cells of one width; an angle has its full circle."""
     angle = variable.components[place] in variable.angles
     if angle != isinstance(extent, int):
         due = (

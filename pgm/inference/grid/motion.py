@@ -15,12 +15,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgm.errors import ModelError
-from pgm.inference.grid.densities import DensityGroup, wide
+from pgm.inference.grid.densities import DensityGroup
 from pgm.inference.grid.dependence import MOVED, Dependence, within
-from pgm.inference.grid.grouping import Kept, Mixed, MixedGroup, Step, joined
-from pgm.inference.grid.groups import Group, Members, Spread, quadrature
+from pgm.inference.grid.grouping import Kept, joined
+from pgm.inference.grid.groups import Group, Members, Spread
 from pgm.inference.grid.lattice import Axis, Lattice, Window
+from pgm.inference.grid.mixture_moves import Mixed, MixedGroup, Step
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
+from pgm.inference.grid.quadrature import quadrature
+from pgm.inference.grid.wide_prior import wide
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import REACH, Span, kernels, reached, tap_count
 from pgm.resources import require_memory
@@ -58,6 +61,7 @@ class Motion:
         return Step(source, window, operators)
 
     def _step(self, group: Members, step: int, run: int, source: Window, window: Window) -> Step:
+        """The operators of a group, from the window that the groups before it lead to."""
         if isinstance(group, MixedGroup):
             parts = [self._step(part, step, run, source, window) for part in group.parts]
             mixed = group.mixed(parts)
@@ -75,6 +79,7 @@ class Motion:
     def _depends(
         self, group: Members, step: int, run: int, source: Window
     ) -> tuple[set[int], set[int]]:
+        """The axes of the step before, and those of its own, that a group depends on."""
         if isinstance(group, DensityGroup):
             return group.depends()
         before, after = set[int](), set[int]()
@@ -163,6 +168,7 @@ class _Maker:
         self.noise, self.nodes = quadrature(group, self.spread, step, run)
 
     def operators(self, window: Window) -> tuple[Window, list[Operator]]:
+        """The target window, and the operators that lead there."""
         order = self._order()
         if order is None:
             return self._split(window)
@@ -329,6 +335,7 @@ class _Maker:
 
 
 def _flat(axis: Axis, place: int, source: Span) -> Move:
+    """The move to all cells alike, of a state that forgets where it was."""
     cells = axis.cells
     # From every source cell: the first weight is at cell 0 wherever it comes from.
     first = -(source.first + np.arange(source.length)).reshape(1, 1, -1)

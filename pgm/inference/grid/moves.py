@@ -27,7 +27,7 @@ class Operator(Protocol):
         ...
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance that the lattice adds to these probabilities, in cells."""
+        """The variance that the lattice adds to these probabilities, in squared cells by axis."""
         ...
 
 
@@ -66,6 +66,7 @@ class Move:
         return self._at(0)
 
     def _at(self, node: int) -> Array:
+        """The matrix of a node, (cells depended on, target, source), of its kernels."""
         return matrices(
             self.first[node],
             self.weights[node],
@@ -119,6 +120,10 @@ class Sweep:
     def _run(
         self, array: Array, moves: Sequence[Move], apply: Callable[[Move, int, Array], Array]
     ) -> Array:
+        """The weighted sum over nodes of one move after another: Σₙ wₙ Mₙ … M₁ array.
+
+        Moves that are the same at all nodes, at either end, are made once, outside the sum.
+        """
         # Moves that are the same at all nodes are made once, before those that differ, or after.
         differ = [k for k, move in enumerate(moves) if move.varies]
         start, end = (differ[0], differ[-1] + 1) if differ else (len(moves), len(moves))
@@ -176,7 +181,7 @@ class Split:
         return total.reshape(-1)
 
     def _taps(self, node: int) -> list[list[tuple[Integers, Array]]]:
-        """By moved axis, each of three taps: its part of the flat target, and its weight."""
+        """Three taps for each axis moved: their part of the flat target, and their weight."""
         counts = [span.length for span in self.target]
         found = []
         for target, axis, variance in zip(self.place(node), self.axes, self.variance, strict=True):

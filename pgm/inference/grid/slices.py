@@ -1,14 +1,8 @@
-"""The slices of one run on a grid, as the chain of finitely many states asks for them.
-
-A belief is carried up to a share of 10⁻¹⁵ along each axis, and kernels up to 8.5 deviations. What
-is beyond is lost, and no evidence brings it back, however much likelier it is there: `Cut` tells
-how much of a belief that may have come to be.
-"""
+"""The slices of one run on a grid, as the chain of finitely many states asks for them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from operator import itemgetter
 from typing import Any, NamedTuple, NoReturn
@@ -20,33 +14,23 @@ from pgm.cpds.mixture import by_run
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
+from pgm.inference.argument_checks import require_density
+from pgm.inference.grid import resolution
+from pgm.inference.grid.cut_off import TINY, Cut, Tails, bound, doubtful
 from pgm.inference.grid.densities import EVEN, Uneven
+from pgm.inference.grid.density_sensors import DensitySensor
 from pgm.inference.grid.dependence import Dependence
 from pgm.inference.grid.grouping import Kept, groups
 from pgm.inference.grid.groups import Members
 from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.measured import MeasuredSensor, Shape, Sharpness
 from pgm.inference.grid.motion import Motion
-from pgm.inference.grid.sensors import DensitySensor, GridSensor, likelihood
-from pgm.inference.options import require_density
+from pgm.inference.grid.prior import start
+from pgm.inference.grid.sensors import GridSensor, Weights, likelihood
 from pgm.kernels.arrays import Array
 from pgm.kernels.lattice import Span
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
-
-# The share of a belief, along an axis, that may stand outside the window of active cells.
-TINY = 1e-15
-# An edge with more than this was not cut: the belief ends there.
-_TAIL = 1e-13
-# Evidence that is less likely than its best by this is compared with that of all cells.
-_DOUBT = 20.0
-
-
-class Cut(NamedTuple):
-    """The belief of which the most may have been cut off."""
-
-    share: float
-    step: int
 
 
 class Narrowness(NamedTuple):
@@ -78,73 +62,6 @@ class Worst(NamedTuple):
             max(self.cut, other.cut, key=first),
             max(self.uneven, other.uneven, key=first),
         )
-
-
-class Tails:
-    """The share of a belief beyond either end of each axis' cells in use, as evidence goes on.
-
-    The cut part is taken to become as much likelier as the last cells within. If the model is true
-    these gains are a martingale: a share of ε becomes one of 10⁻³ with a probability of 10³ε at the
-    most (Ville's inequality).
-    """
-
-    def __init__(self, lattice: Lattice) -> None:
-        self.lattice = lattice
-        ends = len(lattice.axes), 2
-        self._share = np.full(ends, TINY)
-        self._cells = np.zeros(ends, dtype=np.intp)
-        self._open = np.zeros(ends, dtype=bool)
-        self._before = self._taken = np.ones(ends)
-
-    def predicted(self, marginals: list[Array]) -> None:
-        """Look at a predicted belief, by its marginals along the axes of the lattice."""
-        for k, (axis, marginal) in enumerate(zip(self.lattice.axes, marginals, strict=True)):
-            (used,) = np.nonzero(marginal > TINY / axis.cells * marginal.sum())
-            gap = 0
-            if axis.angle and used.size:  # the cells in use begin after the widest gap
-                gap = (int(np.diff(used, append=used[0] + axis.cells).argmax()) + 1) % used.size
-            if used.size:
-                self._cells[k] = used[gap], used[gap - 1]
-            if axis.angle:
-                self._open[k] = 0 < used.size < axis.cells
-            else:
-                self._open[k] = self._cells[k, 0] > 0, self._cells[k, 1] + 1 < axis.cells
-        self._before = self._at(marginals)
-        # Motion leads away from an end that was not cut, as a wall is.
-        left = np.minimum(self._before / np.maximum(self._taken, 1e-300), 1.0)
-        kept = np.where(self._before > _TAIL, self._share * left, self._share)
-        self._share = np.maximum(kept, TINY)
-
-    def taken(self, marginals: list[Array]) -> float:
-        """Look at the same belief given measurements: the largest share that was cut."""
-        self._taken = self._at(marginals)
-        gain = self._taken / np.maximum(self._before, 1e-300)
-        self._share = np.minimum(self._share * gain, 1.0)
-        return float(self._share.max(initial=0.0, where=self._open))
-
-    def _at(self, marginals: list[Array]) -> Array:
-        return np.array(
-            [
-                each[cells] / max(float(each.sum()), 1e-300)
-                for each, cells in zip(marginals, self._cells, strict=True)
-            ]
-        )
-
-
-def doubtful(log_density: float, ceiling: float, components: int) -> bool:
-    """Whether evidence is so unlikely that the part cut off might explain it better.
-
-    log_density: ln p(measurements of a step | those before).
-    ceiling: The logarithm of the density of residuals that are all zero.
-    components: How many numbers were measured; true residuals have half their number as exponent.
-    """
-    usual = max(0.5 * components - math.sqrt(2.0 * components), 0.0)
-    return log_density < ceiling - usual - _DOUBT
-
-
-def bound(log_density: float, best: float) -> float:
-    """The share of a belief that cells without a part in it may have, of the best log-density."""
-    return math.exp(min(math.log(TINY) + best - log_density, 0.0))
 
 
 # Probabilities below this are none: products of them would be slow, denormal numbers.
@@ -216,6 +133,8 @@ class GridSlices:
         cut off.
     added: (axes,): the variance that the lattice has added in all steps, in cells.
     worst: The sensor, beliefs and density that the cells have served the least so far.
+    unresolved: The expected square of the error of the log-evidence, since centres stand where they
+        do; see `resolution`.
     """
 
     lead: tuple[int, ...] = ()
@@ -227,11 +146,14 @@ class GridSlices:
         self.added = np.zeros(len(self.lattice.axes))
         self.split: frozenset[int] = frozenset()
         self.worst, self._tails = Worst(), Tails(self.lattice)
+        self.unresolved = 0.0
         # By step, where something was measured: the density of no residuals, and how many numbers.
         self._ceilings: dict[int, tuple[float, int]] = {}
         # By step: the windows before and after its motion, and the weights of its measurements.
         self.windows: dict[int, tuple[Window, Window]] = {}
         self._weights: dict[int, tuple[Array | None, float]] = {}
+        # The belief that waits for the measurements of its step, in its window.
+        self._awaiting: tuple[int, Window, Array] | None = None
 
     def prior(self) -> Array:
         """See `Slices`."""
@@ -245,14 +167,16 @@ class GridSlices:
                 f"run {self.run}: the prior has {total:.2g} of its probability inside the grid, "
                 f"{self._bounds()}; widen the bounds, or move them to where the states begin"
             )
-        self.begin(0, found)
+        self.begin(0, found, self.outside[0])
         return found
 
-    def begin(self, step: int, predicted: Array) -> None:
-        """Go on from the predicted belief of a step."""
+    def begin(self, step: int, predicted: Array, left: float) -> None:
+        """Go on from the predicted belief of a step, of which a share has left the bounds."""
         each = marginals(predicted)
-        self.windows[step] = (active(self.lattice, each)[0],) * 2
-        self._tails.predicted(each)
+        window = active(self.lattice, each)[0]
+        self.windows[step] = (window,) * 2
+        self._awaiting = step, window, self.lattice.cut(predicted, window)
+        self._tails.predicted(each, left)
 
     def look(self, step: int, belief: Array) -> Window:
         """The window of a step's belief, whose deviations are looked at."""
@@ -271,6 +195,7 @@ class GridSlices:
             self._note(cut=Cut(bound(log_density, best), step))
 
     def _note(self, **found: Any) -> None:
+        """Keep what the cells serve worse than before."""
         self.worst = self.worst.of(Worst(**found))
 
     def forward(self, step: int, belief: Array) -> Array:
@@ -292,13 +217,15 @@ class GridSlices:
                 run=self.run,
             )
         self.windows[step] = source, made.target
+        self._awaiting = step, made.target, part
         self._tails.predicted(
             [
                 spread(each, span, axis.cells)
                 for each, span, axis in zip(
                     marginals(part), made.target, self.lattice.axes, strict=True
                 )
-            ]
+            ],
+            self.outside[step],
         )
         return self.lattice.put(part, made.target)
 
@@ -320,12 +247,23 @@ class GridSlices:
             if weights is not None:
                 self._ceilings[step] = found.ceiling, found.components
             self._note(sharpest=found.sharpest)
+            self._resolve(step, found, target)
             if self._keep is not None:
                 kept: Array | None = None
                 if weights is not None:
                     kept = weights.astype(self._keep, copy=False)
                 self._weights[step] = kept, scale
         return None if weights is None else self.lattice.put(weights, target), scale
+
+    def _resolve(self, step: int, found: Weights, window: Window) -> None:
+        """Add the error of a step's evidence, once, on the way there."""
+        waiting, self._awaiting = self._awaiting, None
+        if waiting is None or self.unresolved >= resolution.ENOUGH**2:
+            return
+        awaited, own, predicted = waiting
+        if (awaited, own) == (step, window):
+            given = self.model.sensors, predicted, found, window, step, self.run
+            self.unresolved += resolution.error(*given)
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
         """See `Slices`."""
@@ -380,15 +318,3 @@ def active(lattice: Lattice, each: list[Array]) -> tuple[Window, list[float]]:
         round_ = axis.angle and span.length == axis.cells
         deviations.append(np.inf if round_ else math.sqrt(max(variance, 0.0)))
     return tuple(window), deviations
-
-
-def start(lattice: Lattice, groups: Sequence[Members], run: int) -> tuple[Array, Array, Uneven]:
-    """The probabilities at step 0; what the bounds leave out is missing from their sum.
-
-    With them the variance that the lattice has added along each axis, in cells, and the density
-    whose sums over centres are the least those of it.
-    """
-    nowhere = (Span(0, 1),) * len(lattice.axes)
-    made = Motion(lattice, list(groups)).at(0, run, nowhere)
-    found, added = made.forward(np.ones((1,) * len(lattice.axes)))
-    return lattice.put(found, made.target), added, made.uneven

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
-from pgm.inference.options import require_count, require_tolerance
+from pgm.inference.argument_checks import require_count, require_tolerance
 from pgm.variables import Variable
 
 # An interval, (lo, hi, cells), or the number of cells of a full circle.
@@ -21,6 +22,7 @@ Figure = str | Callable[[Any], Any]
 _ADVICE = "give (lo, hi, cells), or of an angle the number of cells of its circle"
 
 
+@public
 class Grid(InCode, Immutable):
     r"""Beliefs as probabilities of the cells of a grid: the posterior as it is, of any shape.
 
@@ -105,6 +107,7 @@ class Grid(InCode, Immutable):
         require_count(self, "doublings", doublings)
         self._set(tolerance=float(tolerance), doublings=int(doublings))
 
+    @public
     def finer(self, times: int = 2) -> Grid:
         """The same grid with so many times the cells along each axis: 2 halves all widths.
 
@@ -153,6 +156,7 @@ class Grid(InCode, Immutable):
 
 
 def _extent(key: object, value: Any) -> Extent:
+    """The interval or circle of one axis, checked."""
     if not isinstance(key, str | Variable):
         raise ModelError(
             f'a grid\'s axes are components of states, named like "east" or "x.east", or scalar '

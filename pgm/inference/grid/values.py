@@ -11,7 +11,8 @@ from pgm.cpds.conditional import evaluate
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.arrays import IMPROPER
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Mask, wrap
+from pgm.kernels.angles import wrap
+from pgm.kernels.arrays import Array, Mask
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 

@@ -20,14 +20,9 @@ from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
-from pgm.compile import BalancedGraph, DynamicGraph
-from pgm.display import titled
-from pgm.errors import GraphError, ModelError
 from pgm.inference import sweep
-from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
-from pgm.inference.status import Kind
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.progress import counted
 
 # Beliefs above this, times factors whose product is, are numbers with all their digits.
@@ -101,21 +96,19 @@ class BackwardChain:
         return self._scaled(found)
 
     def _scaled(self, message: Array) -> Array:
+        """A message divided by its total, so that no product of many underflows."""
         scaled: Array = self.semiring.over(message, self.total(message))
         return scaled
 
     def _passed(self, step: int, message: Array) -> Array:
+        """The message to the slice of a step, from that of the next one and its measurements."""
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
             message = self.semiring.times(message, weights)
         return self.slices.backward(step + 1, message)
 
     def back(self, step: int, message: Array) -> Array:
-        """The same, but zero where the filtered belief is, and of sum one elsewhere.
-
-        So scaled it loses but states whose probability given all is too small for a number, however
-        much likelier what comes later would be after an impossible state.
-        """
+        """The backward message of sum one, and zero where the filtered belief is zero."""
         found, zero = self._passed(step, message), self.semiring.zero
         return self._scaled(np.where(self.known[step] > zero, found, zero))
 
@@ -153,7 +146,7 @@ class StateChain(BackwardChain):
         )
 
     def run(self) -> StateChain:
-        """The same, its forward sweep done."""
+        """Make the forward sweep, and return the chain itself."""
         sweep.forward(self, self.slices.steps, self)
         return self
 
@@ -235,34 +228,3 @@ def smallest(entries: Array) -> float:
     if low == 0.0:
         low = float(entries.min(where=entries > 0.0, initial=np.inf))
     return low
-
-
-def require_chain(graph: DynamicGraph, beliefs: str) -> None:
-    """Refuse a balanced tree of slices; `beliefs` says what goes along them."""
-    if isinstance(graph, BalancedGraph):
-        raise GraphError(
-            f"{beliefs} go along a chain of slices, which {titled(graph)} is not: leave method= "
-            "out of pgm.compile or pgm.smooth"
-        )
-
-
-def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
-    """The kind of the beliefs that a schedule leaves; smoothed without one."""
-    if schedule is None or type(schedule) is Calibration:
-        schedule = Smoothing() if schedule is None else Smoothing(schedule.iterations)
-    if not isinstance(schedule, Filtering | FixedLag | Smoothing):
-        raise ModelError(
-            f"{beliefs} take pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
-            f"{schedule!r}"
-        )
-    if schedule.gate is not None:
-        raise ModelError(
-            f"{schedule!r}: a gate is for Gaussian beliefs, whose innovations have a covariance; "
-            f"{beliefs} weigh measurements: leave it out"
-        )
-    if schedule.iterations != 1 or schedule.damping:
-        raise ModelError(
-            f"{schedule!r}: {beliefs} need no linearising, so that there is nothing to "
-            "iterate or damp; leave iterations and damping out"
-        )
-    return schedule.kind

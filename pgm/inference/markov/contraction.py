@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import Semiring
 from pgm.kernels.stochastic import Transition
-from pgm.kernels.tables import Semiring
 
 # A variable of the pair of slices, by its place.
 Label = int
@@ -112,6 +112,12 @@ class Contraction(NamedTuple):
         map_: bool,
         back: bool,
     ) -> Step:
+        """One table of the product: a map along an axis where it is one, else a sum over what goes.
+
+        A table of two variables whose parent nothing else needs moves the axis of that parent: it
+        need not be laid out as a table. `waiting` are the tables still to come, `last` the
+        variables that stay.
+        """
         labels = waiting[factor]
         needed = {x for k, table in waiting.items() if k != factor for x in table} | set(last)
         own, new = (labels[-1], labels[0]) if back else (labels[0], labels[-1])
@@ -157,12 +163,14 @@ def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool
 
 
 def _mapped(each: Transition, array: Array, axis: int, semiring: Semiring, back: bool) -> Array:
+    """A transition along one axis of an array, of probabilities or of logarithms."""
     if not semiring.linear:
         return each.logs(array, axis, semiring, back=back)
     return each.backward(array, axis) if back else each.forward(array, axis)
 
 
 def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> Array:
+    """The product of an array and a table, summed over the variables that go."""
     if semiring.linear:
         operands: list[Any] = [array, [*step.before, ...], table, [*step.labels, ...]]
         found: Array = np.einsum(*operands, [*step.after, ...], optimize=True)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from pgm.cpds import CPD
-from pgm.inference.markov.marginals import pair
+from pgm.inference.markov.joints import pair
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.kernels.arrays import Array, Integers
 
@@ -48,10 +48,12 @@ def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Arr
 
 
 def _by_run(belief: Array, batch: int) -> Array:
+    """A belief (*states, [runs]) as (runs, *states)."""
     return np.moveaxis(belief, -1, 0) if batch else belief[None]
 
 
 def _marginal(belief: Array, wanted: list[int]) -> Array:
+    """The marginal of a belief (runs, *states) over some axes, in their order, (runs, ...)."""
     others = tuple(1 + k for k in range(belief.ndim - 1) if k not in wanted)
     left = [k for k in range(belief.ndim - 1) if k in wanted]
     found: Array = belief.sum(axis=others)
@@ -59,12 +61,17 @@ def _marginal(belief: Array, wanted: list[int]) -> Array:
 
 
 def _states(rows: Any, row: int, runs: int) -> Integers:
+    """The states at one row of inputs (rows, runs or 1, 1), for all runs, (runs,)."""
     return np.broadcast_to(rows[row, :, 0], runs)
 
 
 def _moved(
     counts: Array, cpd: Any, inputs: Any, row: int, belief: Array, axes: dict[Any, int]
 ) -> None:
+    """Add the belief of a CPD's family at one row to its counts, in place.
+
+    The axes of observed parents are at their states, which may differ by run.
+    """
     family = (*cpd.given, cpd.child)
     found = _marginal(belief, [axes[v] for v in family if v in axes])
     runs = len(found)
@@ -76,6 +83,10 @@ def _moved(
 
 
 def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, int]) -> None:
+    """Add the belief of a sensor's parents at one measurement to its counts, in place.
+
+    With soft evidence w of the sensor z its share is p(z | parents) w(z) / Σ p(z | parents) w(z).
+    """
     cpd, runs = reading.cpd, len(belief)
     found = _marginal(belief, [axes[v] for v in cpd.given if v in axes])
     taken = np.broadcast_to(reading.taken[row, :, 0], runs)

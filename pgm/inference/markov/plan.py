@@ -17,10 +17,11 @@ from pgm.evidence import BoundEvidence
 from pgm.factors.axes import discrete, sizes
 from pgm.factors.scope import in_run
 from pgm.inference.markov.contraction import Contraction, Factor, Label, Move
-from pgm.inference.markov.weights import InputTables, Weights, smallest_entry
+from pgm.inference.markov.input_tables import InputTables, smallest_entry
+from pgm.inference.markov.weights import Weights
 from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.kernels.stochastic import Dense
-from pgm.kernels.tables import SUM_PRODUCT, Semiring
 from pgm.variables import Variable
 
 ADVICE = (
@@ -58,10 +59,12 @@ class SlicePlan:
 
     @cached_property
     def _tables(self) -> list[tuple[Label, ...]]:
+        """The variables of each CPD of the transition that are not observed, as labels."""
         return [self.hidden(cpd) for cpd in self.model.transition]
 
     @cached_property
     def _maps(self) -> list[bool]:
+        """Whether each CPD of the transition maps one hidden variable to another."""
         return [len(labels) == 2 for labels in self._tables]
 
     @cached_property
@@ -87,6 +90,7 @@ class SlicePlan:
 
     @cached_property
     def _before(self) -> tuple[Label, ...]:
+        """The labels of the states one step before."""
         return tuple(self.labels[v.previous] for v in self.states)
 
     @cached_property
@@ -127,6 +131,7 @@ class RowTables:
         return self._joined(states, semiring, as_map)
 
     def _joined(self, states: Any, semiring: Semiring, as_map: bool) -> Factor:
+        """The table of runs whose observed parents differ, runs last; or a map for runs alike."""
         keys, which = np.unique(states, axis=1, return_inverse=True)
         parts: list[Any] = [self._factor(tuple(map(int, key)), semiring, as_map) for key in keys.T]
         which = which.ravel()
@@ -138,6 +143,7 @@ class RowTables:
         )
 
     def _factor(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Any:
+        """The table at these states of the observed parents; kept, as few of them differ."""
         name = (*key, semiring.linear, as_map)
         found = self.index.get(name)
         if found is None:
@@ -145,17 +151,20 @@ class RowTables:
         return found
 
     def _made(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Factor:
+        """The table at these states of the observed parents: a map, or entries of the semiring."""
         if as_map and self.cpd._maps and self.observed == self.cpd.given[1:]:
             return Move(((self.cpd._maps[key[0] if key else None], None),))
         table = self._selected(self.cpd.table, key)
         return Move(((Dense(table), None),)) if as_map else semiring.entries(table)
 
     def _selected(self, table: Array, key: tuple[int, ...]) -> Array:
+        """A table with the observed parents at their states."""
         states = dict(zip(self.observed, key, strict=True))
         found: Array = table[tuple(states.get(v, slice(None)) for v in self.cpd.given)]
         return found
 
     def _called(self, row: int, semiring: Semiring, as_map: bool) -> Factor:
+        """The table that the function of inputs returns at a row, runs last; or maps by run."""
         tables = self.called.at(row)
         states = [self.inputs[v][row, :, 0] for v in self.observed]
         runs = max([len(tables), *map(len, states)])
@@ -177,6 +186,7 @@ class RowTables:
 
     @cached_property
     def _least(self) -> float:
+        """The smallest entry above zero, which tells whether float64 can multiply many of them."""
         if self.cpd._maps:
             return min(each.smallest for each in self.cpd._maps.values())
         return smallest_entry(self.cpd.table)
@@ -312,6 +322,7 @@ class TableSlices:
         return found, log_scale
 
     def _weights_at(self, step: int) -> Iterator[tuple[Array, Array | float]]:
+        """The weights of each measurement of a step, (*states, [runs]), and their log-scale."""
         for weights in self.weights:
             for row in weights.at(step):
                 own = weights.row(row, self.semiring)
@@ -339,4 +350,5 @@ class TableSlices:
             variable=variable,
             cpd=culprit,
             step=step,
+            run=run if self.lead else None,
         )

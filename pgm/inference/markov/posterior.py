@@ -18,7 +18,8 @@ from pgm.factors.scope import Scope
 from pgm.inference.chain.marginals import require_at_steps
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
-from pgm.inference.markov.marginals import Beliefs, StateMarginals, joint, pair, potential
+from pgm.inference.markov.joints import joint, pair, potential
+from pgm.inference.markov.marginals import Beliefs, StateMarginals
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import FILTERED, PREDICTED, SMOOTHED, Kind, Status
@@ -213,6 +214,7 @@ class StatePosterior(Posterior):
         return message, found, message.max(axis=tuple(range(message.ndim - chain.batch)))
 
     def _message_back(self, step: int, passed: Callable[[int, Array], Array]) -> Array:
+        """The message to the slice of a step from all later measurements that its belief knows."""
         chain = self._chain
         last = self.kind.last(step, self.graph.steps)
         message = np.full(chain.known[last].shape, chain.semiring.one)
@@ -221,6 +223,7 @@ class StatePosterior(Posterior):
         return message
 
     def _states(self, values: Array, *, total: bool = True) -> Array:
+        """Values over the states alone, summed over hidden controls, or of their one entry."""
         axes = self._plan.controls
         if not axes:
             return values
@@ -271,6 +274,7 @@ class StatePosterior(Posterior):
         return self._table(discrete(tuple(v.at(step) for v in scope)), values, scale)
 
     def _table(self, scope: Any, values: Array, weight: Array) -> Table:
+        """Values (sizes..., [runs]) as a table with the log-weight of each run."""
         scale = weight.reshape(self._lead) if self._lead else weight.reshape(())
         return Table._make(scope, self._over_runs(values, len(scope)), scale)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
@@ -11,9 +10,9 @@ import numpy as np
 from pgm.cpds import TableCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import Reading
+from pgm.inference.markov.input_tables import InputTables, smallest_entry
 from pgm.kernels.arrays import Array
-from pgm.kernels.tables import SUM_PRODUCT, Semiring, log_sum
-from pgm.variables import Discrete, Variable
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring, log_sum
 
 if TYPE_CHECKING:
     from pgm.inference.markov.plan import SlicePlan
@@ -128,6 +127,7 @@ class Weights:
         return np.concatenate([self._columns / top, nothing]), np.append(np.log(top), 0.0)
 
     def _rows(self, part: range) -> range:
+        """The rows of the measurements at some steps."""
         last = len(self.starts) - 1
         return range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
 
@@ -157,6 +157,7 @@ class Weights:
         return logs if self.batch else float(logs[0])
 
     def _softened(self, row: int, columns: Array, places: Any, semiring: Semiring) -> Array:
+        """Weights by soft evidence w at a row: Σ_z w(z) p(z | parents), (*states, [runs])."""
         values = (self._scaled if semiring.linear else self.reading.values)[row]
         runs = max([len(values), *(len(p) for p in places)])
         own = columns[tuple(places)] if places else columns[None]
@@ -171,9 +172,11 @@ class Weights:
         return self._over_runs(found[0]) if runs == 1 else np.moveaxis(found, 0, -1)
 
     def _over_runs(self, single: Array) -> Array:
+        """Weights that are the same in all runs, with an axis of runs if there are many."""
         return single[..., None] if self.batch else single
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:
+        """The function's columns p(z | parents) at a row, and the places of each run's own."""
         tables = self.called.at(row)
         places = [self.reading.inputs[v][row, :, 0] for v in self.observed]
         return self._laid(tables, 1), [np.arange(len(tables)), *places]
@@ -189,42 +192,10 @@ class Weights:
 
     @cached_property
     def _least(self) -> float:
+        """The smallest entry above zero of the columns."""
         return smallest_entry(self._columns)
 
 
 def _last(reading: Reading) -> int:
+    """The last step at which there is a measurement; −1 if there is none."""
     return int(reading.step[-1]) if reading.step.size else -1
-
-
-def smallest_entry(table: Array) -> float:
-    """The smallest positive entry of a table, 1 if there is none."""
-    return float(table.min(where=table > 0.0, initial=1.0))
-
-
-class InputTables:
-    """The tables that the function of a CPD returns for the inputs of a row.
-
-    inputs: (rows, runs or 1, d), or of states (rows, runs or 1, 1).
-    """
-
-    def __init__(
-        self, cpd: TableCPD, inputs: Mapping[Variable, Any], step: Callable[[int], int]
-    ) -> None:
-        self.cpd, self.inputs, self.step = cpd, inputs, step
-        self.smallest = 1.0
-
-    def at(self, row: int) -> Array:
-        """The tables of a row, (runs or 1, size of each parent..., size of the child)."""
-        values = {}
-        for v in self.cpd.inputs:
-            rows = self.inputs[v][row]
-            values[v] = rows[:, 0] if isinstance(v, Discrete) else rows
-        runs = max(len(rows) for rows in values.values())
-        step = self.step(row)
-        if runs == 1:  # a single value, as a function of one robot takes it
-            tables = self.cpd.at_inputs({v: a[0] for v, a in values.items()}, step=step)[None]
-        else:
-            wide = {v: np.broadcast_to(a, (runs, *a.shape[1:])) for v, a in values.items()}
-            tables = self.cpd.at_inputs(wide, (runs,), step=step)
-        self.smallest = min(self.smallest, smallest_entry(tables))
-        return tables

@@ -53,5 +53,6 @@ def associated(
 
 
 def _by_run(rows: Any, lead: tuple[int, ...]) -> Any:
+    """Values (M, runs, d) with the user's axes first, (*runs, M, d)."""
     wide = np.broadcast_to(rows, (len(rows), int(np.prod(lead)), rows.shape[-1])).swapaxes(0, 1)
     return wide.reshape(*lead, *wide.shape[1:])

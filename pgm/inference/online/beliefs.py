@@ -14,8 +14,9 @@ from pgm.compile import SliceLayout
 from pgm.display import NoArray, Shown, Summary, titled
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.factors import Gaussian
+from pgm.factors.scope import namesake
 from pgm.immutable import Immutable, set_writeable
-from pgm.inference.associations import NONE, Found, Rejections, RejectionsBySensor
+from pgm.inference.associations import NONE, Found
 from pgm.inference.chain import certificate, close_points
 from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.gate import Asked
@@ -25,6 +26,7 @@ from pgm.inference.lost import PageTest
 from pgm.inference.online.judged import Decided, Watch
 from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
+from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.inference.schedule import Filtering, FixedLag
 from pgm.inference.status import CLOSE_POINTS, Kind, Status, digits
 from pgm.inference.summaries import at_a_step
@@ -175,7 +177,8 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         known = layout.slice if self.step else layout.states
         if template not in known or variable.step not in (None, self.step):
             raise EvidenceError(
-                f"the belief at step {self.step} is over {list(known)}, not {variable!r}",
+                f"the belief at step {self.step} is over {list(known)}, not {variable!r}"
+                f"{namesake(variable, known)}",
                 variable=variable,
                 step=self.step,
             )
@@ -229,6 +232,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
 
     @property
     def _watched(self) -> PageTest:
+        """The test whether the belief is lost, of a filter that watches."""
         if self.watch is None:
             raise EvidenceError(
                 f"{self._title} was not watched, whether it is lost: make the filter with "
@@ -367,6 +371,7 @@ def refuse(step: int) -> NoReturn:
 
 
 def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
+    """A belief's array for the runs of a plan, as one axis."""
     rest = array.shape[-own:]
     return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)
 

@@ -8,8 +8,10 @@ from typing import Any, Self, overload
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.compile import compile
-from pgm.compile.machine import Choice, as_choice
+from pgm.compile.machine import COMPILED, GATE, Choice, as_choice
+from pgm.cpds import NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence
@@ -20,7 +22,9 @@ from pgm.inference.chain.gate import prepare as prepare_gates
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
+from pgm.inference.convergence import tell_online
 from pgm.inference.engine import PointMasses, online_points
+from pgm.inference.gates import Gate
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.value import Grid
 from pgm.inference.markov.online import online_tables
@@ -45,7 +49,6 @@ from pgm.inference.online.settings import require_neither, require_settings
 from pgm.inference.online.slid import slid
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.window import Passed, Sliding, Trail, look_again, trailing
-from pgm.inference.options import Gate
 from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
@@ -61,6 +64,7 @@ _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged 
 _quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
 
+@public
 class OnlineFilter(InCode, Immutable):
     """A filter for one step at a time; immutable, and so are its beliefs.
 
@@ -88,10 +92,10 @@ class OnlineFilter(InCode, Immutable):
         same methods, and takes neither lineariser nor schedule, of which it has no use.
     compiled : bool or Compiled
         Whether steps are made in machine code, by Numba, for which functions have to be traced, as
-        they are at the first step of a kind. Steps that are not plain (of many runs, with a lag, a
-        gate, a watch or iterations, in twice the digits, with noise that depends on inputs, or of
-        functions that refer to a number that has changed, or to what may change unseen) are made
-        without, with equal results. One run has one thread. False unless said, since loading and
+        they are when the filter is made (see `renewed`). Steps that are not plain (of many runs,
+        with a lag, a gate, a watch or iterations, in twice the digits, with noise that depends on
+        inputs, or of functions that make floats of their input) are made without, with equal
+        results. One run has one thread. False unless said, since loading and
         compiling take the time of 10,000 steps.
 
     Raises
@@ -109,6 +113,8 @@ class OnlineFilter(InCode, Immutable):
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x].mean, belief[x].cov
     (array([2.]), array([[1.]]))
+    >>> pgm.OnlineFilter(walk, gate=0.99, compiled=True).compilation
+    'not compiled: a gate (gate=) decides at one predicted belief after another'
     """
 
     model: DynamicBayesianNetwork
@@ -161,6 +167,9 @@ class OnlineFilter(InCode, Immutable):
         found = object.__new__(cls)
         found._set(model=model, lineariser=lineariser, schedule=schedule, watch=watch is True)
         found._set(compiled=bool(as_choice(compiled, "OnlineFilter(...)")))
+        for cpd in (*model.transition, *model.observation):
+            if isinstance(cpd, NonlinearGaussianCPD):
+                cpd._renew()
         if found.compiled:
             found._compile()
         return found
@@ -210,6 +219,46 @@ class OnlineFilter(InCode, Immutable):
             plans, ends = (self._ahead, self._seen), (_DONE, _LINEARISED)
             steps = CompiledSteps(self._graph.layout, *plans, self.predict, self.update, *ends)
             self._set(_steps=steps, predict=steps.predict, update=steps.update)
+
+    @property
+    def compilation(self) -> str:
+        """Whether steps are made in machine code, or why not, as of ``status.compilation``.
+
+        Of a filter that is compiled it tells of the steps so far: how many NumPy made, and why.
+        """
+        if not self.compiled:
+            return "by NumPy: compiled=False"
+        if self._steps is None:
+            schedule, why = self.schedule, []
+            if schedule.gate is not None:
+                why.append(GATE)
+            if self.watch:
+                why.append("a watch (watch=True) judges each step")
+            if isinstance(schedule, FixedLag):
+                why.append("beliefs wait for a lag")
+            if schedule.iterations > 1:
+                why.append("steps are iterated")
+            return f"not compiled: {'; '.join(why)}"
+        left = [f"{count} × {why}" for why, count in self._steps.left.items()]
+        return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
+
+    def renewed(self) -> OnlineFilter:
+        """The same filter, which reads its functions anew, with what they refer to.
+
+        A belief of this filter goes on with it.
+
+        Examples
+        --------
+        >>> from pgm.examples import walk
+        >>> robot = pgm.OnlineFilter(walk)
+        >>> belief = robot.initial()
+        >>> robot = robot.renewed()
+        >>> robot.predict(belief).step
+        1
+        """
+        make, arguments = self.__reduce__()
+        found: OnlineFilter = make(*arguments)
+        return found
 
     def initial(self) -> OnlineBelief:
         """The prior, at step 0; runs are those of the model."""
@@ -273,7 +322,10 @@ class OnlineFilter(InCode, Immutable):
         step, behind = belief.step + 1, belief.behind
         if isinstance(behind, Sliding):
             bound = step_evidence.inputs(self.model, belief, inputs)
+            unread = behind.window is None  # of a step without readings the window is settled here
             behind = behind.on(self._windows, bound.transition, bound.lead)
+            if unread and behind.before is not None:
+                tell_online(behind.before.converged, self.schedule)
             return slid(
                 self._windows, step, behind, np.broadcast_to(belief.log_evidence, bound.lead)
             )
@@ -346,6 +398,11 @@ class OnlineFilter(InCode, Immutable):
             As of `predict`.
         NumericalError
             If a measurement contradicts an exact model, or a number does not exist.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If two or more iterations were asked for and end before they settle.
         """
         require_own(belief, self.model, self.schedule, self._behind)
         if type(readings) is not dict:
@@ -359,6 +416,7 @@ class OnlineFilter(InCode, Immutable):
             bound = step_evidence.readings(self.model, belief, readings)
             behind = behind.read(self._windows, bound.readings, bound.lead)
             made = slid(self._windows, belief.step, behind, belief.log_evidence)
+            tell_online(made.status.converged, self.schedule)
             return made.judged(*of_window(belief.watch, behind.settled(self._windows)))
         if is_plain(belief):
             ordinary = self._updated(belief, readings)
@@ -370,6 +428,7 @@ class OnlineFilter(InCode, Immutable):
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
+        tell_online(status.converged, self._filtering)
         behind = None if behind is None else behind._replace(imprecise=True)
         made = careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
         return made.judged(*of_update(belief.watch, parts, Moments.of(plan, *known.moments)))
@@ -398,6 +457,7 @@ class OnlineFilter(InCode, Immutable):
             log_evidence = np.array(belief.log_evidence.item() + float(log_density))
         if chain.residuals or plan.lead or plan.robust:
             status = Status.of(chain.residuals, chain.converged, plan.lead)
+            tell_online(status.converged, self._filtering)
         else:
             status = _DONE if plan.linear else _LINEARISED
         status = told(status, plan, known, found, belief.status.digits)

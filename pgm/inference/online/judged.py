@@ -15,9 +15,9 @@ from pgm.inference.chain.innovations import by_step
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.sensor import GateRecord
 from pgm.inference.chain.vector import vector
+from pgm.inference.gates import gate_of
 from pgm.inference.lost import PageTest, Read
-from pgm.inference.options import gate_of
-from pgm.kernels import roots
+from pgm.kernels import mahalanobis
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
@@ -80,7 +80,7 @@ def of_update(
     else:
         spread = np.einsum("ijr,jkr,lkr->ilr", matrix, cov, matrix, optimize=_PATH) + noise
         residual = np.broadcast_to(residual, (len(residual), *mean.shape[1:]))
-    nis = roots.squares(residual[None], spread[None]).reshape(-1)
+    nis = mahalanobis.squares(residual[None], spread[None]).reshape(-1)
     dof = np.full(nis.shape, len(residual), dtype=np.intp)
     if missing is not None:
         dof -= np.asarray(missing, dtype=np.intp)
@@ -118,6 +118,7 @@ def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...],
 
 
 def _read(nis: Array, dof: Integers, each: Sequence[tuple[Mask, Mask] | None]) -> Read:
+    """The squares of innovations at a step, and the counts of sightings rejected and judged."""
     rejected, judged = np.zeros_like(dof), np.zeros_like(dof)
     for found in each:
         if found is not None:
@@ -127,6 +128,7 @@ def _read(nis: Array, dof: Integers, each: Sequence[tuple[Mask, Mask] | None]) -
 
 
 def _decided(part: Reading) -> Decided:
+    """The decisions of a gate about a sensor's sightings, with the variable and their order."""
     assert part.gated is not None
     rejected, square = (each.reshape(len(each), -1) for each in part.gated)
     nothing = np.ones((0, 0, 0), dtype=bool)

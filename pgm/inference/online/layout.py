@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from itertools import accumulate
 from math import prod
 
@@ -18,22 +17,29 @@ from pgm.inference.online.step_evidence import Values, places
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.kernels.compiled import tables as t
-from pgm.tracing.surroundings import Read, hold
+from pgm.tracing import Judge
 from pgm.variables import Variable
+
+# Steps that are made both ways.
+TRIALS = 5
 
 
 class Layout:
     """A plan of one step, of a transition or of measurements, for values in arrays of these shapes.
 
-    `step` is its table, which holds while the layout is kept; None where it is not for a kernel.
+    `step` is its table, which holds while the layout is kept; None where it is not for a kernel,
+    and `why`.
     `first` and `second` are the variables whose arrays a kernel takes as they come: an input alone,
     or a sensor and the parent given with its sightings; others come in one row. `status` is that
-    of a belief after the step.
+    of a belief after the step. The `judge` is of the functions' traces; `trials` is how many more
+    steps are made in the general way, too, before machine code is trusted.
     """
 
     step: Integers64 | None = None
+    why: str = ""
     first: Variable | None = None
     second: Variable | None = None
+    trials: int = TRIALS
 
     def __init__(
         self,
@@ -43,8 +49,7 @@ class Layout:
         status: Status,
     ) -> None:
         self.status, self._where = status, places(values)
-        self._values: list[Read] = []
-        self._arrays: list[tuple[Array, tuple[object, ...]]] = []
+        self.judge = Judge()
         # As of `kernels.compiled.online`.
         self._parts: list[list[int]] = []
         self._shifts: list[list[int]] = []
@@ -52,13 +57,10 @@ class Layout:
             self.first, self.second = next(iter(values)), [*self._where][-1][1]
         starts = [*accumulate(map(prod, shapes), initial=0)][:-1]
         self._order = list(range(len(shapes))) if self.first is not None else starts
-        with suppress(Uncompiled):
+        try:
             self.step = self._table(plan)
-        self.watched = bool(self._values or self._arrays)
-
-    def still(self) -> bool:
-        """Whether quantities that functions refer to are what they were when it was laid out."""
-        return hold(self._values, self._arrays)
+        except Uncompiled as error:
+            self.why = str(error)
 
     def _table(self, plan: ChainPlan) -> Integers64:
         from pgm.kernels.compiled import sweeps as s
@@ -66,14 +68,13 @@ class Layout:
         if largest(families(plan)):
             raise Uncompiled("its sigma points lie close together, and lost digits are to be told")
         chain, layout = Chain(plan), plan.layout
+        for family in plan.families:
+            family.judge = self.judge
         chain.lay_out(False, False)
         self._rows = rows = chain.rows
-        templates = [each.template for each in plan.families if each.template is not None]
-        for around in (template.whole.surroundings for template in templates):
-            if around is None or not around.known:
-                raise Uncompiled("what a function refers to may change unseen")
-            self._values += around.values
-            self._arrays += around.arrays
+        for family in plan.families:
+            if family.compiled is not None and family.compiled.trace.cast:
+                _require_followed(family)
         for link, row in zip(plan.transition, chain.links, strict=True):
             self._inputs(link.family, row, 1, None)
         for sensor, row in zip(plan.read, chain.sensors, strict=True):
@@ -116,3 +117,19 @@ class Layout:
         rows = 1 if shared else count
         told = self._rows.at(target), target.strides[0] // 8, count, missing
         self._parts.append([self._order[place], rows, width, *told])
+
+
+def _require_followed(family: Family) -> None:
+    """Refuse a function that makes floats of its input: later steps may decide otherwise by them.
+
+    Jacobians may, which mostly write them into np.zeros and return it.
+    """
+    assert family.template is not None
+    assert family.template.tracer is not None
+    alone = family.template.tracer.traced()
+    if isinstance(alone, str) or alone.cast:
+        raise Uncompiled(
+            f"{family.cpd!r}: its function makes floats of its input, by which it may decide "
+            "otherwise in a later step: np.asarray(x) without a dtype, np.zeros_like in place of "
+            "np.zeros"
+        )

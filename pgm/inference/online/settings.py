@@ -6,8 +6,9 @@ from typing import Any
 
 from pgm.display import titled
 from pgm.errors import ModelError
+from pgm.inference.argument_checks import require_gaussian, require_lineariser, require_plain
 from pgm.inference.chain.gate import require_sensors
-from pgm.inference.options import Gate, require_gaussian, require_lineariser, require_plain
+from pgm.inference.gates import Gate
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.networks import DynamicBayesianNetwork
 

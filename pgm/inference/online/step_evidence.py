@@ -18,6 +18,7 @@ from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sig
 from pgm.evidence.rows import as_rows, as_weights, rows_of
 from pgm.evidence.values import Soft, soft
 from pgm.factors.axes import as_indices
+from pgm.factors.scope import listed, namesake
 from pgm.immutable import set_writeable
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
@@ -67,8 +68,8 @@ def inputs(
     for variable in values:
         if variable not in needed or variable not in model.inputs:
             raise EvidenceError(
-                f"predict takes inputs of the transition, not {variable!r}; measurements go to "
-                "update",
+                f"predict takes inputs of the transition, [{listed(model.inputs)}], not "
+                f"{variable!r}{namesake(variable, model.inputs)}; measurements go to update",
                 variable=variable,
                 step=belief.step + 1,
             )
@@ -99,10 +100,12 @@ def _same_runs(belief: Place, bound: BoundEvidence) -> BoundEvidence:
 
 
 def _constant(value: Any) -> Constant:
+    """A value as a constant of the step."""
     return value if isinstance(value, Constant) else constant(value)
 
 
 def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> Any:
+    """A sensor's value as sightings, whose step is the belief's; an input's as a constant."""
     if variable not in model.sensors:
         return _constant(value)
     if not isinstance(value, Sightings):
@@ -119,6 +122,7 @@ def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> A
 
 
 def _single(variable: Variable, value: Any) -> Any:
+    """One measurement, as the only row of several."""
     if not isinstance(variable, Discrete):
         return as_rows(variable, value, None)[..., None, :]
     if isinstance(value, Soft):
@@ -164,6 +168,7 @@ def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
 
 
 def _is_finite(row: Array) -> bool:
+    """Whether the sum of a row is finite; if that overflows, the general way takes over."""
     return isfinite(sum((row if row.ndim == 1 else row.ravel()).tolist()))
 
 
@@ -185,6 +190,7 @@ def numbers(value: Any, axes: int) -> Array | None:
 
 
 def _numbers(value: Any) -> Array | None:
+    """The value as floats; None where it is refused, which the general way words."""
     try:
         return as_floats(value, "a value", EvidenceError)
     except EvidenceError:  # which the general way words
@@ -294,6 +300,7 @@ class Layouts:
         return chain, parts
 
     def _add(self, key: Key, belief: OnlineBelief, values: Values) -> _Layout:
+        """The layout of a kind of evidence, made of the first of its kind and kept."""
         plan, where = self._make(belief, values), places(values)
         locals_ = [_local(link.family, None, 1, where) for link in plan.transition]
         if plan.sensors:
@@ -314,6 +321,7 @@ def _local(
     count: int,
     where: Mapping[tuple[Variable | None, Variable], int],
 ) -> _Local:
+    """The places of a CPD's inputs in the values of a step."""
     inputs = []
     for parent in family.inputs:
         own = sensor is not None and (sensor, parent) in where

@@ -98,6 +98,7 @@ class Sliding:
 
     @property
     def _newest(self) -> Beginning | None:
+        """The belief at the step before the newest."""
         return None if self.before is None else self.before.at(-1)
 
     @property
@@ -166,6 +167,7 @@ def _joined(entries: Sequence[Entry], lead: tuple[int, ...], *, begun: bool) -> 
 
 
 def _rows(parts: Sequence[npt.NDArray[Kind]]) -> npt.NDArray[Kind]:
+    """Arrays (rows, runs or 1, d) as one, read-only, since functions of users see them."""
     runs = max(part.shape[1] for part in parts)
     whole = np.concatenate([np.broadcast_to(p, (len(p), runs, p.shape[2])) for p in parts])
     whole.flags.writeable = False

@@ -23,7 +23,8 @@ from pgm.inference.particles.cloud import BACKWARD, Cloud, stream, uniform
 from pgm.inference.particles.laws import GaussianLaw, Law, Root, Some, States
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.value import FULL, Particles
-from pgm.kernels.arrays import TURN, Array, Integers, Mask
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices, systematic
 from pgm.progress import counted
 
@@ -79,15 +80,18 @@ class Backward:
         return tuple(found)
 
     def _generators(self, step: int, about: int) -> list[np.random.Generator]:
+        """The random streams of draws at a step, for trajectories that end at the step `about`."""
         first, seed = self.model.bound.first_run, self.particles.seed
         purpose = BACKWARD + step - about  # a lag's trajectories are none of another's
         return [stream(seed, first + run, step, purpose) for run in range(len(self._counts))]
 
     def _cloud(self, step: int, place: Integers) -> Cloud:
+        """The particles at these places of a step, (trajectories,), all of one weight."""
         states = np.take(self.clouds[step].states, place, axis=1)
         return Cloud(states, uniform(self._counts), self._starts)
 
     def _last(self, step: int, about: int) -> Integers:
+        """The places of the last particles of trajectories, drawn by their filtered weights."""
         cloud, generators = self.clouds[step], self._generators(step, about)
         draw, found = RESAMPLERS[self.particles.resampling], []
         for run, generator in enumerate(generators):
@@ -97,6 +101,12 @@ class Backward:
         return np.concatenate(found)
 
     def _before(self, step: int, place: Integers, after: States, about: int) -> Integers:
+        """The places, at a step, of the particles before `after`, those of the next step.
+
+        Each is drawn with probability ∝ w_i p(after | x_i), over all particles or by Metropolis
+        moves from the ancestor. A run that was begun anew at the next step has no such link: it is
+        drawn by w_i alone.
+        """
         later, cloud = self.clouds[step + 1], self.clouds[step]
         generators = self._generators(step, about)
         ancestor = place if later.ancestors is None else later.ancestors[place]
@@ -136,6 +146,7 @@ class Backward:
         return now, moved
 
     def _of(self, run: int) -> slice:
+        """The slice of one run's trajectories among those of all runs."""
         return slice(int(self._starts[run]), int(self._starts[run + 1]))
 
     def _drawn(self, cloud: Cloud, run: int, generator: np.random.Generator) -> Integers:
@@ -152,6 +163,10 @@ class Backward:
         ancestor: Integers,
         generators: list[np.random.Generator],
     ) -> Integers:
+        """Places drawn from all n particles, with probability ∝ w_i p(after | x_i).
+
+        That costs n densities a trajectory.
+        """
         found = []
         for run, generator in enumerate(generators):
             part, trajectories = cloud.of(run), range(*self._starts[run : run + 2].tolist())

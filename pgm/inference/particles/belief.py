@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.display import Summary, axes
 from pgm.errors import ModelError
 from pgm.factors.scope import listed, places_of
 from pgm.inference.grid.belief import PointMassBelief, closed
 from pgm.inference.particles.cloud import Cloud
-from pgm.inference.particles.model import Part
+from pgm.inference.particles.components import Part
 from pgm.inference.summaries import moments_of, spread
-from pgm.kernels.arrays import TURN, Array, Integers, wrap
+from pgm.kernels.angles import TURN, wrap
+from pgm.kernels.arrays import Array, Integers
 
 
 class ParticleBelief(PointMassBelief):
@@ -101,15 +103,19 @@ class ParticleBelief(PointMassBelief):
         return self._by_lead(found.reshape(len(found), self._count, -1), first=True)
 
     def _mean(self) -> Array:
+        """Weighted means, (..., d), with leading axes as the user has them."""
         return self._by_lead(np.stack([mean for mean, _ in self._moments], axis=0), first=True)
 
     def _cov(self) -> Array:
+        """Weighted covariances, (..., d, d), with leading axes as the user has them."""
         return self._by_lead(np.stack([cov for _, cov in self._moments], axis=0), first=True)
 
     def _over(self, places: tuple[int, ...]) -> ParticleBelief:
+        """The belief over some of the components, in this order."""
         each = [self._parts[k] for k in places]
         return ParticleBelief(each, self._clouds, self._runs, self.steps)
 
+    @public
     def histogram(
         self,
         *components: str,
@@ -157,6 +163,7 @@ class ParticleBelief(PointMassBelief):
         return found, tuple(edges)
 
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
+        """So many draws with replacement by the weights, (count, ..., d)."""
         rows = self._rows
         found = np.empty((len(self._clouds), self._clouds[0].runs, count, len(rows)))
         for step, cloud in enumerate(self._clouds):
@@ -169,6 +176,10 @@ class ParticleBelief(PointMassBelief):
         return np.moveaxis(self._by_lead(found, first=True), -2, 0)
 
     def _at(self, index: Any, chosen: Integers) -> ParticleBelief:
+        """The belief at an index of the leading axes, by the flat places that it has chosen.
+
+        Steps have clouds of their own, so that only whole steps of whole runs can be taken out.
+        """
         if not chosen.size:
             raise ModelError(f"a belief with the leading axes {self.lead} has none at {index!r}")
         run, step = np.divmod(chosen, len(self._clouds))
@@ -184,6 +195,7 @@ class ParticleBelief(PointMassBelief):
         return ParticleBelief(self._parts, clouds, chosen.shape[:-1], self.steps[each[0]])
 
     def _gathered(self, place: int, runs: Integers) -> Cloud:
+        """The cloud of a step, of some runs of it."""
         cloud = self._clouds[place]
         if len(runs) == cloud.runs and (runs == np.arange(cloud.runs)).all():
             return cloud
@@ -205,6 +217,7 @@ class ParticleBelief(PointMassBelief):
 
     @cached_property
     def _moments(self) -> list[tuple[Array, Array]]:
+        """The mean and covariance of each step's cloud."""
         return [self._moments_of(cloud) for cloud in self._clouds]
 
     def _moments_of(self, cloud: Cloud) -> tuple[Array, Array]:

@@ -25,11 +25,11 @@ from pgm.inference.particles.cloud import (
     stream,
     uniform,
 )
+from pgm.inference.particles.guided_proposal import Guide
 from pgm.inference.particles.laws import Drawing, Some, States
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
-from pgm.inference.particles.proposals import Guide
-from pgm.inference.particles.status import Record
+from pgm.inference.particles.record import Record
 from pgm.inference.particles.value import IGNORE, RAISE, RESTART, Injection, Particles
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices
@@ -76,6 +76,7 @@ class ParticleChain:
         return self._prior(counts, self.generators(0), self._placed(self.particles.n))
 
     def _placed(self, count: int) -> Placed | None:
+        """The draws of all runs from cells; None where no start from cells is due."""
         cells = self.particles.start
         if cells is None or not cells.sensors(self.model, 0):
             return None
@@ -191,10 +192,12 @@ class ParticleChain:
         return Cloud(*moved, cloud.averages)
 
     def _move(self, row: int, some: Some, drawing: Drawing) -> None:
+        """Draw the next state of some particles, by the transition's CPDs at their row."""
         for law in self.model.transition:
             some.now[self.model.places[law.cpd.child]] = law.draw(row, some, drawing)
 
     def _chosen(self, states: States, weights: Array, rng: np.random.Generator) -> Integers:
+        """The places of the particles of one run that are drawn anew, by its weights (m,)."""
         draw = RESAMPLERS[self.particles.resampling]
         number = self.particles.number
         if not isinstance(number, KLDSampling):
@@ -211,6 +214,11 @@ class ParticleChain:
         return known, log_density
 
     def _weighed(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
+        """The cloud after a step's measurements, and ln p(measurements | those before), (runs,).
+
+        Where no particle of a run explains them, they are refused, ignored, or the run begins anew
+        from its prior, as the user asked; the log-density is −∞.
+        """
         log_weights = cloud.log_weights + self._log_likelihood(step, cloud)
         impossible = np.isneginf(np.maximum.reduceat(log_weights, cloud.starts[:-1]))
         if not impossible.any():
@@ -257,6 +265,7 @@ class ParticleChain:
         return replace(cloud, states=states, log_weights=log_weights, ancestors=None)
 
     def _log_likelihood(self, step: int, cloud: Cloud) -> Array:
+        """The log-density of a step's measurements at all particles, (m,), block by block."""
         found = np.empty(len(cloud.log_weights))
         for block in cloud.blocks():
             place = slice(block.first, block.last)
@@ -265,6 +274,7 @@ class ParticleChain:
         return found
 
     def _after_impossible(self, step: int, cloud: Cloud, impossible: Mask) -> Cloud:
+        """The cloud with which the `impossible` runs go on, no particle of which was possible."""
         if self.particles.impossible == RAISE:
             run = int(impossible.argmax())
             nowhere = np.isneginf(cloud.log_weights[cloud.of(run)]).all()
@@ -298,5 +308,6 @@ class ParticleChain:
         )
 
     def _some(self, cloud: Cloud, step: int, first: int, last: int, before: Array) -> Some:
+        """The particles from first to last, with their states before, and whose runs they are."""
         owner = None if cloud.runs == 1 else cloud.owner[first:last]
         return Some(step, cloud.states[:, first:last], before, owner)

@@ -19,8 +19,9 @@ from pgm.cpds.conditional import evaluate
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.arrays import IMPROPER
 from pgm.inference.particles.cloud import Block
-from pgm.kernels import roots
-from pgm.kernels.arrays import LOG_2PI, TURN, Array, Integers, Mask
+from pgm.kernels import normal_density, roots
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
@@ -216,6 +217,7 @@ class GaussianLaw(Law):
         return mean.T
 
     def _called(self, arguments: list[States], due: tuple[int, ...], call: Call) -> States:
+        """The value of the function, (particles, d); of float32 states in their precision."""
         function = getattr(self.cpd, "function", None)
         if function is None:
             known = dict(zip(self.cpd.given, arguments, strict=True))
@@ -223,12 +225,13 @@ class GaussianLaw(Law):
         try:
             value = function(*arguments)
         except Exception as error:
-            raise call.error(f"failed: {type(error).__name__}: {error}") from error
+            raise call.error(f"failed: {call.reason(function, arguments, error, due)}") from error
         if isinstance(value, np.ndarray) and value.dtype == self.dtype and value.shape == due:
             return value
         return call.array(function, arguments, value, due)
 
     def _refuse(self, mean: States, values: Mapping[Variable, States], some: Some) -> None:
+        """Refuse a mean that is not finite, naming the first particle that has one."""
         index = int(np.flatnonzero(~np.isfinite(mean).all(axis=-1))[0])
         run = self.first_run + (0 if some.owner is None else int(some.owner[index]))
         at = {v: a[index].tolist() for v, a in values.items()}
@@ -270,6 +273,7 @@ class GaussianLaw(Law):
         return self._root(lower.reshape(-1, *lower.shape[-2:]), None)
 
     def _root(self, lower: Array, step: int | None) -> Root:
+        """The root of a noise, refused where that is not semidefinite."""
         if not roots.is_proper(lower):
             raise NumericalError(
                 f"{self.cpd!r}: its noise cannot be used: {IMPROPER}",
@@ -347,11 +351,11 @@ class Root:
         lower = self.lower[0] if len(self.lower) == 1 else self.lower[self.of(some)]
         points = (-1, 1, len(residual)) if lower.ndim > 2 else (-1, len(residual))
         wide = np.broadcast_to(residual, (len(residual), some.size)).T.reshape(points)
-        white, left = roots.whitened(lower, wide)
-        found = roots.log_density(lower, white)
+        white, left = normal_density.whitened(lower, wide)
+        found = normal_density.log_density(lower, white)
         if left is not None:
             errors = np.broadcast_to(error, (len(error), some.size)).T.reshape(points)
-            found = np.where(roots.off(lower, left, errors), -np.inf, found)
+            found = np.where(normal_density.off(lower, left, errors), -np.inf, found)
         return found.reshape(-1)
 
 

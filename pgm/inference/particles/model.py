@@ -1,23 +1,24 @@
-"""A dynamic network with its evidence, and the laws of its CPDs, as particles ask for them."""
+"""A dynamic network with its evidence, as particles ask for it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD
+from pgm.cpds import CPD
 from pgm.cpds.base import Known
-from pgm.cpds.mixture import UnidentifiedCPD, by_run, chosen, log_mixed
-from pgm.errors import LinearisationError, ModelError
+from pgm.cpds.mixture import UnidentifiedCPD, by_run
+from pgm.errors import LinearisationError
 from pgm.evidence import BoundEvidence, Reading
-from pgm.factors.scope import distinct_labels
-from pgm.inference.options import require_density, require_whole
-from pgm.inference.particles.laws import Drawing, GaussianLaw, Law, Some, States, by_pattern
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.inference.argument_checks import require_whole
+from pgm.inference.particles.components import Part, parts
+from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern
+from pgm.inference.particles.mixture_law import law
+from pgm.kernels.arrays import Array, Mask
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -167,6 +168,7 @@ class Sensor:
         return found
 
     def _require_density(self, found: Array, some: Some) -> None:
+        """Refuse log-densities that are NaN or plus infinity."""
         total = found.sum()
         if np.isfinite(total) or not (np.isnan(found) | (found == np.inf)).any():
             return
@@ -181,90 +183,3 @@ class Sensor:
             step=some.step,
             run=run,
         )
-
-
-class Part(NamedTuple):
-    """One component of a belief."""
-
-    variable: Variable
-    component: int
-    label: str
-    row: int
-
-    @property
-    def angle(self) -> bool:
-        """Whether it is an angle."""
-        return bool(self.variable.angle_mask[self.component])
-
-
-def parts(places: Sequence[tuple[Variable, int]]) -> list[Part]:
-    """The components of variables whose first rows are given, with a name for each."""
-    label = iter(distinct_labels(variable for variable, _ in places))
-    return [
-        Part(variable, k, next(label), first + k)
-        for variable, first in places
-        for k in range(variable.dimension)
-    ]
-
-
-@dataclass(frozen=True, eq=False)
-class MixtureLaw(Law):
-    """A mixture at its rows."""
-
-    cpd: MixtureCPD
-    parts: tuple[Law, ...]
-
-    def draw(self, row: int, some: Some, drawing: Drawing) -> States:
-        """See `Law`; each draw is of one part."""
-        which = np.empty(some.size, dtype=np.intp)
-        for place, rng in drawing.pieces:
-            which[place] = chosen(self.cpd.weights, (place.stop - place.start,), rng)
-        found = np.empty((self.cpd.child.dimension, some.size), dtype=self.dtype)
-        for k, part in enumerate(self.parts):
-            own = which == k
-            if own.any():
-                found[:, own] = part.draw(row, some.chosen(own), drawing.chosen(own))
-        return found
-
-    def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
-        """See `Law`."""
-        self.open(row, some.step)
-        terms = (part.log_density(row, some, child, taken) for part in self.parts)
-        return log_mixed(self.cpd.weights, terms)
-
-    def open(self, row: int, step: int) -> Integers:
-        """The number of components with noise of their own; refused where parts differ in it."""
-        first, *others = (part.open(row, step) for part in self.parts)
-        if any((other != first).any() for other in others):
-            raise ModelError(
-                f"{self.cpd!r} has parts without noise in a component and others with, at step "
-                f"{step}: they have no density in common, which particles are weighed by here; "
-                "give each some noise, or none",
-                variable=self.cpd.child,
-                cpd=self.cpd,
-                step=step,
-            )
-        return first
-
-    def require_noise(self, steps: Integers) -> None:
-        """Refuse a part without noise."""
-        for part in self.parts:
-            part.require_noise(steps)
-
-
-def law(
-    cpd: CPD,
-    inputs: Mapping[Variable, Any],
-    places: Mapping[Variable, slice],
-    dtype: Any,
-    first_run: int,
-) -> Law:
-    """The law of a CPD: by its Gaussian noise, its parts, or its own sampler and density."""
-    rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
-    about = rows, places, dtype, first_run
-    require_density([cpd] if isinstance(cpd, ConditionalGaussian) else [], "particles")
-    if isinstance(cpd, ConditionalGaussian) and cpd.noise is None:
-        return GaussianLaw(cpd, *about)
-    if isinstance(cpd, MixtureCPD):
-        return MixtureLaw(cpd, *about, tuple(law(part, *about) for part in cpd.parts))
-    return Law(cpd, *about)

@@ -8,19 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.resampling import draws_needed, keys, occupied
+from pgm.kernels.kld_sampling import draws_needed, keys, occupied
 
 if TYPE_CHECKING:
     from pgm.inference.particles.laws import States
     from pgm.inference.particles.model import ParticleModel
 
 
+@public
 class KLDSampling(InCode, Immutable):
     r"""As many particles as keep their divergence from the belief they are drawn of small.
 
@@ -122,6 +124,7 @@ class KLDSampling(InCode, Immutable):
             found = np.concatenate([found, draw(min(due, len(found)))])
 
     def _rows(self, model: ParticleModel) -> tuple[list[int], Array]:
+        """The rows of the components that are divided into bins, and the widths of these."""
         parts = model.parts
         labels = [part.label for part in parts]
         for name in self.widths:
@@ -150,6 +153,7 @@ class KLDSampling(InCode, Immutable):
         )
 
 
+@public
 class LikelihoodSampling(InCode, Immutable):
     r"""As many particles as explain a step's measurements together.
 

@@ -12,14 +12,17 @@ from pgm.compile import DynamicGraph, compile
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
+from pgm.factors.scope import namesake
 from pgm.inference.grid.online import PointFilter
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
-from pgm.inference.particles.model import ParticleModel, parts
+from pgm.inference.particles.components import parts
+from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.number import LikelihoodSampling
-from pgm.inference.particles.posterior import require_fitting, require_room
-from pgm.inference.particles.status import ParticleStatus, Record
+from pgm.inference.particles.record import Record
+from pgm.inference.particles.run import require_fitting, require_room
+from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import FILTERED, PREDICTED, Kind
@@ -86,7 +89,8 @@ class OnlineParticleBelief(Shown, NoArray):
         early = self.step == 0 and template in self._filter.model.controls
         if template not in places or early or variable.step not in (None, self.step):
             raise EvidenceError(
-                f"the belief at step {self.step} is over {list(places)}, not {variable!r}",
+                f"the belief at step {self.step} is over {list(places)}, not {variable!r}"
+                f"{namesake(variable, places)}",
                 variable=variable,
                 step=self.step,
             )
@@ -150,6 +154,10 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     def _predicted(
         self, belief: OnlineParticleBelief, bound: BoundEvidence
     ) -> OnlineParticleBelief:
+        """The belief one step on.
+
+        It keeps the cloud before, where the next measurements are to move the particles.
+        """
         step, before = belief.step + 1, self._spread(belief, bound)
         chain, record = self._chain(bound, belief.step)
         cloud = chain.predict(step, before)
@@ -158,6 +166,11 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         return self._belief(step, PREDICTED, cloud, chain.model, bound, log_evidence, record, kept)
 
     def _updated(self, belief: OnlineParticleBelief, bound: BoundEvidence) -> OnlineParticleBelief:
+        """The belief given a step's measurements.
+
+        Where particles are proposed by these, the prediction is drawn again, from the belief before
+        it.
+        """
         step = belief.step
         cloud = self._spread(belief, bound)
         chain, record = self._chain(bound, step)
@@ -179,6 +192,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
 
     @property
     def _looks(self) -> bool:
+        """Whether particles are moved by what the measurements of their step are."""
         by_likelihood = isinstance(self.belief.number, LikelihoodSampling)
         return self.belief.proposal is not None or by_likelihood
 
@@ -189,6 +203,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     def _spread(
         self, belief: OnlineParticleBelief, bound: BoundEvidence, cloud: Cloud | None = None
     ) -> Cloud:
+        """The belief's cloud, or that of the step before, for the runs of the evidence."""
         cloud, runs = belief._cloud if cloud is None else cloud, bound.runs
         if cloud.runs == runs:
             return cloud
@@ -222,6 +237,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         record: Record,
         before: tuple[Cloud, BoundEvidence] | None = None,
     ) -> OnlineParticleBelief:
+        """The user's belief, of a cloud, its log-evidence (runs,) and the record of its steps."""
         record.effective[step], record.number[step] = cloud.effective, cloud.counts
         status = record.status(bound.lead).at(step)
         status.warn(step)

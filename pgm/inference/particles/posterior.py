@@ -1,4 +1,4 @@
-"""The posterior of a network as particles, and the run of a schedule that makes it."""
+"""The posterior of a network as particles."""
 
 from __future__ import annotations
 
@@ -12,29 +12,21 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import Summary
-from pgm.errors import EvidenceError, ModelError
-from pgm.evidence import BoundEvidence
+from pgm.errors import EvidenceError
 from pgm.factors.scope import Scope, as_scope, listed
-from pgm.inference import sweep
 from pgm.inference.associations import Found, collected
 from pgm.inference.grid.belief import require_step
 from pgm.inference.grid.posterior import PointPosterior
-from pgm.inference.markov.chain import kind_of, require_chain
-from pgm.inference.particles.backward import Backward
 from pgm.inference.particles.belief import ParticleBelief
-from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
+from pgm.inference.particles.components import parts
 from pgm.inference.particles.laws import Some
-from pgm.inference.particles.model import ParticleModel, Sensor, parts
-from pgm.inference.particles.proposals import require_guidable
-from pgm.inference.particles.status import ParticleStatus, Record
+from pgm.inference.particles.model import ParticleModel, Sensor
+from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
-from pgm.inference.schedule import Schedule
 from pgm.inference.status import FILTERED, Kind
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
-from pgm.networks import DynamicBayesianNetwork
-from pgm.resources import gibibytes, require_memory
 from pgm.variables import Variable
 
 
@@ -200,74 +192,3 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
     def _summary(self) -> Summary:
         runs, last = self.log_evidence.shape, self.graph.steps
         return over_time(self._title, self, tuple(self._model.places), runs, last)
-
-
-def run(
-    graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, particles: Particles
-) -> ParticlePosterior:
-    """Send the messages of a schedule as particles, and warn of what their status tells."""
-    require_chain(graph, "particles")
-    kind = kind_of(schedule, "particles")
-    require_fitting(particles, graph.model)
-    model = ParticleModel(graph.model, bound, particles.dtype)
-    _require_possible(particles, model, kind)
-    require_room(model.size, particles, bound.steps + 1, bound.runs, kind)
-    record = Record(bound.steps, bound.runs)
-    chain = ParticleChain(graph, model, particles, record)
-    sweep.forward(chain, bound.steps, record)
-    filtered, clouds, unmoved = tuple(record.clouds), tuple[Cloud, ...](), None
-    if kind == FILTERED:
-        clouds = filtered
-    else:
-        backward = Backward(model, particles, filtered, record.restarted)
-        clouds = backward.smoothed() if kind.name == "smoothed" else backward.lagged(int(kind.lag))
-        unmoved = backward.unmoved
-    status = record.status(bound.lead, unmoved)
-    status.warn()
-    log_evidence = record.log_density.sum(axis=0).reshape(bound.lead)
-    told = kind, log_evidence, status
-    return ParticlePosterior(graph, particles, *told, model, clouds, filtered)
-
-
-def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None:
-    """Refuse particles that do not fit a network."""
-    if particles.proposal is not None:
-        require_guidable(model)
-    if particles.start is not None:
-        particles.start.require(model)
-    if particles.injection is not None:
-        particles.injection.cells.require(model)
-
-
-def _require_possible(particles: Particles, model: ParticleModel, kind: Kind) -> None:
-    """Refuse trajectories through injections, and a start for which there are no measurements."""
-    if particles.injection is not None and kind != FILTERED:
-        raise ModelError(
-            f"{particles!r}: injected particles have no past that a smoother could draw: filter, "
-            "or leave injection= out"
-        )
-    if particles.start is not None and not particles.start.sensors(model, 0):
-        raise EvidenceError(
-            f"{particles!r}: start= draws from the measurements at step 0, of a sensor that "
-            f"depends on {particles.start.variable!r} alone; there are none: give them with "
-            "pgm.sightings(values, step=...), or leave start= out",
-            variable=particles.start.variable,
-            step=0,
-        )
-
-
-def require_room(size: int, particles: Particles, steps: int, runs: int, kind: Kind) -> None:
-    """Refuse particles of which all steps would not fit memory, before any is drawn."""
-    share = np.dtype(particles.dtype).itemsize / 8
-    # States, weights and ancestors of the filter; states and weights of trajectories.
-    each = (size * share + 2) * particles.most
-    if kind != FILTERED:
-        each += (size * share + 1) * particles.trajectories
-    entries = int(each * steps * runs)
-    over = f"{steps} steps" + (f" of {runs} runs" if runs > 1 else "")
-    require_memory(
-        entries,
-        f"{particles.most:,} particles of {size} components at {over} ({gibibytes(entries)})",
-        "take fewer particles, steps or runs to a call; pgm.OnlineFilter(model, belief=) holds one "
-        "step at a time",
-    )

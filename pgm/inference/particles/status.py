@@ -1,4 +1,4 @@
-"""The status of particles: what their weights are worth, and the record of a sweep."""
+"""The status of particles: what their weights are worth."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.display import Shown
-from pgm.errors import ParticleWarning
+from pgm.errors import ParticleWarning, levels_to_user
 from pgm.immutable import Immutable
-from pgm.inference.particles.cloud import Cloud
-from pgm.inference.status import _levels_to_user
 from pgm.kernels.arrays import Array, Integers, Mask
 
 # The effective number of particles below which the user is warned, and by how much rounding may
@@ -121,7 +119,7 @@ class ParticleStatus(Shown, Immutable):
                 f"{int(np.prod(self.effective.shape[:-1]))} runs below {FEW:g}: give more "
                 "particles, or the sensor more noise"
             )
-            warnings.warn(message, ParticleWarning, stacklevel=_levels_to_user())
+            warnings.warn(message, ParticleWarning, stacklevel=levels_to_user())
         if self.impossible:
             where = self.ignored | self.restarted
             place = np.unravel_index(int(where.argmax()), where.shape)
@@ -130,7 +128,7 @@ class ParticleStatus(Shown, Immutable):
                 f"{int(where.sum())} steps in all (status.ignored, status.restarted): beliefs go "
                 "on as they were asked to, and the log-evidence is minus infinity"
             )
-            warnings.warn(message, ParticleWarning, stacklevel=_levels_to_user())
+            warnings.warn(message, ParticleWarning, stacklevel=levels_to_user())
 
     @property
     def _title(self) -> str:
@@ -149,42 +147,3 @@ class ParticleStatus(Shown, Immutable):
         if self.unmoved is not None and steps > 1:
             parts.append(f"up to {float(self.unmoved.max()):.2g} of the trajectories unmoved")
         return f"ParticleStatus({'; '.join(parts)})"
-
-
-class Record:
-    """The clouds of steps, and events of each step and run, (T+1, runs), as of `ParticleStatus`.
-
-    clouds: Given the measurements up to each step.
-    log_density: ln p(z_t | z_0..t−1), estimated.
-    """
-
-    def __init__(self, steps: int, runs: int) -> None:
-        shape = steps + 1, runs
-        self.clouds: list[Cloud] = []
-        self.log_density, self.effective = np.zeros(shape), np.zeros(shape)
-        self.number, self.injected = np.zeros(shape, dtype=int), np.zeros(shape, dtype=int)
-        self.resampled = np.zeros(shape, dtype=bool)
-        self.ignored, self.restarted = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-
-    def keep(self, step: int, predicted: Cloud, known: Cloud, log_density: Array | float) -> None:
-        """Keep a step's cloud given its measurements."""
-        del predicted
-        self.clouds.append(known)
-        self.log_density[step] = log_density
-        self.effective[step], self.number[step] = known.effective, known.counts
-
-    def status(self, lead: tuple[int, ...], unmoved: Array | None = None) -> ParticleStatus:
-        """The status of the sweep, and of trajectories drawn backwards, if there are any."""
-
-        def by_run(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-            return np.ascontiguousarray(values.T).reshape(*lead, -1)
-
-        return ParticleStatus(
-            by_run(self.effective),
-            by_run(self.number),
-            by_run(self.resampled),
-            by_run(self.injected),
-            by_run(self.ignored),
-            by_run(self.restarted),
-            None if unmoved is None else by_run(unmoved),
-        )

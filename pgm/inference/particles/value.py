@@ -4,18 +4,20 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
-from pgm.inference.options import require_lineariser
+from pgm.inference.argument_checks import require_lineariser
+from pgm.inference.particles.cell_proposal import CellProposal
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
-from pgm.inference.particles.proposals import CellProposal
 from pgm.kernels.arrays import Array
 from pgm.kernels.resampling import RESAMPLERS
 from pgm.linearisers import Lineariser
 
 
+@public
 class Injection(InCode, Immutable):
     r"""A share of particles drawn afresh, when measurements are explained worse than they used to.
 
@@ -117,6 +119,7 @@ RAISE, IGNORE, RESTART = "raise", "ignore", "restart"
 METROPOLIS, FULL = "metropolis", "full"
 
 
+@public
 class Particles(InCode, Immutable):
     r"""Beliefs as weighted draws: the posterior as it is, of any shape.
 

@@ -12,17 +12,19 @@ from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
 from pgm.errors import EvidenceError, ExecutorError, GraphError, PgmError
 from pgm.evidence import BoundEvidence
 from pgm.factors import Gaussian
-from pgm.factors.scope import Scope, as_scope, listed
+from pgm.factors.scope import Scope, as_scope, listed, namesake
+from pgm.inference.argument_checks import require_gaussian
 from pgm.inference.associations import is_open
 from pgm.inference.chain.association import associated
-from pgm.inference.chain.marginals import KeptPosterior
+from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
-from pgm.inference.options import Start, require_gaussian
-from pgm.inference.parts.parcels import Shape, address
-from pgm.inference.parts.split import Part, joined, one_status, split, swept_once
+from pgm.inference.parts.join import joined, one_status, swept_once
+from pgm.inference.parts.shared_memory import Shape, address
+from pgm.inference.parts.split import Part, split
 from pgm.inference.parts.workers import Workers
 from pgm.inference.schedule import Calibration, Filtering, Schedule
+from pgm.inference.starting_points import Start
 from pgm.inference.status import Kind, Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
@@ -150,7 +152,8 @@ def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
     for variable in kept:
         if variable not in layout.slice:
             raise EvidenceError(
-                f"keep has {variable!r}, which is not hidden; it takes {listed(layout.slice)}",
+                f"keep has {variable!r}, which is not hidden; it takes {listed(layout.slice)}"
+                f"{namesake(variable, layout.slice)}",
                 variable=variable,
             )
     return kept

@@ -1,31 +1,25 @@
-"""The workers of an executor: what goes to them, what is done there, and what comes back."""
+"""The workers of an executor: what goes to them, and what comes back."""
 
 from __future__ import annotations
 
 import os
-import threading
-import traceback
-import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from pgm.boundary import is_whole
-from pgm.errors import ExecutorError, ModelError, PrecisionWarning
-from pgm.inference.parts.parcels import (
+from pgm.errors import ExecutorError, ModelError
+from pgm.inference.parts.parcels import Parcel, loads, refuse
+from pgm.inference.parts.shared_memory import (
     Block,
-    Name,
-    Parcel,
     Room,
     Shape,
     borrow,
     idle_blocks,
     keep,
-    loads,
-    refuse,
-    seen,
 )
+from pgm.inference.parts.work_done import Done, here, there
 from pgm.kernels.arrays import Array, vacant
 
 if TYPE_CHECKING:
@@ -177,78 +171,3 @@ class Workers:
 def _count(executor: Executor) -> int:
     told = getattr(executor, "_max_workers", None)
     return told if is_whole(told) and told > 0 else _SHARES * (os.cpu_count() or 1)
-
-
-# The warnings of each file that workers have told of.
-_REGISTRIES: dict[str, dict[Any, Any]] = {}
-
-
-class RemoteTraceback(Exception):
-    """The traceback of an error of another process, as the cause of the error here."""
-
-
-class Done(NamedTuple):
-    """The answer of a worker, with the warnings there: message, category, file, line."""
-
-    value: Any
-    error: Exception | None = None
-    trace: str = ""
-    warned: Sequence[tuple[str, type[Warning], str, int]] = ()
-
-    def result(self) -> Any:
-        """The value; or the error is raised."""
-        for message, category, file, line in self.warned:
-            registry = _REGISTRIES.setdefault(file, {})  # so that a filter may show it once
-            warnings.warn_explicit(message, category, file, line, registry=registry)
-        if self.error is None:
-            return self.value
-        # A cause that has come through a pickle has no traceback any more.
-        raise self.error from (RemoteTraceback(self.trace) if self.trace else self.error.__cause__)
-
-
-def here(work: Callable[[Any], Any], job: Any) -> Done:
-    """Work done in this process, by a thread."""
-    try:
-        return Done(work(job))
-    except Exception as error:
-        return Done(None, error)
-
-
-def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
-    """Work done in another process: a `Done`, pickled, and the bytes of its large arrays."""
-    try:
-        work, job = loads(data, None if own is None else seen(own))
-    except Exception as error:
-        fault = ExecutorError(
-            f"a worker cannot read what it was handed: {type(error).__name__}: {error}; functions "
-            "and classes of a model must stand in modules that workers can import too"
-        )
-        return _packed(Done(None, fault, traceback.format_exc()), None)
-    if threading.current_thread() is threading.main_thread():
-        done = _watched(work, job)
-    else:  # warnings of threads cannot be told apart
-        done = here(work, job)
-    if done.error is not None:
-        done = done._replace(trace="".join(traceback.format_exception(done.error)))
-    return _packed(done, answer)
-
-
-def _watched(work: Callable[[Any], Any], job: Any) -> Done:
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
-        done = here(work, job)
-    told = tuple(
-        (str(each.message), each.category, each.filename, each.lineno)
-        for each in found
-        # Of lost digits the status tells, of all runs together.
-        if not issubclass(each.category, PrecisionWarning)
-    )
-    return done._replace(warned=told)
-
-
-def _packed(done: Done, answer: Name | None) -> tuple[bytes, int]:
-    parcel = Parcel(apart=answer is not None)
-    pickle = parcel.dumps(done)
-    if answer is not None and parcel.size:
-        pickle.fill(answer.open(parcel.size))
-    return pickle.data, parcel.size

@@ -1,103 +1,19 @@
-"""The part of a network that bears on a query, and the order in which it is summed out."""
+"""The order in which the variables of a query are summed out."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
 
 from pgm.compile.elimination import Adjacency, min_fill
-from pgm.cpds import TableCPD
 from pgm.errors import GraphError
-from pgm.evidence.static import BoundStates
-from pgm.factors.axes import States, discrete
+from pgm.factors.axes import States
 from pgm.factors.scope import listed
 from pgm.inference import limits
-from pgm.networks import BayesianNetwork
+from pgm.inference.query.requisite import Requisite
 from pgm.resources import gibibytes
-from pgm.variables import Discrete, Variable
-
-
-@dataclass(frozen=True, eq=False)
-class Requisite:
-    """The part of a network that bears on a query; `open` are each CPD's variables not known."""
-
-    cpds: tuple[TableCPD, ...]
-    open: tuple[States, ...]
-    hidden: States
-    evidence: BoundStates
-
-    @classmethod
-    def of(
-        cls, network: BayesianNetwork, wanted: Iterable[Discrete], evidence: BoundStates
-    ) -> Requisite:
-        """Find the part that bears on some variables.
-
-        A variable is *barren* if neither it nor any variable below it is asked for or observed:
-        its CPD sums to one. Others bear on the query if CPDs join them to it through variables
-        whose state is not known; the CPDs of the rest are a constant. A variable with evidence in
-        some runs alone, or soft evidence, is not known; one of a single state is.
-
-        Source: Lauritzen, Dawid, Larsen and Leimer (1990), Independence properties of directed
-        Markov fields. Shachter (1998), Bayes-Ball: The rational pastime.
-        """
-        known = certain(evidence)
-        families: list[tuple[TableCPD, States]] = []
-        holding: dict[Variable, list[int]] = {}
-        seen: set[Variable] = set()
-        wanted = tuple(wanted)
-        waiting: list[Variable] = [*wanted, *evidence.states, *evidence.weights]
-        while waiting:
-            variable = waiting.pop()
-            if variable in seen or cast(Discrete, variable).size == 1:
-                continue
-            seen.add(variable)
-            cpd = cast(TableCPD, network.cpd(variable))
-            scope = (*cpd.given, cpd.child)
-            unknown = tuple(v for v in scope if v not in known and v.size > 1)
-            for member in unknown:
-                holding.setdefault(member, []).append(len(families))
-            families.append((cpd, unknown))
-            waiting += cpd.given
-        reached = dict.fromkeys(v for v in wanted if v in holding)
-        inside: dict[int, None] = {}
-        front: list[Variable] = list(reached)
-        while front:
-            for k in holding[front.pop()]:
-                if k not in inside:
-                    inside[k] = None
-                    new = [v for v in families[k][1] if v not in reached]
-                    reached |= dict.fromkeys(new)
-                    front += new
-        cpds = tuple(families[k][0] for k in inside)
-        members = {v for cpd in cpds for v in cpd.scope}
-        return cls(
-            cpds,
-            tuple(families[k][1] for k in inside),
-            discrete(tuple(reached)),
-            _part(evidence, members),
-        )
-
-
-def certain(evidence: BoundStates) -> set[Discrete]:
-    """The variables that are observed in all runs."""
-    return {v for v, s in evidence.states.items() if isinstance(s, int) or s.min() >= 0}
-
-
-def _part(evidence: BoundStates, members: set[Variable]) -> BoundStates:
-    states = {
-        v: s if isinstance(s, int) or s.size > 1 else int(s[0])
-        for v, s in evidence.states.items()
-        if v in members and v.size > 1
-    }
-    weights = {v: w for v, w in evidence.weights.items() if v in members and v.size > 1}
-    alike = all(isinstance(s, int) for s in states.values()) and all(
-        len(w) == 1 for w in weights.values()
-    )
-    return replace(evidence, lead=() if alike else evidence.lead, states=states, weights=weights)
-
 
 # Orders are compared where tables are as large as this: finding one more takes less time then.
 LARGE = 2**16
@@ -129,7 +45,7 @@ class EliminationPlan:
 
     @classmethod
     def of(cls, requisite: Requisite, wanted: States) -> EliminationPlan:
-        """By the smaller weighted fill next, or the smaller fill where that is cheaper."""
+        """The plan by weighted min-fill; of a dear one the cheaper of that and plain min-fill."""
         hidden = requisite.hidden
         place = {v: k for k, v in enumerate(hidden)}
         families = [tuple(place[v] for v in scope) for scope in requisite.open]
@@ -159,6 +75,10 @@ class EliminationPlan:
         weights: Sequence[int],
         stages: Sequence[int],
     ) -> EliminationPlan:
+        """The plan in min-fill order, stage after stage: variables of the last stage are kept.
+
+        `families` are the variables of each table, as vertices of the graph `adjacent`.
+        """
         found = min_fill(adjacent, weights, stages)
         position = [0] * len(found)
         for k, vertex in enumerate(found):

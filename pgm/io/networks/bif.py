@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.io import sources
 from pgm.io.networks.assembly import Assembly, Family
 from pgm.io.networks.cursor import END, MARK, Cursor, shown
+from pgm.io.networks.formats import BIF, refuse_others
 from pgm.io.sources import LIMIT, Source
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork
@@ -19,6 +21,7 @@ from pgm.networks import BayesianNetwork
 Names = tuple[list[str], list[str]]
 
 
+@public
 def read_bif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> BayesianNetwork:
     r"""The network of a BIF file.
 
@@ -69,6 +72,7 @@ def read_bif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     Cozman, F. (1996), The interchange format for Bayesian networks, version 0.15.
     """
     content = sources.read(source, limit)
+    refuse_others(content, BIF)
     cursor = Cursor(content.text(), content.origin)
     assembly = Assembly(cursor.fault, normalise=normalise, limit=limit)
     for start in _declarations(cursor, assembly):

@@ -8,10 +8,12 @@ from typing import NoReturn
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.errors import FileError, ModelError
 from pgm.io import sources
 from pgm.io.networks.assembly import AXES, Assembly
 from pgm.io.networks.cursor import ITEM, numbers, shown
+from pgm.io.networks.formats import UAI, refuse_others
 from pgm.io.sources import LIMIT, Content, Source, line_of
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork
@@ -22,6 +24,7 @@ MOST = 2**31 - 1
 COMMENT = re.compile("#[^\r\n]*+")
 
 
+@public
 def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> BayesianNetwork:
     """The network of a UAI file of the type BAYES.
 
@@ -61,6 +64,7 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     UAI 2008 Workshop, Evaluation of probabilistic inference systems: file format.
     """
     content = sources.read(source, limit)
+    refuse_others(content, UAI)
     words = Words(content, heading=True)
     assembly = Assembly(words.fault, normalise=normalise, limit=limit)
     count = words.count("the number of variables")
@@ -110,6 +114,7 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     return assembly.network()
 
 
+@public
 def read_uai_evidence(
     source: Source, network: BayesianNetwork, *, limit: int = LIMIT
 ) -> dict[Discrete, int]:
@@ -236,13 +241,13 @@ class Words:
 
     def _heading(self) -> int:
         word = ITEM.search(self._text)
-        found = word[0] if word else ""
+        found, at = (word[0], word.start()) if word else ("", len(self._text.rstrip()))
         if found == "MARKOV":
             raise self._error(
                 "it is a Markov network, whose tables are no probabilities of a child; only "
                 "networks of the type BAYES are read",
-                0,
+                at,
             )
         if word is None or found != "BAYES":
-            raise self._error(f"expected BAYES at the start, found {shown(found)}", 0)
+            raise self._error(f"expected BAYES at the start, found {shown(found)}", at)
         return word.end()

@@ -10,10 +10,12 @@ from xml.sax.handler import ContentHandler
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.errors import FileError
 from pgm.io import sources
 from pgm.io.networks.assembly import Assembly
 from pgm.io.networks.cursor import numbers, shown
+from pgm.io.networks.formats import XMLBIF, refuse_others
 from pgm.io.sources import LIMIT, Content, Source
 from pgm.networks import BayesianNetwork
 
@@ -29,6 +31,7 @@ INSIDE = {
 DEEP = 64
 
 
+@public
 def read_xmlbif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> BayesianNetwork:
     """The network of an XMLBIF file, version 0.3.
 
@@ -64,6 +67,7 @@ def read_xmlbif(source: Source, *, normalise: bool = False, limit: int = LIMIT) 
     Cozman, F. (1998), The interchange format for Bayesian networks, XMLBIF version 0.3.
     """
     content = sources.read(source, limit)
+    refuse_others(content, XMLBIF)
     assembly = Assembly(content.origin.fault, normalise=normalise, limit=limit)
     for definition in _definitions(content, assembly):
         given = definition.given

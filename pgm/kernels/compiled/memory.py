@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -15,6 +14,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from pgm.kernels.compiled.packs import NUMBERS, ROW_PACK, RUN_PACK, Packs, bits, opposite, splat
+from pgm.kernels.compiled.store import Store, Unkept
 from pgm.kernels.compiled.tables import RUNS
 
 # Of the text of all kernels: code on disk is of this text, or is not loaded.
@@ -35,11 +35,13 @@ def compiled(function: Callable[..., Any]) -> Any:
     return kernel
 
 
-def kept(function: Callable[..., Any], **options: Any) -> Any:
-    """A kernel that Python calls. Numba keeps it on disk, by what it closes over, where it can."""
+def kept(function: Callable[..., Any], name: str, **options: Any) -> Any:
+    """A kernel that Python calls, kept on the disk by its name where a folder takes it."""
     kernel = njit(error_model="numpy", **options)(function)
-    with suppress(RuntimeError):  # no folder can be written to
-        kernel.enable_caching()
+    try:
+        kernel._cache = Store(function, name)
+    except RuntimeError:
+        kernel._cache = Unkept()
     return kernel
 
 

@@ -209,7 +209,7 @@ def _entry(stamp: int) -> Any:
                     variance[here] = known[row + i]
         return stamp
 
-    return kept(newton, nogil=True)
+    return kept(newton, "newton", nogil=True)
 
 
 # A step of some runs of the chain at an address; the last argument is that of `room`.

@@ -126,7 +126,7 @@ def _entries(stamp: int) -> tuple[Any, Any]:
             return nan
         return _taken_in(step, numbers(before.ctypes.data), numbers(after.ctypes.data))
 
-    return kept(predict, _nrt=False), kept(update, _nrt=False)
+    return kept(predict, "predict", _nrt=False), kept(update, "update", _nrt=False)
 
 
 predict, update = _entries(STAMP)

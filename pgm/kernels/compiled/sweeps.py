@@ -304,7 +304,7 @@ def _entry(stamp: int, lanes: int, back: bool) -> Any:
                         _leave(status, run, _step(fields, count, run, belief, work))
         return stamp
 
-    return kept(sweep, nogil=True)
+    return kept(sweep, f"{'backward' if back else 'forward'}_{lanes}", nogil=True)
 
 
 # Sweep some runs of the chain at an address forward; reverse their transitions, and send the last

@@ -8,11 +8,12 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from pgm import consistency
+from pgm.arguments import public
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import Kind
-from pgm.kernels.arrays import difference
+from pgm.kernels.angles import difference
 from pgm.plot.axes import (
     Unit,
     along,
@@ -29,6 +30,7 @@ from pgm.plot.colours import INK, look_of
 from pgm.plot.components import component_places, one_run, truth_columns
 
 
+@public
 def errors(
     belief: Gaussian,
     truth: npt.ArrayLike,
@@ -160,6 +162,7 @@ def _axes(axes: Axes | Iterable[Axes] | None, count: int) -> tuple[Axes, ...]:
     return found
 
 
+@public
 def rmse(
     belief: Gaussian,
     truth: npt.ArrayLike,
@@ -233,6 +236,7 @@ def rmse(
     return ax
 
 
+@public
 def kl(
     p: Gaussian,
     q: Gaussian,

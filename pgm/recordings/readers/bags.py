@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple
 from pgm.errors import EvidenceError, FileError
 from pgm.factors.scope import listed
+from pgm.io.dropped import Dropped
 from pgm.io.sources import Origin
-from pgm.recordings.mending import Dropped
+from pgm.recordings import earth
 from pgm.recordings.readers import files, messages
 from pgm.recordings.recording import Recording
 from pgm.recordings.scans import Scans
@@ -41,6 +43,7 @@ CHOICES = {
 MANY = ("sightings", "scans")
 
 
+@public
 def read_bag(
     path: str | os.PathLike[str], topics: Mapping[str, str] | Sequence[str] | None = None
 ) -> Recording:
@@ -63,11 +66,12 @@ def read_bag(
         - ``sensor_msgs/Imu``: ``imu``, rates, accelerations and yaw;
         - ``sensor_msgs/LaserScan``: ``scans``, called like the topic, cut at the largest range;
         - ``sensor_msgs/NavSatFix``: ``fixes``, or ``sightings``, (east, north, up): metres in the
-          plane that touches the ellipsoid of WGS 84 at the first fix.
+          plane that touches the ellipsoid of WGS 84 at the first fix, of all receivers one.
 
     Notes
     -----
-    Messages without a fix and topics of other types are left out; `dropped` tells of both.
+    Messages without a fix, or with one at 0°, 0°, and topics of other types are left out;
+    `dropped` tells of these.
 
     Raises
     ------
@@ -129,22 +133,28 @@ def _recording(
     where: Path,
 ) -> Recording:
     """The recording of messages by topic."""
-    made: dict[str, Any] = {}
-    many: dict[str, dict[str, Any]] = {part: {} for part in MANY}
+    streams: dict[str, Stream] = {}
+    scans: dict[str, Scans] = {}
     with files.told_of(origin):
         for topic, (kind, rows) in found.items():
             part = parts[topic]
-            stream, fates = messages.READERS[kind](topic, part, rows, origin)
+            made, fates = messages.READERS[kind](topic, part, rows, origin)
             told += fates
-            if stream is None:
-                continue
-            if part in MANY:
-                many[part][topic] = stream
-            else:
-                made[part] = stream
-        sightings: dict[str, Stream] = many["sightings"]
-        scans: dict[str, Scans] = many["scans"]
-        return Recording(**made, sightings=sightings, scans=scans, name=where.stem, dropped=told)
+            if isinstance(made, Scans):
+                scans[topic] = made
+            elif made is not None:
+                streams[topic if part in MANY else part] = made
+        # Only now, so that two receivers are on one plane.
+        streams, fates = earth.on_plane(streams)
+        many = [topic for topic, part in parts.items() if part in MANY]
+        sensors = {topic: streams.pop(topic) for topic in many if topic in streams}
+        return Recording(
+            **streams,  # type: ignore[arg-type]
+            sightings=sensors,
+            scans=scans,
+            name=where.stem,
+            dropped=[*told, *fates],
+        )
 
 
 def _parts(

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.arguments import public
+from pgm.io.dropped import Dropped
 from pgm.io.sources import Origin, Source
 from pgm.kernels.arrays import Array
-from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files
+from pgm.recordings.readers.matlab import matlab
 from pgm.recordings.recording import POSE, Recording
 from pgm.recordings.stream import Stream
 
@@ -17,6 +19,7 @@ VARIANCES = ("r_var", "b_var", "v_var", "om_var")
 VALID, OFFSET = "true_valid", "d"
 
 
+@public
 def read_barfoot(path: Source) -> Recording:
     """Read the localisation data of a course of T. D. Barfoot (AER1513, University of Toronto).
 
@@ -54,7 +57,7 @@ def read_barfoot(path: Source) -> Recording:
     (array([0.1]), array([0.1, 0.2, 0.2]))
     """
     kind = "a recording of Barfoot's"
-    found, origin = files.matlab(path, kind, TABLES, (*VARIANCES, VALID, OFFSET))
+    found, origin = matlab(path, kind, TABLES, (*VARIANCES, VALID, OFFSET))
     places = found["l"]
     steps, marks = found["t"].size, len(places)
     for key in ("r", "b"):

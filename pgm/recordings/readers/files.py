@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import io
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
+from pgm.boundary import as_tuple
 from pgm.errors import EvidenceError, FileError
 from pgm.io import sources
-from pgm.io.sources import Content, Origin, Source
-from pgm.kernels.arrays import Array
+from pgm.io.dropped import Dropped
+from pgm.io.networks.cursor import shown
+from pgm.io.sources import Content, Line, Origin, Source
 
 # Bytes that a file may hold once unpacked.
 LIMIT = 2**30
@@ -50,6 +50,45 @@ def name(source: Source) -> str:
     return Path(source).stem if isinstance(source, str | os.PathLike) else ""
 
 
+class Skipped:
+    """Lines of a file that are left out by their first words, and the record of them."""
+
+    def __init__(self, skip: Any) -> None:
+        words = as_tuple(skip)
+        if words is None or not all(isinstance(word, str) and word for word in words):
+            raise EvidenceError(
+                f"skip= names the first words of lines to leave out, like ('EQUIV',), not {skip!r}"
+            )
+        self._words = frozenset(words)
+        self._lines: dict[str, list[int]] = {}
+
+    def others(self, lines: Iterable[Line]) -> Iterator[Line]:
+        """The lines that are not left out."""
+        for line in lines:
+            if line.words[0] in self._words:
+                self.leave(line, line.words[0])
+            else:
+                yield line
+
+    def leave(self, line: Line, kind: str) -> None:
+        """Leave a line out, as one of a kind."""
+        self._lines.setdefault(kind, []).append(line.number)
+
+    def told(self, name: str) -> list[Dropped]:
+        """The lines left out, by kind, of a file or stream of this name."""
+        return [
+            Dropped(name, f"{kind}, lines from 1", np.array(rows))
+            for kind, rows in self._lines.items()
+        ]
+
+
+def stranger(line: Line, kinds: Iterable[str]) -> FileError:
+    """The error of a line of a kind that is not read, which can be left out."""
+    word = shown(line.words[0])
+    hint = f"; skip=({word},) leaves such lines out" if line.words[0][0].isalpha() else ""
+    return line.fault(f"{word}; {', '.join(kinds)} was due{hint}")
+
+
 @contextmanager
 def told_of(origin: Origin) -> Iterator[None]:
     """Errors of values that a file holds, as errors of the file."""
@@ -57,43 +96,3 @@ def told_of(origin: Origin) -> Iterator[None]:
         yield
     except EvidenceError as error:
         raise origin.fault(str(error)) from error
-
-
-def matlab(
-    path: Source,
-    kind: str,
-    tables: Mapping[str, int | None],
-    optional: Sequence[str] = (),
-) -> tuple[dict[str, Array], Origin]:
-    """Tables of numbers from a ``.mat`` file before version 7.3: those needed, by width or None."""
-    held = content(path)
-    data = held.data if isinstance(held.data, bytes) else held.data.encode()
-    try:
-        found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]
-    except Exception as error:  # of many kinds, as the damage is
-        raise held.origin.fault(
-            f"it cannot be read as a .mat file ({type(error).__name__}: {error}); fetch it again"
-        ) from error
-    lost = [key for key in tables if key not in found]
-    if lost:
-        raise held.origin.fault(f"it has no tables {lost}; is it {kind}?")
-    due = {**tables, **{key: None for key in optional if key in found}}
-    read = {key: _table(found[key], key, width, kind, held.origin) for key, width in due.items()}
-    return read, held.origin
-
-
-def _table(value: Any, key: str, width: int | None, kind: str, origin: Origin) -> Array:
-    if (
-        not isinstance(value, np.ndarray)
-        or value.dtype.kind not in "fiu"
-        or value.ndim != 2
-        or width not in (None, value.shape[1])
-    ):
-        found = f"shape {np.shape(value)} of {getattr(value, 'dtype', type(value).__name__)}"
-        due = "numbers" if width is None else f"numbers in {width} columns"
-        raise origin.fault(f"the table {key} has {found}; {due} were due; is it {kind}?")
-    table = np.asarray(value, dtype=float)
-    if not np.isfinite(table).all():
-        row = int(np.argwhere(~np.isfinite(table))[0, 0])
-        raise origin.fault(f"the table {key}, row {row}: {table[row].tolist()} is not finite")
-    return table

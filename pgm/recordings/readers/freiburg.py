@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.io import sources
 from pgm.recordings.readers import files
 from pgm.recordings.recording import Recording
@@ -14,7 +16,8 @@ from pgm.recordings.stream import Stream
 SENSOR, WORLD = "sensor_data.dat", "world.dat"
 
 
-def read_freiburg(folder: str | os.PathLike[str]) -> Recording:
+@public
+def read_freiburg(folder: str | os.PathLike[str], *, skip: Sequence[str] = ()) -> Recording:
     r"""Read the recording of an exercise of the University of Freiburg.
 
     The sensor is ``landmark``, (range [m], bearing [rad]); odometry is (rot1, trans, rot2) since
@@ -25,6 +28,8 @@ def read_freiburg(folder: str | os.PathLike[str]) -> Recording:
     folder : str or Path
         It holds ``sensor_data.dat``, lines of ``ODOMETRY rot1 trans rot2`` and
         ``SENSOR id range bearing``, and ``world.dat``, lines of ``id east north``.
+    skip : sequence of str, optional
+        First words of other lines of ``sensor_data.dat``, which are left out; `dropped` tells.
 
     Notes
     -----
@@ -50,13 +55,14 @@ def read_freiburg(folder: str | os.PathLike[str]) -> Recording:
     >>> drive.sightings["landmark"].values
     array([[2.1 , 0.35]])
     """
+    left = files.Skipped(skip)
     where = files.folder(folder)
     landmarks = _world(where)
     held = files.content(where / SENSOR)
     motions: list[list[float]] = []
     rows: list[list[float]] = []
     subjects: list[int] = []
-    for line in sources.lines(held):
+    for line in left.others(sources.lines(held)):
         if line.words[0] == "ODOMETRY":
             motions.append(line.numbers("ODOMETRY rot1 trans rot2", 1))
         elif line.words[0] == "SENSOR":
@@ -70,7 +76,7 @@ def read_freiburg(folder: str | os.PathLike[str]) -> Recording:
             rows.append([len(motions), away, bearing])
             subjects.append(int(number))
         else:
-            raise line.fault(f"{line.words[0]!r}; ODOMETRY or SENSOR was due")
+            raise files.stranger(line, ("ODOMETRY", "SENSOR"))
     if not motions:
         raise held.origin.fault("no line of ODOMETRY; is it a Freiburg recording?")
     seen = np.array(rows).reshape(-1, 3)
@@ -83,6 +89,7 @@ def read_freiburg(folder: str | os.PathLike[str]) -> Recording:
             },
             landmarks=landmarks,
             name=where.name,
+            dropped=left.told(SENSOR),
         )
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.io import sources
 from pgm.io.sources import Content, Source
 from pgm.kernels.arrays import Array
@@ -22,8 +24,14 @@ _POINT = "point2 t x y xx xy yx yy"
 _KINDS = {due.split()[0]: due for due in (_RANGE, _WHEELS, _POINT)}
 
 
+@public
 def read_labyrinth(
-    source: Source, truth: Source | None = None, *, swapped: bool = True, wheelbase: float = 0.157
+    source: Source,
+    truth: Source | None = None,
+    *,
+    swapped: bool = True,
+    wheelbase: float = 0.157,
+    skip: Sequence[str] = (),
 ) -> Recording:
     r"""Read a recording of libRSF's text format, as Labyrinth of TU Chemnitz (Pfeifer).
 
@@ -40,6 +48,8 @@ def read_labyrinth(
         Whether the column called right is the left wheel's, as it is in Labyrinth.
     wheelbase : float, optional
         Metres between the wheels: twice the 0.0785 that Labyrinth's lines say, by its truth.
+    skip : sequence of str, optional
+        First words of other lines, such as ``("imu3",)``, which are left out; `dropped` tells.
 
     Raises
     ------
@@ -57,8 +67,10 @@ def read_labyrinth(
     name = files.name(source)
     if isinstance(source, str | os.PathLike) and Path(source).is_dir():
         source, truth = Path(source) / INPUT, truth or Path(source) / TRUTH
+    left = files.Skipped(skip)
     held = files.content(source)
-    tables = _tables(held, ("range2", "odom2diff"))
+    tables = _tables(held, ("range2", "odom2diff"), left)
+    told = left.told("input")
     heard, wheels = tables["range2"], tables["odom2diff"]
     subjects = [int(number) for number in heard[:, 5]]
     places = dict(zip(subjects, heard[:, 3:5].tolist(), strict=True))
@@ -72,7 +84,9 @@ def read_labyrinth(
     known = None
     if truth is not None:
         points = files.content(truth)
-        table = _tables(points, ("point2",))["point2"]
+        behind = files.Skipped(skip)
+        table = _tables(points, ("point2",), behind)["point2"]
+        told += behind.told("truth")
         with files.told_of(points.origin):
             known = Stream(table[:, 0], table[:, 1:3], PLACE)
     with files.told_of(held.origin):
@@ -90,16 +104,17 @@ def read_labyrinth(
             landmarks=places,
             truth=known,
             name=name,
+            dropped=told,
         )
 
 
-def _tables(held: Content, kinds: tuple[str, ...]) -> dict[str, Array]:
+def _tables(held: Content, kinds: tuple[str, ...], left: files.Skipped) -> dict[str, Array]:
     """The numbers of lines by their first word."""
     found: dict[str, list[list[float]]] = {kind: [] for kind in kinds}
-    for line in sources.lines(held):
+    for line in left.others(sources.lines(held)):
         kind = line.words[0]
         if kind not in found:
-            raise line.fault(f"{kind!r}; {' or '.join(kinds)} was due")
+            raise files.stranger(line, kinds)
         row = line.numbers(_KINDS[kind], 1)
         if kind == "range2":
             line.whole(line.words[6], "a module")

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from pgm.errors import EvidenceError
+from pgm.io.dropped import BACKWARDS, Dropped
 from pgm.io.sources import Origin
-from pgm.kernels import rigid
+from pgm.kernels import quaternions, twists
 from pgm.kernels.arrays import Array
-from pgm.recordings import mending
-from pgm.recordings.mending import Dropped
+from pgm.recordings import earth, mending
 from pgm.recordings.motion import PLANAR, PLANAR_SPEEDS
 from pgm.recordings.recording import POSE
 from pgm.recordings.scans import Scans
@@ -22,9 +22,6 @@ from pgm.recordings.stream import Stream
 _PLANE = (0, 1, 5)
 _UNIT = 1e-3
 NO_FIX = "without a fix"
-# Semi-major axis [m] and flattening of WGS 84.
-RADIUS, FLATTENING = 6_378_137.0, 1.0 / 298.257223563
-_SQUARED = FLATTENING * (2.0 - FLATTENING)  # of the eccentricity
 Read = tuple[Any, list[Dropped]]
 
 
@@ -57,7 +54,7 @@ def _increments(stamps: Array, poses: Array) -> Read:
     if not len(stamps):
         return None, []
     stream, told = mending.ordered("odometry", Stream(stamps, poses, POSE))
-    found = rigid.between(stream.values)
+    found = twists.between(stream.values)
     return Stream(stream.stamps[1:], found, PLANAR, begin=stream.stamps[0]), told
 
 
@@ -94,45 +91,36 @@ def _imu(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
 
 
 def _fixes(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
-    """Messages of sensor_msgs/NavSatFix."""
-    world = np.radians(_table([(m.latitude, m.longitude) for m in rows], 2))
-    height = np.array([m.altitude for m in rows], dtype=float)
-    fixed = np.array([m.status.status >= 0 for m in rows], dtype=bool) & np.isfinite(world).all(1)
-    told = [] if fixed.all() else [Dropped(part, NO_FIX, np.flatnonzero(~fixed))]
+    """Messages of sensor_msgs/NavSatFix: latitude and longitude [rad], altitude [m]."""
+    world = _table([(m.latitude, m.longitude, m.altitude) for m in rows], 3)
+    world[:, :2] = np.radians(world[:, :2])
+    fixed = np.array([m.status.status >= 0 for m in rows], dtype=bool)
+    fixed &= np.isfinite(world[:, :2]).all(axis=1)
+    null = fixed & earth.is_null(world[:, :2])
+    told = [
+        Dropped(_name(topic, part), fate, np.flatnonzero(which))
+        for fate, which in ((NO_FIX, ~fixed), (earth.NULL, null))
+        if which.any()
+    ]
+    fixed &= ~null
     if not fixed.any():
         return None, told
-    known = np.isfinite(height)
-    values = local(world[fixed], np.where(known, height, 0.0)[fixed])
-    values[~known[fixed], 2] = np.nan
-    cov = _table([m.position_covariance for m in rows], 9)[fixed]
-    spread = cov[:, [0, 4, 8]] if all(m.position_covariance_type for m in rows) else None
-    stream = Stream(_stamps(topic, rows)[fixed], values, ("east", "north", "up"), variances=spread)
+    world[~np.isfinite(world[:, 2]), 2] = np.nan
+    # East, north, up: the longitude's variance comes first.
+    spread = _table([m.position_covariance for m in rows], 9)[:, [4, 0, 8]]
+    untold = not all(m.position_covariance_type for m in rows) or not spread.any()
+    stream = Stream(
+        _stamps(topic, rows)[fixed],
+        world[fixed],
+        (*earth.WORLD, "altitude"),
+        variances=None if untold else spread[fixed],
+    )
     return stream, told
 
 
-def local(world: Array, height: Array) -> Array:
-    """East, north and up, (n, 3) [m], from the first of latitudes and longitudes, (n, 2) [rad]."""
-    sin, cos = np.sin(world), np.cos(world)
-    away = _cartesian(sin, cos, height)
-    away -= away[0]
-    (sin_lat, sin_lon), (cos_lat, cos_lon) = sin[0], cos[0]
-    axes = np.array(
-        [
-            [-sin_lon, cos_lon, 0.0],
-            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
-            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
-        ]
-    )
-    found: Array = away @ axes.T
-    return found
-
-
-def _cartesian(sin: Array, cos: Array, height: Array) -> Array:
-    """Coordinates that turn with the earth, of sines and cosines of latitude and longitude."""
-    normal = RADIUS / np.sqrt(1.0 - _SQUARED * sin[:, 0] ** 2)
-    level = (normal + height) * cos[:, 0]
-    up = (normal * (1.0 - _SQUARED) + height) * sin[:, 0]
-    return np.column_stack([level * cos[:, 1], level * sin[:, 1], up])
+def _name(topic: str, part: str) -> str:
+    """The name of a stream: sensors are called like their topics."""
+    return topic if part == "sightings" else part
 
 
 def _scans(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
@@ -155,7 +143,7 @@ def _scans(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     stamps = _stamps(topic, rows)
     told = []
     if (back := np.flatnonzero(np.diff(stamps) < 0.0) + 1).size:
-        told.append(Dropped(topic, mending.BACKWARDS, back, kept=True))
+        told.append(Dropped(topic, BACKWARDS, back, kept=True))
     order = np.argsort(stamps, kind="stable")
     return Scans(stamps[order], ranges[order], start + step * np.arange(count), most), told
 
@@ -175,13 +163,14 @@ def _table(rows: Sequence[Any], width: int) -> Array:
 
 
 def _yaw(topic: str, turns: Array) -> Array:
-    length = np.linalg.norm(turns, axis=1)
+    with np.errstate(over="ignore"):  # of numbers that are no quaternion either
+        length = np.linalg.norm(turns, axis=1)
     if not (np.abs(length - 1.0) <= _UNIT).all():
         row = int((~(np.abs(length - 1.0) <= _UNIT)).argmax())
         raise EvidenceError(
             f"{topic}, message {row}: the orientation {turns[row].tolist()} is no unit quaternion"
         )
-    yaw: Array = rigid.angles(turns / length[:, None])[:, 2]
+    yaw: Array = quaternions.angles(turns / length[:, None])[:, 2]
     return yaw
 
 

@@ -7,17 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.errors import EvidenceError
 from pgm.io import sources
+from pgm.io.dropped import Dropped
 from pgm.io.sources import Content
 from pgm.kernels.arrays import Array
-from pgm.recordings.mending import Dropped
 from pgm.recordings.readers import files
 from pgm.recordings.recording import POSE, Recording
 from pgm.recordings.stream import Stream
 
 
+@public
 def read_mrclam(folder: str | os.PathLike[str], robot: int = 1) -> Recording:
     """Read one robot's drive of UTIAS MRCLAM (Leung, Halpern, Barfoot and Liu, 2011).
 

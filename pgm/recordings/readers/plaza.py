@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.io.sources import Source
 from pgm.kernels.arrays import Array
 from pgm.recordings.readers import files
+from pgm.recordings.readers.matlab import matlab
 from pgm.recordings.recording import POSE, Recording
 from pgm.recordings.stream import Stream
 
@@ -14,6 +16,7 @@ from pgm.recordings.stream import Stream
 COLUMNS = {"GT": 4, "DR": 3, "TD": 4, "TL": 3}
 
 
+@public
 def read_plaza(path: Source) -> Recording:
     """Read a Plaza recording, a ``.mat`` file of Djugash, Hamner and Roth (2009).
 
@@ -44,7 +47,7 @@ def read_plaza(path: Source) -> Recording:
       stamp  range  subject
         0.5    3.9        7
     """
-    tables, origin = files.matlab(path, "a Plaza recording", COLUMNS)
+    tables, origin = matlab(path, "a Plaza recording", COLUMNS)
     truth, moved, heard, where = tables["GT"], tables["DR"], tables["TD"], tables["TL"]
     for key, numbers in (("TL", where[:, 0]), ("TD", heard[:, 2])):
         if (numbers != np.round(numbers)).any() or (np.abs(numbers) > 2**53).any():

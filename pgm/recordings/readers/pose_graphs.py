@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.errors import FileError
+from pgm.factors.arrays import covariance_fault
+from pgm.io.dropped import Dropped
 from pgm.io.sources import Content, Line, Source, lines
-from pgm.kernels import rigid
+from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array, Integers
-from pgm.recordings.mending import Dropped
+from pgm.recordings import placing
 from pgm.recordings.pose_graph import Edges, PoseGraph
 from pgm.recordings.readers import files
 from pgm.recordings.scans import Scans
@@ -21,6 +24,7 @@ from pgm.recordings.scans import Scans
 _VERTEX = "{0} id east north heading"
 _EDGE = "{0} from to forward left turn i11 i12 i13 i22 i23 i33"
 _TORO = "{0} from to forward left turn i11 i12 i22 i33 i13 i23"
+_ISAM = "{0} from to forward left turn r11 r12 r13 r22 r23 r33"
 _POINT = "VERTEX_XY id east north"
 _SIGHTING = "EDGE_SE2_XY from to forward left i11 i12 i22"
 _SPATIAL = "VERTEX_SE3:QUAT id x y z qx qy qz qw"
@@ -28,11 +32,15 @@ _LASER = "ROBOTLASER1 type start field step most accuracy remission count"
 # Behind the ranges: the laser's and the robot's pose, two speeds, three distances of a safety zone,
 # and times and host, and how many remissions.
 _BEHIND = 15
-# Places of the upper triangle in which the numbers of an edge stand.
-_ROWS = {"g2o": (0, 0, 0, 1, 1, 2), "toro": (0, 0, 1, 2, 0, 1)}
-_COLUMNS = {"g2o": (0, 1, 2, 1, 2, 2), "toro": (0, 1, 1, 2, 2, 2)}
+# Places of the upper triangle, rows and columns, in which the numbers of an edge stand.
+_UPPER = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
+_TORO_PLACES = (0, 0, 1, 2, 0, 1), (0, 1, 1, 2, 2, 2)
 # Of an edge in space, the components in the plane: x, y, and the quaternion's z.
 _PLANE = (0, 1, 5)
+PLACED = "not in the file, composed along a spanning tree of its edges"
+SIGHTED = "not in the file, placed by their first sightings"
+# A measurement between vertices: its line, their numbers, the motion and its information.
+_Measured = tuple[Line, int, int, list[float], Array]
 
 
 @dataclass
@@ -40,24 +48,29 @@ class _Found:
     """The lines of a file so far."""
 
     planar: bool
+    isam: bool
     poses: dict[int, list[float]] = field(default_factory=dict)
     points: dict[int, list[float]] = field(default_factory=dict)
-    edges: list[tuple[Line, int, int, list[float], Array]] = field(default_factory=list)
-    seen: list[tuple[Line, int, int, list[float], Array]] = field(default_factory=list)
+    edges: list[_Measured] = field(default_factory=list)
+    seen: list[_Measured] = field(default_factory=list)
     fixed: list[tuple[Line, int]] = field(default_factory=list)
     scans: dict[int, list[float]] = field(default_factory=dict)
     laser: list[float] = field(default_factory=list)
     last: int | None = None
-    skipped: list[int] = field(default_factory=list)
     tilted: list[int] = field(default_factory=list)
 
 
-def read_pose_graph(path: Source, *, planar: bool = False) -> PoseGraph:
+@public
+def read_pose_graph(
+    path: Source, *, planar: bool = False, isam: bool = False, skip: Sequence[str] = ()
+) -> PoseGraph:
     r"""Read a pose graph of g2o or TORO.
 
     Lines are ``VERTEX_SE2``, ``EDGE_SE2``, ``VERTEX_XY``, ``EDGE_SE2_XY``, ``FIX`` and, after
     each pose, ``ROBOTLASER1`` of g2o; ``VERTEX2`` and ``EDGE2`` of TORO. Parameters of g2o are
-    skipped, and `dropped` says so.
+    skipped. Where a file has edges alone, poses are composed along a spanning tree of these, from
+    the first pose, or the one that is fixed, at (0, 0, 0); so are landmarks without a vertex
+    placed where they were first seen. `dropped` tells of all of this.
 
     Parameters
     ----------
@@ -66,12 +79,21 @@ def read_pose_graph(path: Source, *, planar: bool = False) -> PoseGraph:
     planar : bool, optional
         Whether ``VERTEX_SE3:QUAT`` and ``EDGE_SE3:QUAT`` are read as seen from above, without
         heights and tilts; the information is of x, y and the turn given all others.
+    isam : bool, optional
+        Whether ``EDGE2`` is iSAM's: its numbers are the upper triangle of a root R, row by row,
+        of the information RᵀR. TORO's order is another.
+    skip : sequence of str, optional
+        First words of lines that are left out, such as ``("EQUIV", "BR")`` of TORO; `dropped`
+        tells of them.
 
     Raises
     ------
     FileError
-        If the file cannot be read, a line is none of these, an edge leads to no vertex, or poses
-        in space are met without `planar`; it has file and line.
+        If the file cannot be read, a line is none of these, an edge leads to no vertex, its
+        information is no inverse of a covariance, or poses in space are met without `planar`; it
+        has file and line.
+    EvidenceError
+        If `skip` has no words.
 
     References
     ----------
@@ -87,27 +109,41 @@ def read_pose_graph(path: Source, *, planar: bool = False) -> PoseGraph:
            [1., 5., 3.],
            [2., 3., 9.]])
     """
+    left = files.Skipped(skip)
     held = _content(path)
-    found = _Found(planar)
-    for line in lines(held):
+    found = _Found(planar, isam)
+    for line in left.others(lines(held)):
         read = _KINDS.get(line.words[0])
         if read is not None:
             read(found, line)
         elif line.words[0].startswith("PARAMS_"):
-            found.skipped.append(line.number)
+            left.leave(line, "parameters")
         else:
-            raise line.fault(f"{line.words[0]!r}; {', '.join(_KINDS)} was due")
-    if not found.poses:
-        raise held.origin.fault("no poses; is it a pose graph of g2o or TORO?")
-    return _graph(found, held)
+            raise files.stranger(line, _KINDS)
+    if not found.poses and not found.edges:
+        raise held.origin.fault("no poses and no edges; is it a pose graph of g2o or TORO?")
+    for measured in (found.edges, found.seen):
+        _require_information(measured)
+    return _graph(found, held, left.told("graph"))
 
 
-def _graph(found: _Found, held: Content) -> PoseGraph:
-    poses = {number: row for row, number in enumerate(sorted(found.poses))}
-    points = {number: row for row, number in enumerate(sorted(found.points))}
-    told = []
-    if found.skipped:
-        told.append(Dropped("graph", "parameters, lines from 1", np.array(found.skipped)))
+def _graph(found: _Found, held: Content, told: list[Dropped]) -> PoseGraph:
+    ends = {end for _, one, other, *_ in found.edges for end in (one, other)}
+    poses = _rows(found.poses or ends | {one for _, one, *_ in found.seen})
+    points = _rows(found.points or {other for _, _, other, *_ in found.seen})
+    edges = _edges(found.edges, poses, poses, 3)
+    sightings = _edges(found.seen, poses, points, 2)
+    fixed = np.array([_row(line, number, poses) for line, number in found.fixed], dtype=int)
+    if found.poses:
+        places = np.array([found.poses[number] for number in poses])
+    else:
+        places = _placed(found, poses, edges, fixed)
+        told.append(Dropped("poses", PLACED, np.arange(len(places)), kept=True))
+    if found.points or not found.seen:
+        marks = np.array([found.points[number] for number in points]).reshape(-1, 2)
+    else:
+        marks = placing.landmarks(places, sightings, len(points))
+        told.append(Dropped("landmarks", SIGHTED, np.arange(len(marks)), kept=True))
     if found.tilted:
         told.append(Dropped("graph", "heights and tilts, lines from 1", np.array(found.tilted)))
     scans = None
@@ -122,19 +158,61 @@ def _graph(found: _Found, held: Content) -> PoseGraph:
             scans = Scans(np.arange(float(len(table))), table, angles, most)
     return PoseGraph(
         names=np.array(list(poses)),
-        poses=np.array([found.poses[number] for number in poses]),
-        edges=_edges(found.edges, poses, poses, 3),
+        poses=places,
+        edges=edges,
         landmark_names=np.array(list(points), dtype=int),
-        landmarks=np.array([found.points[number] for number in points]).reshape(-1, 2),
-        sightings=_edges(found.seen, poses, points, 2),
-        fixed=np.array([_row(line, number, poses) for line, number in found.fixed], dtype=int),
+        landmarks=marks,
+        sightings=sightings,
+        fixed=fixed,
         scans=scans,
         dropped=tuple(told),
     )
 
 
+def _placed(found: _Found, rows: dict[int, int], edges: Edges, fixed: Integers) -> Array:
+    """Poses of a file that has edges alone; refuses those that edges do not lead to."""
+    if np.unique(fixed).size > 1:
+        line, number = next(each for each in found.fixed if rows[each[1]] != fixed[0])
+        raise line.fault(
+            f"a second vertex that is fixed, {number}, where no VERTEX_SE2 says at which pose; "
+            "add these lines, or fix one"
+        )
+    root = int(fixed[0]) if fixed.size else 0
+    places, reached = placing.poses(edges, len(rows), root)
+    if not reached.all():
+        names = list(rows)
+        lost = names[int((~reached).argmax())]
+        line = next(each[0] for each in (*found.edges, *found.seen) if lost in each[1:3])
+        raise line.fault(
+            f"the vertex {lost}, to which no edges lead from {names[root]}, and no VERTEX_SE2 says "
+            "where poses are; add these lines, or read the parts one by one"
+        )
+    return places
+
+
+def _require_information(measured: Sequence[_Measured]) -> None:
+    """Refuse information matrices that are no inverses of covariances, singular ones apart."""
+    if not measured or covariance_fault(np.array([each for *_, each in measured])) is None:
+        return
+    for line, *_, information in measured:
+        if fault := covariance_fault(information):
+            hint = ""
+            if line.words[0] == "EDGE2":
+                hint = (
+                    "; TORO's order is i11 i12 i22 i33 i13 i23, and isam=True reads iSAM's, the "
+                    "root r11 r12 r13 r22 r23 r33. Where lines have the information itself in the "
+                    "latter order, call them EDGE_SE2"
+                )
+            raise line.fault(f"information that {fault}{hint}")
+
+
+def _rows(numbers: Collection[int]) -> dict[int, int]:
+    """The row of each vertex by its number, in increasing order."""
+    return {number: row for row, number in enumerate(sorted(numbers))}
+
+
 def _edges(
-    rows: Sequence[tuple[Line, int, int, list[float], Array]],
+    rows: Sequence[_Measured],
     first: dict[int, int],
     second: dict[int, int],
     size: int,
@@ -177,11 +255,17 @@ def _add(to: dict[int, list[float]], line: Line, numbers: list[float]) -> None:
 
 
 def _edge(found: _Found, line: Line) -> None:
-    kind = "toro" if line.words[0] == "EDGE2" else "g2o"
-    numbers = line.numbers((_TORO if kind == "toro" else _EDGE).format(line.words[0]), 1)
-    information = np.empty((3, 3))
-    rows, columns = _ROWS[kind], _COLUMNS[kind]
-    information[rows, columns] = information[columns, rows] = numbers[5:]
+    toro = line.words[0] == "EDGE2"
+    root = toro and found.isam
+    due = _ISAM if root else _TORO if toro else _EDGE
+    numbers = line.numbers(due.format(line.words[0]), 1)
+    rows, columns = _TORO_PLACES if toro and not root else _UPPER
+    information = np.zeros((3, 3))
+    information[rows, columns] = numbers[5:]
+    if root:
+        information = information.T @ information
+    else:
+        information[columns, rows] = numbers[5:]
     found.edges.append((line, *_ends(line), numbers[2:5], information))
 
 
@@ -247,7 +331,7 @@ def _yaw(line: Line, turn: Sequence[float]) -> float:
     unit = np.array(turn) / max(float(np.linalg.norm(turn)), 1e-300)
     if not np.isclose(np.linalg.norm(unit), 1.0):
         raise line.fault(f"{list(turn)}; a quaternion qx qy qz qw was due")
-    return float(rigid.angles(unit)[2])
+    return float(quaternions.angles(unit)[2])
 
 
 _KINDS: dict[str, Callable[[_Found, Line], None]] = {

@@ -2,58 +2,55 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_whole
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
-from pgm.io.sources import Origin, Source, number
+from pgm.io import degrees
+from pgm.io.dropped import Dropped
+from pgm.io.sources import Source
+from pgm.io.stamped import as_stamps
+from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
-from pgm.recordings import motion
-from pgm.recordings.mending import Dropped
-from pgm.recordings.readers import files
+from pgm.recordings import earth, motion
+from pgm.recordings.readers import cells, files
+from pgm.recordings.readers.units import ANGLE, RATE, STAMP, quantity, size_of
 from pgm.recordings.recording import Recording
 from pgm.recordings.stream import Stream
 
-UNITS = {
-    "m": 1.0,
-    "km": 1e3,
-    "cm": 1e-2,
-    "mm": 1e-3,
-    "ft": 0.3048,
-    "in": 0.0254,
-    "s": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "ns": 1e-9,
-    "min": 60.0,
-    "rad": 1.0,
-    "deg": math.pi / 180.0,
-    "mrad": 1e-3,
-    "turn": 2.0 * math.pi,
-    "m/s": 1.0,
-    "km/h": 1.0 / 3.6,
-    "mph": 0.44704,
-    "cm/s": 1e-2,
-    "mm/s": 1e-3,
-    "rad/s": 1.0,
-    "deg/s": math.pi / 180.0,
-    "rpm": math.pi / 30.0,
-}
 # A landmark's number; 1_0 is a name, of which Python would make 10.
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
-STAMP, SUBJECT, VARIANCE = "t", "subject", "variance of "
+SUBJECT, VARIANCE = "subject", "variance of "
 _STREAMS = ("odometry", "velocities", "truth", "imu", "fixes")
 _MOTION = ("odometry", "velocities")
+# Where the variances of places on the earth stand, which are in metres.
+_SPREAD = {
+    earth.LATITUDE: earth.NORTH,
+    earth.LONGITUDE: earth.EAST,
+    **dict.fromkeys(earth.HEIGHTS, earth.UP),
+}
+# Angles that go on beyond a turn where they are not wrapped.
+_UNBOUNDED = ("heading", "yaw")
 
 
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """A column asked for, by name or number; the size of its unit, and whether that was told."""
+
+    name: str | int
+    size: float
+    told: bool
+
+
+@public
 def read_csv(
     path: Source,
     columns: Mapping[str, Mapping[str, Any]],
@@ -62,6 +59,7 @@ def read_csv(
     begin: float | None = None,
     wheelbase: float | None = None,
     delimiter: str = ",",
+    decimal: str = ".",
 ) -> Recording:
     r"""Read streams from a table of comma-separated values.
 
@@ -69,26 +67,30 @@ def read_csv(
     ----------
     path : str, Path or open file
         Its first line names the columns, but where `columns` numbers them. Lines that begin with
-        ``#`` are comments.
+        ``#`` are comments; one of those at the top may have the names, with or without its ``#``.
     columns : mapping of str to mapping
         For ``odometry``, ``velocities``, ``truth``, ``imu``, ``fixes``, or a sensor of any other
         name: which column each component is, ``{"t": "time", "range": "d"}``, or a pair of it and
         its unit, ``("heading", "deg")``; numbered from 0 where there is no line of names. ``t`` is
         the stamp, ``subject`` the landmark, ``"variance of range"`` is in the square of the unit.
+        Places on the earth are ``latitude`` and ``longitude``, ``("lat", "deg")``, with ``up`` or
+        without; they become metres east and north of the first, of all streams one.
     landmarks : mapping, optional
         Positions by identity.
     begin : float, optional
         When the first increment of odometry begins, seconds.
     wheelbase : float, optional
         Metres between two wheels, where odometry or velocities are (left, right).
-    delimiter : str, optional
+    delimiter, decimal : str, optional
+        Letters between cells, and before the decimals of a number.
 
     Raises
     ------
     EvidenceError
-        If `columns` is none, or a unit is unknown.
+        If `columns` is none, or a unit is unknown, or of another quantity than the component.
     FileError
-        If a column is not there, or a cell is no number; it has file and line.
+        If a column is not there, a cell is no number, a line has more cells than there are names,
+        or angles without a unit seem to be degrees; it has file and line.
 
     Notes
     -----
@@ -109,79 +111,113 @@ def read_csv(
     asked = {part: _asked(part, given) for part, given in _mapping(columns, "columns").items()}
     if not (isinstance(delimiter, str) and len(delimiter) == 1):
         raise EvidenceError(f"delimiter= is one letter, not {delimiter!r}")
-    held = files.content(path)
-    numbered = {is_whole(column) for each in asked.values() for column, _ in each.values()}
+    if not (isinstance(decimal, str) and len(decimal) == 1 and decimal != delimiter):
+        raise EvidenceError(f"decimal= is one letter, another than delimiter=, not {decimal!r}")
+    numbered = {is_whole(each.name) for part in asked.values() for each in part.values()}
     if len(numbered) > 1:
         raise EvidenceError("columns are all named or all numbered")
-    rows = _rows(held.text(), held.origin, delimiter)
+    table = cells.cells_of(files.content(path), delimiter, decimal)
     header: Sequence[str] = ()
     if numbered == {False}:
-        _, header = next(rows, (0, ()))
-    table = list(rows)
+        wanted = {str(each.name) for part in asked.values() for each in part.values()}
+        header, table = cells.named(table, wanted)
     streams: dict[str, Stream] = {}
-    empty = np.ones(len(table), dtype=bool)
-    for part, wanted in asked.items():
-        places = {
-            name: (_place(column, header, table, held.origin), unit)
-            for name, (column, unit) in wanted.items()
-        }
-        with files.told_of(held.origin):
-            streams[part], filled = _stream(part, places, table, held.origin, begin)
+    empty = np.ones(len(table.rows), dtype=bool)
+    for part, wanted_of in asked.items():
+        places = {name: cells.place(each.name, header, table) for name, each in wanted_of.items()}
+        with files.told_of(table.origin):
+            streams[part], filled = _stream(part, wanted_of, places, table, begin)
         if part in _MOTION and wheelbase is not None:
             streams[part] = _driven(part, streams[part], wheelbase)
         empty[filled] = False
     told = [Dropped("table", "of no stream", np.flatnonzero(empty))] if empty.any() else []
-    sensors = {part: stream for part, stream in streams.items() if part not in _STREAMS}
-    with files.told_of(held.origin):
+    with files.told_of(table.origin):
+        streams, fates = earth.on_plane(streams)
         return Recording(
             **{part: stream for part, stream in streams.items() if part in _STREAMS},  # type: ignore[arg-type]
-            sightings=sensors,
+            sightings={part: stream for part, stream in streams.items() if part not in _STREAMS},
             landmarks=landmarks,
             name=files.name(path),
-            dropped=told,
+            dropped=[*told, *fates],
         )
 
 
 def _stream(
     part: str,
-    places: Mapping[str, tuple[int, float]],
-    table: Sequence[tuple[int, Sequence[str]]],
-    origin: Origin,
+    columns: Mapping[str, _Column],
+    places: Mapping[str, int],
+    table: cells.Cells,
     begin: float | None,
 ) -> tuple[Stream, list[int]]:
     """A stream, and the rows of the table that it has its rows from."""
     names = [name for name in places if name not in (STAMP, SUBJECT) and VARIANCE not in name]
-    spreads = [name for name in names if VARIANCE + name in places]
+    spreads = {name: VARIANCE + _SPREAD.get(name, name) for name in names}
+    last, missing = max(places.values()), part not in _MOTION
     filled, stamps, values, variances, subjects = [], [], [], [], []
-    for row, (line, cells) in enumerate(table):
-        if len(cells) <= max(at for at, _ in places.values()):
-            raise origin.fault(
-                f"it has {len(cells)} cells, where column {max(at for at, _ in places.values())}, "
-                "counted from 0, was due",
-                line,
+    for row, (line, row_cells) in enumerate(table.rows):
+        if len(row_cells) <= last:
+            raise table.origin.fault(
+                f"it has {len(row_cells)} cells, where column {last}, counted from 0, was due", line
             )
-        words = {name: cells[at].strip() for name, (at, _) in places.items()}
+        words = {name: row_cells[at].strip() for name, at in places.items()}
+        if missing:
+            words |= {name: "" for name in names if words[name].lower() == "nan"}
         if not any(words[name] for name in (*names, *([SUBJECT] if SUBJECT in words else []))):
             continue
         filled.append(row)
         found = {
-            name: _cell(word, places[name][1], line, origin, part not in _MOTION and name in names)
+            name: cells.number_in(word, columns[name].size, line, table, missing and name in names)
             for name, word in words.items()
             if name != SUBJECT
         }
         stamps.append(found[STAMP])
         values.append([found[name] for name in names])
-        variances.append([found.get(VARIANCE + name, math.nan) for name in names])
+        variances.append([found.get(spreads[name], math.nan) for name in names])
         subjects.append(_identity(words.get(SUBJECT, "")))
+    when = _stamps(part, columns[STAMP], stamps)
+    table_of = np.array(values).reshape(-1, len(names))
+    for name, given in zip(names, table_of.T, strict=True):
+        _require_radians(part, name, columns[name], when, given)
+    told = set(spreads.values()) & set(places)
     stream = Stream(
-        stamps,
-        np.array(values).reshape(-1, len(names)),
+        when,
+        table_of,
         names,
         subject=subjects if SUBJECT in places else None,
-        variances=_variances(variances, len(names)) if spreads else None,
+        variances=np.array(variances).reshape(-1, len(names)) if told else None,
         begin=begin if part == "odometry" else None,
     )
     return stream, filled
+
+
+def _stamps(part: str, column: _Column, stamps: Sequence[float]) -> Array:
+    """Stamps in seconds; of another unit they are refused with the way to say it."""
+    try:
+        return as_stamps(f"columns[{part!r}]['t']", stamps)
+    except EvidenceError as error:
+        hint = "" if column.told else f"; say their unit, ({column.name!r}, 'ms'), say, or 'ns'"
+        raise EvidenceError(f"{error}{hint}") from error
+
+
+def _require_radians(part: str, name: str, column: _Column, stamps: Array, values: Array) -> None:
+    """Refuse angles and turn rates without a unit that can hardly be radians."""
+    due = quantity(part, name)
+    if column.told or due not in (ANGLE, RATE):
+        return
+    if due == RATE:
+        odd = degrees.too_fast(values)
+    elif name in _UNBOUNDED:
+        odd = degrees.seem_headings_in_degrees(stamps, values)
+    else:
+        odd = degrees.beyond_a_turn(values)
+    if odd:
+        most = np.nanmax(np.abs(values))
+        one, other = ("deg/s", "rad/s") if due == RATE else ("deg", "rad")
+        raise EvidenceError(
+            f"columns[{part!r}][{name!r}] goes to {most:.4g} {other}, {most / TURN:.3g} turns"
+            f"{' a second' * (due == RATE)}; it seems to be in degrees: say so, "
+            f"({column.name!r}, {one!r}), or ({column.name!r}, {other!r}) where it is not"
+        )
 
 
 def _driven(part: str, stream: Stream, wheelbase: float) -> Stream:
@@ -197,71 +233,42 @@ def _driven(part: str, stream: Stream, wheelbase: float) -> Stream:
     return Stream(stream.stamps, values, names, begin=stream.begin)
 
 
-def _variances(rows: Sequence[Sequence[float]], width: int) -> Array:
-    return np.array(rows).reshape(-1, width)
-
-
-def _cell(word: str, scale: float, line: int, origin: Origin, missing: bool) -> float:
-    if not word and missing:
-        return math.nan
-    found = number(word, line, origin) if word else None
-    if found is None:
-        raise origin.fault("an empty cell, where a number was due", line)
-    return found * scale
-
-
 def _identity(word: str) -> int | str | None:
     """A landmark's number or name; None where there is none."""
     return int(word) if _WHOLE.fullmatch(word) else word or None
 
 
-def _rows(text: str, origin: Origin, delimiter: str) -> Iterator[tuple[int, Sequence[str]]]:
-    """The cells of each line that has any and is no comment, with its number from 1."""
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
-    while True:
-        try:
-            cells = next(reader, None)
-        except csv.Error as error:
-            raise origin.fault(f"it is no table of values: {error}", reader.line_num) from None
-        if cells is None:
-            return
-        if any(map(str.strip, cells)) and not cells[0].lstrip().startswith("#"):
-            yield reader.line_num, cells
-
-
-def _place(
-    column: Any, header: Sequence[str], table: Sequence[tuple[int, Sequence[str]]], origin: Origin
-) -> int:
-    """The place of a column that is named or numbered."""
-    if is_whole(column):
-        return column
-    names = [name.strip() for name in header]
-    if names.count(column) != 1:
-        found = "no column" if column not in names else "several columns"
-        raise origin.fault(f"it has {found} {column!r}; they are {listed(names)}")
-    return names.index(column)
-
-
-def _asked(part: str, given: Any) -> dict[str, tuple[str | int, float]]:
+def _asked(part: str, given: Any) -> dict[str, _Column]:
     """The column and the unit of each component."""
-    found: dict[str, tuple[str | int, float]] = {}
-    for name, value in _mapping(given, f"columns[{part!r}]").items():
+    found: dict[str, _Column] = {}
+    asked = _mapping(given, f"columns[{part!r}]")
+    for name, value in asked.items():
+        what = f"columns[{part!r}][{name!r}]"
         column, *units = (value,) if isinstance(value, str | int) else as_tuple(value) or ("",)
-        unit = units[0] if units else "s" if name == STAMP else "m"
         if not (column != "" and (isinstance(column, str) or (is_whole(column) and column >= 0))):
             raise EvidenceError(
-                f"columns[{part!r}][{name!r}] is a column's name or number, or one with its unit, "
-                f"not {value!r}"
+                f"{what} is a column's name or number, or one with its unit, not {value!r}"
             )
-        if unit not in UNITS or len(units) > 1:
-            raise EvidenceError(
-                f"columns[{part!r}][{name!r}]: {unit!r} is no unit; known are {listed(UNITS, 99)}"
-            )
-        scale = UNITS[unit]
-        found[name] = (column, scale**2 if VARIANCE in name else scale)
+        component = name.removeprefix(VARIANCE)
+        if component != name:
+            _require_spread(what, component, asked)
+        if len(units) > 1:
+            raise EvidenceError(f"{what}: {tuple(units)!r} are several units; one is due")
+        if not units and name in earth.WORLD:
+            raise EvidenceError(f"{what} has its unit beside it, ({column!r}, 'deg') or 'rad'")
+        size = size_of(what, part, component, units[0]) if units else 1.0
+        found[name] = _Column(column, size if component == name else size**2, bool(units))
     if STAMP not in found or not set(found) - {STAMP, SUBJECT}:
         raise EvidenceError(f"columns[{part!r}] names a column for t, and one or more components")
     return found
+
+
+def _require_spread(what: str, component: str, asked: Mapping[str, Any]) -> None:
+    """Refuse a variance of what is not read."""
+    due = [_SPREAD[name] for name in asked if name in _SPREAD and earth.LATITUDE in asked]
+    if component in earth.WORLD or (component not in asked and component not in due):
+        hint = f" {listed(due)}, in metres" if due else " a component that is read, too"
+        raise EvidenceError(f"{what}: a variance is of{hint}")
 
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:

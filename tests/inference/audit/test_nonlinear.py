@@ -7,7 +7,7 @@ from textbooks import wrap
 
 import pgm
 from models.motion import Velocity
-from pgm.inference.audit.joints import ChainDraws
+from pgm.inference.audit.chain import ChainDraws
 
 SIGHT = SENSORS["range_bearing"]
 a, w, z, fix, k = pgm.variables("a w z fix k")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pgm.inference.discrete import first_question
+from pgm.inference.discrete import first_beliefs
 
 
 @pytest.fixture(params=["first question", "asked before"], autouse=True, scope="module")
@@ -10,5 +10,5 @@ def _asked(request):
     """Make every question seem to be another than the first."""
     with pytest.MonkeyPatch.context() as patched:
         if request.param == "asked before":
-            patched.setattr(first_question, "_first", lambda graph: False)
+            patched.setattr(first_beliefs, "_first", lambda graph: False)
         yield

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pgm.inference.discrete.sums import AxisSums
-from pgm.kernels.tables import LOG_SUM_PRODUCT, MAX_PRODUCT, SUM_PRODUCT
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, MAX_PRODUCT, SUM_PRODUCT
 
 shapes = st.lists(st.integers(1, 9), min_size=1, max_size=5).map(tuple)
 

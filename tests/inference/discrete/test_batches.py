@@ -12,8 +12,7 @@ import pgm
 from models.discrete import asia, bronchitis, cancer, dyspnoea, either, smoking, xray
 from pgm.evidence import bind_discrete
 from pgm.inference import limits
-from pgm.inference.discrete import storage as storages
-from pgm.inference.discrete import tree_passes, tree_plan
+from pgm.inference.discrete import run_pieces, tree_passes, tree_plan
 
 RUNS = 5
 
@@ -147,7 +146,7 @@ def test_tables_of_a_batch_that_are_used_where_they_stand(seed, small, large, mo
 @pytest.mark.parametrize("kept", [0, 2**24])
 @pytest.mark.parametrize("at_once", [1, 100, 300])
 def test_runs_that_do_not_fit_at_once(at_once, kept, few, monkeypatch):
-    monkeypatch.setattr(storages, "FEW", few)
+    monkeypatch.setattr(run_pieces, "FEW", few)
     net = network(5, count=8)
     graph = pgm.compile(net)
     rng = np.random.default_rng(0)
@@ -189,14 +188,14 @@ def repeated(net, seed, runs):
 @pytest.mark.parametrize("kept", [0, 2**24])
 @pytest.mark.parametrize("seed", range(4))
 def test_equal_runs_are_computed_once(seed, kept, codes, monkeypatch):
-    monkeypatch.setattr(storages, "CODES", codes)
+    monkeypatch.setattr(run_pieces, "CODES", codes)
     monkeypatch.setattr(limits, "KEPT", kept)
     net = network(60 + seed, count=6, parents=2)
     graph = pgm.compile(net)
     evidence = repeated(net, seed, 40)
     rows = np.array(list(evidence.values()))
     bound = bind_discrete(net.variables, evidence)
-    found = storages.Distinct.of(bound)
+    found = run_pieces.Distinct.of(bound)
     assert found.evidence.runs == len(np.unique(rows, axis=1).T) < 40
     whole = pgm.infer(graph, evidence)
     best = pgm.most_probable(graph, evidence)

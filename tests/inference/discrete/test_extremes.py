@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 
 import pgm
 from pgm.inference.discrete import tree_passes
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
 
 CLOSE = {"rtol": 0.0, "atol": 1e-12}
 

@@ -9,19 +9,19 @@ from hypothesis import strategies as st
 import pgm
 from models.discrete import asia
 from pgm.evidence import bind_discrete
-from pgm.inference.discrete import first_question, tree_beliefs
+from pgm.inference.discrete import first_beliefs, first_question, tree_beliefs
 from pgm.inference.discrete.first_question import answer
 
 CLOSE = {"rtol": 0.0, "atol": 1e-13}
 
 
-FIRST = first_question._first  # as it is before the folder's fixture replaces it
+FIRST = first_beliefs._first  # as it is before the folder's fixture replaces it
 
 
 @pytest.fixture(autouse=True)
 def _first(monkeypatch):
     """Undo what the folder's fixture does: these tests tell first from later questions."""
-    monkeypatch.setattr(first_question, "_first", FIRST)
+    monkeypatch.setattr(first_beliefs, "_first", FIRST)
 
 
 def bound(net, evidence):

@@ -7,9 +7,9 @@ from numpy.testing import assert_allclose
 from scipy import sparse
 
 import pgm
-from pgm.inference.markov import run as scheduled
+from pgm.inference.markov import single_state
 from pgm.inference.markov.chain import StateChain
-from pgm.inference.markov.run import DirectChain
+from pgm.inference.markov.single_state import DirectChain
 
 EQUAL = {"rtol": 1e-11, "atol": 1e-15}
 
@@ -79,7 +79,7 @@ def test_a_textbook(size, steps, sticky):
 @pytest.mark.parametrize("runs", [1, 2])
 def test_steps_in_parts_of_any_length(monkeypatch, room, runs):
     """Messages are scaled although parts are too short for the sweep within them to do so."""
-    monkeypatch.setattr(scheduled, "ROOM", room * runs)
+    monkeypatch.setattr(single_state, "ROOM", room * runs)
     monkeypatch.setattr(StateChain, "smoothed_beliefs", None)  # what is used where digits are lost
     rng = np.random.default_rng(5)
     x, z, prior, motion, seen = hidden(rng, 40)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 import pgm
 from pgm.evidence.static import bind_discrete
-from pgm.inference.query.plan import EliminationPlan, Requisite
+from pgm.inference.query.plan import EliminationPlan
+from pgm.inference.query.requisite import Requisite
 
 
 def requisite(net, wanted, evidence=None):

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import pgm
 from models.discrete import asia, cancer, rain, sprinkler, wet, xray
-from pgm.inference.query import question
-from pgm.kernels.tables import LOG_SUM_PRODUCT, SUM_PRODUCT
+from pgm.inference.query import elimination, question
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
 
 CLOSE = {"rtol": 0.0, "atol": 1e-12}
 
@@ -143,7 +143,7 @@ def test_runs_in_pieces(monkeypatch):
     wanted = net.variables[:3]
     whole = pgm.query(net, wanted, evidence)
     counts = []
-    eliminate = question.eliminate
+    eliminate = elimination.eliminate
 
     def counted(plan, piece):
         counts.append(piece.runs)
@@ -187,13 +187,13 @@ def test_a_name_and_an_index():
 def kernels(monkeypatch):
     """Record which semirings are used."""
     used = []
-    result = question._result
+    result = elimination._result
 
     def recorded(plan, evidence, semiring):
         used.append(semiring)
         return result(plan, evidence, semiring)
 
-    monkeypatch.setattr(question, "_result", recorded)
+    monkeypatch.setattr(elimination, "_result", recorded)
     return used
 
 

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 import pgm
-from pgm.display import shown as showing
+from pgm.display import notebook as showing
 from pgm.plot.diagrams import notebook
 
 NAMESPACE = "{http://www.w3.org/2000/svg}"
@@ -74,13 +74,22 @@ def test_nothing_is_left_behind():
 
 
 def test_without_matplotlib_there_is_text(monkeypatch):
-    def missing(name):
-        raise ImportError(name, name="matplotlib.pyplot")
+    def missing():
+        raise ImportError("No module named 'matplotlib'", name="matplotlib.pyplot")
 
-    monkeypatch.setattr(showing, "import_module", missing)
+    monkeypatch.setitem(showing._loaders, showing.Drawn, missing)
     html = static()._repr_html_()
     assert "<svg" not in html
     assert "BayesianNetwork(p(v0)" in html
+
+
+def test_other_faults_of_drawing_are_not_hidden(monkeypatch):
+    def broken():
+        raise ImportError("No module named 'pgm.plott'", name="pgm.plott")
+
+    monkeypatch.setitem(showing._loaders, showing.Drawn, broken)
+    with pytest.raises(ImportError, match="plott"):
+        static()._repr_html_()
 
 
 @pytest.mark.parametrize("style", [{"text.usetex": True}, {"svg.fonttype": "none"}])

@@ -172,7 +172,7 @@ NETWORKS = {
 
 
 def flooded(graph, iterations):
-    schedule = pgm.Flooding(max_iterations=iterations, tolerance=0.0)
+    schedule = pgm.Flooding(iterations=iterations, tolerance=0.0)
     return pgm.infer(graph, {}, schedule=schedule).status.by_edge
 
 

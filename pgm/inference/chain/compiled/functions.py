@@ -29,22 +29,19 @@ class Functions(NamedTuple):
 
 def compiled(
     template: FunctionTemplate,
-    before: Functions | str | None,
+    trace: Program,
+    before: Functions | None,
     *,
     alone: bool,
     together: bool = False,
-) -> Functions | str:
-    """Compile a function, if it is not as it was before; a reason, where that cannot be.
+) -> Functions:
+    """Compile a function, if its trace is not that of before.
 
     `alone` says whether its values are needed by themselves, as on points; `together`, whether it
     is of packs of runs.
     """
-    trace = template.whole.traced()
-    if isinstance(trace, str):
-        return trace
-    known = isinstance(before, Functions) and before.trace is trace and before
-    if known and (not alone or len(known.kept) > 1):
-        return known
+    if before and before.trace is trace and (not alone or len(before.kept) > 1):
+        return before
     program = _program(template, trace, per_row=1 if together else 4)
     kept = [machine_code(program, together=together)]
     if alone:
@@ -55,7 +52,7 @@ def compiled(
 def _program(template: FunctionTemplate, trace: Program, per_row: int) -> Program:
     """The value and the whole derivative: given parts from the trace, and its own of the rest."""
     height, size = template.height, template.size
-    alone = replace(trace, value=trace.value[:height]).by(template.missing_columns)
+    alone = trace.by(template.missing_columns, height)
     slope = np.full((height, size + -size % per_row), None)
     slope[:, template.missing] = np.reshape(np.array(alone.slope), (height, -1))
     first = height

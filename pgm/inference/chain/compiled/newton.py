@@ -99,6 +99,7 @@ class Newton:
         self._put(t.VARIANCE, found[1])
         chain.status[:] = np.where(rest, t.IDLE, t.DONE)
         chain.run((newton, newton))
+        chain.count([], "")
         found[:, rest] = self.room[1 - self.turn][:, rest]
         found[1, :, 0, chain.plan.layout.control_places] = 0.0
         if (chain.status == t.LEFT).any() or not np.isfinite(found.sum()):

@@ -9,19 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from pgm.compile.machine import Compiled
+from pgm.compile.machine import CONTROL, GATE, Compiled
+from pgm.inference.chain.compiled.judged import judge
 from pgm.inference.chain.compiled.table import (
     Integers64,
     Rows,
     Uncompiled,
     address,
-    is_known,
     link_row,
     sensor_row,
+    unknown,
 )
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.options import LevenbergMarquardt
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.compiled import tables as t
@@ -32,6 +33,9 @@ from pgm.resources import in_threads
 # long as the arithmetic of so many runs, and four million of such a quarter of a microsecond each.
 _STEP, _LONG = 200, 4_000_000
 _LINE = 64
+# Why runs are left to the general kernels, going forward and back.
+_FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
+_SINGULAR = "a covariance is singular on the way back"
 _PREDICTED = t.PREDICTED_MEAN, t.PREDICTED_COV
 
 
@@ -50,12 +54,20 @@ class Swept:
 
 
 def is_used(plan: ChainPlan) -> bool:
-    """Whether a plan is to be swept in machine code."""
-    choice = plan.layout.compiled
-    if choice is None:
-        repays = plan.steps * (_STEP + plan.runs) >= _LONG
-        return repays and find_spec("numba") is not None and _stays()
-    return choice is not False
+    """Whether a plan is to be swept in machine code; its account says why not."""
+    choice, account = plan.layout.compiled, plan.account
+    if choice is False:
+        account.rest = "compiled=False"
+    elif choice is None and plan.steps * (_STEP + plan.runs) < _LONG:
+        account.rest = "machine code is loaded for longer work, or by compiled=True"
+    elif choice is None and find_spec("numba") is None:
+        account.rest = "Numba is not installed: pip install sepset[fast]"
+    elif choice is None and not _stays():
+        account.rest = "no folder keeps machine code (NUMBA_CACHE_DIR), save by compiled=True"
+    else:
+        account.due = True
+        return True
+    return False
 
 
 def _stays() -> bool:
@@ -91,12 +103,15 @@ def forward(
     from pgm.kernels.compiled import sweeps as s
 
     asked = schedule or ONCE
-    if asked.gate is not None or isinstance(asked.damping, LevenbergMarquardt):
-        return None
     try:
+        if asked.gate is not None:
+            raise Uncompiled(GATE)
+        if isinstance(asked.damping, LevenbergMarquardt):
+            raise Uncompiled(CONTROL)
         chain = Chain(plan)
         chain.lay_out(schedule is None, keep)
-    except Uncompiled:
+    except Uncompiled as error:
+        plan.account.leave(str(error))
         return None
     first = replace(plan, transition=[], sensors=[])
     if plan.batch and plan.begin is None and all(link.family.uniform for link in plan.prior):
@@ -104,6 +119,8 @@ def forward(
     begin = MomentChain(first, schedule, keep=keep).start()
     chain.put(t.BEGIN_MEAN, _by_row(first, begin.mean, 1))
     chain.put(t.BEGIN_COV, _by_row(first, begin.cov, 2))
+    if not predicted and any(f.compiled and not f.compiled.sampled for f in plan.families):
+        predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
     chain.out = *known, *predicted
     for place, array in zip((t.MEAN, t.COV, t.DENSITY, *_PREDICTED), chain.out, strict=False):
         chain.put(place, array)
@@ -117,6 +134,9 @@ def forward(
         chain.fields[t.SETTINGS] = chain.rows.at(settings)
         chain.fields[t.RESIDUALS] = address(record)
     left = chain.run((s.forward, s.forward_together))
+    chain.count(left, _FAR)
+    if schedule is not None:
+        judge(plan, known, predicted or known, chain.status == t.DONE, again=asked.iterations > 1)
     longest = int(record[-2].max(initial=0.0))
     converged = np.full(plan.runs, plan.linear)
     if asked.iterations > 1 and not plan.linear:
@@ -160,7 +180,9 @@ def backward(
     for place, array in parts.items():
         chain.put(place, array)
     chain.out = *states, *(beliefs or ())
-    return None if chain.run((s.backward, s.backward_together)) else (states, beliefs)
+    left = chain.run((s.backward, s.backward_together))
+    chain.count([slice(0, plan.runs)] if left else [], _SINGULAR)
+    return None if left else (states, beliefs)
 
 
 def _by_row(plan: ChainPlan, array: Array, own: int) -> Array:
@@ -191,8 +213,9 @@ class Chain:
         Others are linearised by the sweep, and to `keep` that puts it into the plan.
         """
         plan, rows = self.plan, self.rows
-        if not is_known(plan):
-            raise Uncompiled("only the general kernels know a part of it")
+        why = unknown(plan)
+        if why is not None:
+            raise Uncompiled(why)
         read = plan.read
         links = np.zeros((len(plan.transition), t.COLUMNS), dtype=np.int64)
         sensors = np.zeros((len(read), t.COLUMNS), dtype=np.int64)
@@ -214,6 +237,13 @@ class Chain:
     def put(self, place: int, array: Array) -> None:
         """Lay out an array (steps, runs, ...)."""
         self.fields[place : place + 4] = self.rows.told(array, array.ndim - 2)
+
+    def count(self, left: list[slice], why: str) -> None:
+        """Note in the plan's account how a sweep went: the runs that it left, and why."""
+        account, runs = self.plan.account, sum(each.stop - each.start for each in left)
+        account.compiled += runs < self.plan.runs
+        if runs:
+            account.leave(why, runs)
 
     def run(self, kernel: Any) -> list[slice]:
         """Run a kernel on all runs; those that it leaves."""

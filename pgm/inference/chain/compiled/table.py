@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.compile.machine import RULES
-from pgm.inference.chain.compiled.functions import Functions, compiled
+from pgm.compile.machine import GATE, MOST, rule_told
+from pgm.inference.chain.compiled.functions import compiled
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
@@ -18,12 +18,10 @@ from pgm.kernels import along_runs
 from pgm.kernels.arrays import Array, Index
 from pgm.kernels.compiled import tables as t
 from pgm.linearisers import Taylor
-from pgm.linearisers.points import FEW, Points
+from pgm.linearisers.points import Points
 from pgm.linearisers.regression import StatisticalRegression
 
 Integers64 = npt.NDArray[np.int64]
-# Angles and components without noise are told by the bits of a number.
-_MOST = 60
 
 
 class Uncompiled(Exception):
@@ -81,13 +79,21 @@ def bits(mask: Sequence[int] | Integers64) -> int:
     return sum(1 << int(k) for k in mask)
 
 
-def is_known(plan: ChainPlan) -> bool:
-    """Whether machine code knows all of a plan, but for functions that are not linearised yet."""
+def unknown(plan: ChainPlan) -> str | None:
+    """Why machine code does not know a plan, but for functions that are not linearised yet."""
     for sensor in plan.read:
-        several = sensor.grouped and max(np.diff(sensor.bounds)) > 1
-        if sensor.robust or sensor.gated is not None or sensor.exact or several:
-            return False
-    return all(max(f.cpd.child.dimension, f.shape[3]) <= _MOST for f in plan.families)
+        if sensor.robust:
+            return f"{sensor.family.cpd!r} has robust noise"
+        if sensor.gated is not None:
+            return GATE
+        if sensor.exact:
+            return f"{sensor.family.cpd!r} has a singular noise"
+        if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
+            return f"{sensor.family.cpd!r} has several sightings in a group"
+    for family in plan.families:
+        if max(family.cpd.child.dimension, family.shape[3]) > MOST:
+            return f"{family.cpd!r} has more than {MOST} components"
+    return None
 
 
 def link_row(plan: ChainPlan, link: Link, rows: Rows, table: Integers64, *, stored: bool) -> None:
@@ -102,7 +108,7 @@ def link_row(plan: ChainPlan, link: Link, rows: Rows, table: Integers64, *, stor
     size = layout.state_size + layout.slice_size
     own = np.arange(size)[link.parents].tolist()
     if any(before not in own for before in link.before.tolist()):
-        raise Uncompiled(f"{family.cpd!r} turns")
+        raise Uncompiled(f"{family.cpd!r} turns an angle of which its function does not know")
     turning = [(new, before, own.index(before)) for new, before in link.turning]
     table[t.TURNS] = len(turning)
     table[t.TURNING] = rows.at(np.array(turning, dtype=np.int64))
@@ -159,11 +165,12 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
     template, rule = family.template, family.lineariser
     assert template is not None
     known, together = template.compiled, rows.together
-    alone = bool(family.hidden) and type(rule) is not Taylor
-    functions = compiled(template, known.get(together), alone=alone, together=together)
+    alone, answers = bool(family.hidden) and type(rule) is not Taylor, family.trace_whole()
+    if isinstance(answers, str):
+        raise Uncompiled(f"{family.cpd!r}: {answers}")
+    before = known.get(together)
+    functions = compiled(template, answers.trace, before, alone=alone, together=together)
     known[together] = functions
-    if not isinstance(functions, Functions):
-        raise Uncompiled(f"{family.cpd!r}: {functions}")
     rows.kept.append(functions)
     table[t.VALUE], table[t.FUNCTION] = functions.value, functions.slope
     inputs = [
@@ -180,11 +187,11 @@ def _function(plan: ChainPlan, family: Family, rows: Rows, table: Integers64) ->
     table[t.KIND] = t.TAYLOR
     if not family.hidden or type(rule) is Taylor:
         return
-    if type(rule) not in RULES or not isinstance(rule, StatisticalRegression):
-        raise Uncompiled(f"{family.cpd!r} is linearised by {rule!r}")
+    why = rule_told(rule, template)
+    if why is not None:
+        raise Uncompiled(f"{family.cpd!r}: {why}")
+    assert isinstance(rule, StatisticalRegression)
     points = rule.points(template.size, template.child.name, 0)
-    if len(points.points) > FEW:
-        raise Uncompiled(f"{family.cpd!r}: {rule!r} has many points")
     table[t.KIND] = t.REGRESSION
     table[t.COUNT], table[t.CENTRED] = len(points.points), points.centred
     table[t.POINTS], table[t.LEAST] = _points(points, template.variances, rows)

@@ -1,0 +1,282 @@
+"""Draws of the trajectories of a chain, with their log-densities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.compile import SliceLayout
+from pgm.errors import NumericalError
+from pgm.factors.scope import positions
+from pgm.inference.audit import chain_modes
+from pgm.inference.audit.corrected import Sums
+from pgm.inference.audit.density import Links, Term, has_exact
+from pgm.inference.audit.draws import Draws, Strand
+from pgm.inference.audit.excursions import PREDICTED, Excursions
+from pgm.inference.audit.modes import MOST, Modes
+from pgm.inference.audit.proposal import Path, Proposal
+from pgm.inference.chain import backward
+from pgm.inference.chain.backward import Beliefs, Reverse
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.sensor import Sensor
+from pgm.inference.status import SMOOTHED
+from pgm.kernels import moments
+from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
+from pgm.kernels.moments import Conditional
+
+
+@dataclass(frozen=True, eq=False)
+class ChainDraws:
+    """Trajectories from the smoothed Gaussian, drawn forward in time, with their log-weights.
+
+    plan : ChainPlan
+    answer : Path
+        The law of the smoothed trajectories.
+    modes : Modes
+    prior, transition, sensors : list
+        The CPDs in their places, with their densities.
+    reference : ndarray
+        (runs,): common to all log-weights: the linearised model's evidence, where they are
+        `relative` to its densities.
+    relative : bool
+    beliefs : Beliefs
+        The smoothed moments of all slices.
+    judged : ndarray
+        (T+1,): whether the belief that was asked for knows all measurements.
+    onward : Conditional
+        (T, runs, ...): each slice given the states before, with its fixed components.
+    """
+
+    plan: ChainPlan
+    answer: Path
+    modes: Modes
+    prior: Links
+    transition: Links
+    sensors: list[tuple[Sensor, Term]]
+    reference: Array
+    relative: bool
+    beliefs: Beliefs
+    judged: Mask
+    onward: Conditional
+
+    @classmethod
+    def make(cls, posterior: ChainPosterior) -> ChainDraws:
+        """Prepare to draw from the smoothed joint of a posterior's linearisation."""
+        plan = posterior._plan
+        exact = has_exact(s.family for s in plan.sensors if s.family.step.size)
+        reverse = posterior._reverse
+        smoothed = posterior.kind == SMOOTHED
+        beliefs = posterior._beliefs if smoothed else backward.sweep(posterior._forward, reverse)
+        steps = range(plan.steps + 1)
+        judged = np.array([posterior.kind.last(k, plan.steps) == plan.steps for k in steps])
+        draws = cls._make(plan, beliefs, reverse, None, judged)
+        if not exact and draws.answer.regular:
+            return draws
+        # The draws' support is the linearised model's: weights are relative to its densities, with
+        # its own means, which step control may have held back.
+        _refuse_grouped(plan)
+        forward = posterior._forward
+        reverse = Reverse.make(plan, forward)
+        beliefs = backward.sweep(forward, reverse)
+        return cls._make(plan, beliefs, reverse, forward.log_density.sum(axis=0), judged)
+
+    @classmethod
+    def _make(
+        cls,
+        plan: ChainPlan,
+        beliefs: Beliefs,
+        reverse: Reverse,
+        reference: Array | None,
+        judged: Mask,
+    ) -> ChainDraws:
+        relative = reference is not None
+        prior, transition = (
+            [(link, Term.make(link.family, relative=relative)) for link in links]
+            for links in (plan.prior, plan.transition)
+        )
+        law = _Law(plan.layout, prior, transition)
+        answer = law.path(beliefs, reverse.states)
+        modes = Modes.none(plan.runs)
+        if relative or answer.regular:
+            most = 0 if relative else MOST
+            modes = chain_modes.find(plan, beliefs, reverse.states, law.path, most)
+        return cls(
+            plan,
+            answer,
+            modes,
+            prior,
+            transition,
+            [
+                (sensor, Term.make(sensor.family, relative=relative, taken=sensor.taken))
+                for sensor in plan.sensors
+            ],
+            np.zeros(plan.runs) if reference is None else reference,
+            relative,
+            beliefs,
+            judged,
+            law.onward(beliefs, reverse.states),
+        )
+
+    @property
+    def width(self) -> int:
+        """See `Drawing`."""
+        size = self.plan.layout.state_size + 2 * self.plan.layout.slice_size
+        seen = [
+            np.diff(sensor.bounds).max() * sum(sensor.family.shape[2:])
+            for sensor in self.plan.sensors
+        ]
+        return size + int(max(seen, default=0))
+
+    @property
+    def length(self) -> int:
+        """See `Drawing`."""
+        layout = self.plan.layout
+        return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
+
+    def sums(self) -> list[Sums]:
+        """Empty sums of each hidden variable, of the states, and of clusters that are judged."""
+        layout, judged = self.plan.layout, self.judged
+        mean, cov = self.beliefs.mean, self.beliefs.cov
+        front = layout.state_size
+        alone = [(variable,) for variable in layout.slice]
+        sums = []
+        for scope in dict.fromkeys([*alone, layout.states]):
+            first = 0 if set(scope) <= set(layout.states) else 1
+            places = np.arange(layout.slice_size)[positions(layout.slice, scope)]
+            sums.append(
+                Sums(
+                    scope,
+                    front + places,
+                    first,
+                    mean[first:][..., places],
+                    block(cov[first:], places, places),
+                    judged[first:],
+                    timed=True,
+                )
+            )
+        known = judged[1:] & judged[:-1]
+        if known.any():
+            states, (matrix, _, rest) = layout.state_places, self.onward
+            before = block(cov[:-1], states, states)
+            cross = matrix @ before
+            slices = symmetric(cross @ transpose(matrix) + rest)
+            means = np.concatenate([mean[:-1][..., states], mean[1:]], axis=-1)
+            pair = np.block([[before, transpose(cross)], [cross, slices]])
+            sums.append(Sums(layout.pair, slice(None), 1, means, pair, known, timed=True))
+        return sums
+
+    def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
+        """See `Drawing`."""
+        plan, layout = self.plan, self.plan.layout
+        shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
+        total = np.repeat(self.reference[:, None], count, axis=1)
+        strand = Strand(
+            self.answer, self.modes, self.excursions, shape, rng, defensive, self.relative
+        )
+        states, values = np.zeros((*shape, 0)), []
+        for step in range(plan.steps + 1):
+            links = self.transition if step else self.prior
+            row = max(step - 1, 0)
+            fresh, afresh = strand.propose(states)
+            vector = np.concatenate([states, fresh], axis=-1)
+            start = states.shape[-1]
+            predicted = np.zeros(shape)
+            for link, term in links:
+                drawn = term.child(
+                    row,
+                    vector[..., link.parents],
+                    vector[..., link.child],
+                    afresh,
+                    strict=not defensive,
+                )
+                vector[..., link.child] = drawn.values
+                predicted += drawn.log_tails
+                total += np.where(drawn.lost, np.nan, drawn.log_density)
+            strand.weigh(states, vector[..., start:], predicted)
+            if step:
+                pair = vector
+            else:
+                pair = np.zeros((*shape, front + layout.slice_size))
+                pair[..., front:][..., places] = vector
+            slices = pair[..., front:]
+            total += self._readings(step, slices, strict=not defensive)
+            values.append(pair)
+            states = slices[..., places]
+        return strand.drawn(total, values)
+
+    def _readings(self, step: int, slices: Array, *, strict: bool) -> Array:
+        """The log-density of a step's measurements at its slices (runs, S, n), (runs, S)."""
+        total = np.zeros(slices.shape[:2])
+        for sensor, term in self.sensors:
+            rows = sensor.rows(step)
+            if rows.start == rows.stop:
+                continue
+            parents = slices[..., sensor.parents]
+            total += term.readings(
+                rows,
+                np.broadcast_to(parents, (rows.stop - rows.start, *parents.shape)),
+                sensor.values[rows],
+                sensor.moved[rows],
+                strict=strict,
+            )
+        return total
+
+    @property
+    def excursions(self) -> Excursions:
+        """Where defensive draws leave the Gaussian; beside exact readings the model draws none."""
+        return Excursions(self.plan.steps + 1, 0.0 if self.relative else PREDICTED)
+
+
+@dataclass(frozen=True, eq=False)
+class _Law:
+    """From smoothed moments to the law of trajectories, drawn forward in time."""
+
+    layout: SliceLayout
+    prior: Links
+    transition: Links
+
+    def onward(self, beliefs: Beliefs, states: Conditional) -> Conditional:
+        """Each later slice given the states before, by Bayes' rule for the reversed chain."""
+        mean, cov, places = beliefs.mean, beliefs.cov, self.layout.state_places
+        before = block(cov[:-1], places, places)
+        return moments.reverse(
+            mean[1:], cov[1:], states.matrix, states.cov, mean[:-1][..., places], before
+        )
+
+    def path(self, beliefs: Beliefs, states: Conditional) -> Path:
+        """The law of trajectories, of smoothed slices and states given the slice after them."""
+        places, front = self.layout.state_places, self.layout.state_size
+        mean, cov = beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places)
+        start = Conditional(np.zeros((1, *cov.shape[1:-1], 0)), mean, cov)
+        free = _free(self.transition, (len(beliefs.mean) - 1, *beliefs.mean.shape[1:]), front)
+        return Path(
+            Proposal.make(start, _free(self.prior, mean.shape, 0)),
+            Proposal.make(self.onward(beliefs, states), free),
+        )
+
+
+def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
+    """Components of slices that their parents leave open, of a shape (rows, runs, n).
+
+    `start` is where the slice begins in the vector in which the links' children stand.
+    """
+    free = np.zeros(shape, dtype=bool)
+    for link, term in links:
+        free[..., link.child.start - start : link.child.stop - start] = term.free()
+    return free
+
+
+def _refuse_grouped(plan: ChainPlan) -> None:
+    """Refuse grouped sensors, whose correlated errors a ratio of CPDs one by one does not hold."""
+    for sensor in plan.sensors:
+        if sensor.cross:
+            raise NumericalError(
+                f"{sensor.family.cpd!r} is grouped: the approximation errors of a step's sightings "
+                "are correlated, which is not audited beside a sensor without noise or a "
+                "covariance too near to singular; leave grouped=True out, or give the exact sensor "
+                "some noise",
+                variable=sensor.variable,
+                cpd=sensor.family.cpd,
+            )

@@ -1,0 +1,36 @@
+"""The account of a plan's sweeps: whether machine code made them, and why not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(eq=False)
+class Account:
+    """The sweeps of a plan, of its parts and its windows so far.
+
+    `due` says whether machine code was asked for, or would have repaid its loading; else `rest` is
+    why not. `compiled` counts the sweeps that it made; `left` has the reasons why NumPy made
+    others, and in how many runs at the most, or zero for all.
+    """
+
+    due: bool = False
+    rest: str = ""
+    compiled: int = 0
+    left: dict[str, int] = field(default_factory=dict)
+
+    def leave(self, why: str, runs: int = 0) -> None:
+        """Note that a sweep, or some of its runs, are left to NumPy."""
+        self.left[why] = max(self.left.get(why, 0), runs)
+
+    def words(self, runs: int) -> str:
+        """The account in words, of so many runs."""
+        if not self.due:
+            return f"by NumPy: {self.rest}" if self.rest else ""
+        if not self.left:
+            return "compiled" if self.compiled else ""
+        told = "; ".join(
+            f"{why} in {count} of {runs} runs" if count and runs > 1 else why
+            for why, count in self.left.items()
+        )
+        return f"compiled, but for: {told}" if self.compiled else f"not compiled: {told}"

@@ -1,0 +1,165 @@
+"""Posteriors of which only the marginals of some variables are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NoReturn
+
+from pgm.clustergraph import Cluster
+from pgm.compile import DynamicGraph
+from pgm.display import Summary
+from pgm.errors import EvidenceError, GraphError
+from pgm.factors import CanonicalForm, Gaussian
+from pgm.factors.scope import Scope, listed
+from pgm.inference.associations import Found
+from pgm.inference.chain.innovations import Innovations
+from pgm.inference.chain.marginals import Marginals, located
+from pgm.inference.lost import Lost
+from pgm.inference.posterior import Posterior
+from pgm.inference.rejections import Rejections
+from pgm.inference.status import FILTERED, Kind, Status
+from pgm.inference.summaries import over_time
+from pgm.kernels.arrays import Array
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class KeptPosterior(Posterior):
+    """The marginals of some hidden variables at all their steps, and nothing else.
+
+    What `filter`, `smooth` and `infer` return with ``keep=[x]``: ``posterior[x]``, with means
+    (..., T+1, d) of a state and (..., T, d) of a hidden control, and ``posterior[x.at(3)]`` are
+    those of a `ChainPosterior`.
+
+    Attributes
+    ----------
+    graph : DynamicGraph
+    status : Status
+        Linearisations, residuals, and whether they converged.
+    kind : Kind
+        Which measurements the marginals know.
+    log_evidence : ndarray
+        (...).
+    log_evidence_kind : str
+        ``exact``, ``linearised`` or ``laplace``.
+    associations : mapping of Variable to Associations
+        By sensor, of sightings that left open what was seen, with `unknown`.
+
+    Raises
+    ------
+    EvidenceError, GraphError
+        If what was not kept is asked for.
+
+    Examples
+    --------
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.smooth(walk, {z: [[4.0]]}, keep=x)
+    >>> posterior[x].mean.ravel()
+    array([1., 2.])
+    >>> posterior[x.at(0)].cov
+    array([[0.75]])
+    """
+
+    graph: DynamicGraph
+    status: Status
+    kind: Kind
+    _kept: Mapping[Variable, Gaussian]
+    _log_evidence: Array
+    _log_evidence_kind: str
+    associations: Found = field(default_factory=dict)
+
+    def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
+        """The marginal of a variable that was kept, at all its steps or at one.
+
+        Raises
+        ------
+        EvidenceError
+            If it was not kept, or is not hidden.
+        """
+        template, first = located(self.graph.layout, variable, self.graph.steps)
+        if template not in self._kept:
+            wanted = ", ".join(v.name for v in (*self._kept, template))
+            raise EvidenceError(
+                f"{template!r} was not kept; ask for it, keep=[{wanted}]", variable=variable
+            )
+        found = self._kept[template]
+        if variable.step is None:
+            return found
+        at = variable.step - first
+        return Gaussian._make((variable,), found.mean[..., at, :], found.cov[..., at, :, :])
+
+    @property
+    def _hidden(self) -> Scope:
+        return tuple(self._kept)
+
+    @property
+    def log_evidence(self) -> Array:
+        """The value ln p(measurements), (...)."""
+        return self._log_evidence
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """The kind of `log_evidence`: exact, linearised or laplace."""
+        return self._log_evidence_kind
+
+    @property
+    def predicted(self) -> Marginals:
+        """Not kept: raises EvidenceError."""
+        raise EvidenceError(self._missing("marginals given the measurements before each step"))
+
+    @property
+    def filtered(self) -> Marginals:
+        """Not kept: raises EvidenceError."""
+        here = self.kind == FILTERED
+        what = "are posterior[x] here" if here else "are kept by pgm.filter(..., keep=[x])"
+        raise EvidenceError(f"{self._missing('the forward pass')}; filtered marginals {what}")
+
+    @property
+    def innovations(self) -> Mapping[Variable, Innovations]:
+        """Not kept: raises EvidenceError."""
+        raise EvidenceError(self._missing("innovations"))
+
+    @property
+    def rejected(self) -> Mapping[Variable, Rejections]:
+        """Not kept: raises EvidenceError."""
+        raise EvidenceError(self._missing("rejections by gates"))
+
+    @property
+    def lost(self) -> Lost:
+        """Not kept: raises EvidenceError."""
+        raise EvidenceError(self._missing("innovations, which tell where a belief was lost"))
+
+    def joint(self, *variables: Variable) -> NoReturn:
+        """Not kept: raises EvidenceError."""
+        raise EvidenceError(self._missing("joints"))
+
+    def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
+        """Not kept: raises GraphError."""
+        raise GraphError(self._missing("messages"))
+
+    def belief(self, cluster: int | Cluster) -> CanonicalForm:
+        """Not kept: raises GraphError."""
+        raise GraphError(self._missing("beliefs of clusters"))
+
+    def potential(self, cluster: int | Cluster) -> CanonicalForm:
+        """Not kept: raises GraphError."""
+        raise GraphError(self._missing("potentials of clusters"))
+
+    def _missing(self, what: str) -> str:
+        return (
+            f"{what}: not kept, since keep= keeps {self.kind} marginals, log-evidence and status "
+            "alone; leave keep= out to have everything"
+        )
+
+    @property
+    def _title(self) -> str:
+        runs = self._log_evidence.shape
+        return (
+            f"Posterior({self.kind}, kept [{listed(self._kept)}], steps 0..{self.graph.steps}"
+            f"{f', runs {runs}' if runs else ''})"
+        )
+
+    def _summary(self) -> Summary:
+        runs, last = self._log_evidence.shape, self.graph.steps
+        return over_time(self._title, self, tuple(self._kept), runs, last)

@@ -1,0 +1,88 @@
+"""Levenberg–Marquardt: the control of steps of iterated schedules, and its option."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pgm.arguments import public
+from pgm.boundary import is_number
+from pgm.display import InCode
+from pgm.errors import ModelError
+from pgm.inference.argument_checks import require_count
+
+
+@public
+@dataclass(frozen=True)
+class LevenbergMarquardt(InCode):
+    """Steps that never raise the cost: full ones where they lower it, else held back.
+
+    The cost of a point x is that of the expected functions, with the covariances P and the noise
+    of the linearisation held fixed,
+
+        Σ rᵀ Σ⁻¹ r over all CPDs,  r = y − E[f(X)],  X ~ N(x, P):
+
+    under `Taylor` twice the negative log-density of x and the measurements, but for a constant. A
+    full step that raises it is taken back, and tried again with a measurement x = (the point) + n
+    added, n ~ N(0, diag(P)/λ), λ growing from try to try; if no try lowers the cost the means stay.
+    A posterior's means are those of the last point accepted, its covariances those of the last
+    linearisation, without the added measurement.
+
+    It suits `Taylor`, and rules as exact as `GaussHermite`. With few points F is only nearly the
+    derivative of E[f(X)], so that close to a fixed point no step may lower the cost: the means
+    stay some hundredths of a deviation short of it, and `status` says not converged; a number as
+    damping gets there.
+
+    The first solution of a smoother, the filter's linearisation, is not controlled. From a start,
+    or dead reckoning on a `Balanced` tree, the first step is: the cost of the start is never
+    exceeded. A start that does not obey the exact CPDs (linear, with singular noise) has no cost,
+    and is represented by its projection onto them; so is a filter's predicted belief beside an
+    exact measurement, by the belief given that alone.
+
+    Parameters
+    ----------
+    start : float
+        λ of the first try, and the least; positive.
+    factor : float
+        What λ is multiplied with at each failure, and divided by after each success; above 1.
+    tries : int
+        Tries at the most in one iteration.
+
+    References
+    ----------
+    Lindqvist, Särkkä, García-Fernández, Raitoharju & Svensson, Posterior linearisation smoothing
+    with robust iterations, 2021.
+
+    Examples
+    --------
+    >>> from pgm.examples import squares, x, z
+    >>> control = pgm.LevenbergMarquardt()
+    >>> posterior = pgm.smooth(squares, {z: [[9.0]]}, iterations=20, damping=control)
+    >>> posterior[x].mean.ravel().round(2), bool(posterior.status.converged)
+    (array([2., 3.]), True)
+    """
+
+    start: float = 0.01
+    factor: float = 10.0
+    tries: int = 10
+
+    def __post_init__(self) -> None:
+        require_count(self, "tries", self.tries)
+        if not is_number(self.start) or not 0.0 < self.start < float("inf"):
+            raise ModelError(f"{self!r}: start is a positive number, not {self.start!r}")
+        if not is_number(self.factor) or not 1.0 < self.factor < float("inf"):
+            raise ModelError(f"{self!r}: factor is a number above 1, not {self.factor!r}")
+
+
+# The share of the old point that is kept, in [0, 1), or a control of each step by its cost.
+Damping = float | LevenbergMarquardt
+
+
+def require_damping(schedule: object, damping: object) -> None:
+    """Refuse what is no damping."""
+    if isinstance(damping, LevenbergMarquardt):
+        return
+    if not is_number(damping) or not 0.0 <= damping < 1.0:
+        raise ModelError(
+            f"{schedule!r}: damping is the share of the old point that is kept, in [0, 1), or "
+            f"pgm.LevenbergMarquardt(), not {damping!r}"
+        )

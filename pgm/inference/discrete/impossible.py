@@ -1,0 +1,107 @@
+"""Evidence of probability zero: where it contradicts the tables, for a message."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from pgm.clustergraph import Cluster
+from pgm.errors import EvidenceError
+from pgm.evidence.static import BoundStates
+from pgm.factors.scope import in_run, names
+from pgm.inference.discrete.run_pieces import some_runs
+from pgm.inference.discrete.tree_messages import TreeMessages
+from pgm.inference.discrete.tree_plan import TreePlan
+from pgm.kernels.arrays import Array, Mask
+from pgm.variables import Discrete
+
+ADVICE = (
+    "Leave some of it out; or, if it can happen, replace the zeros that forbid it in the CPDs' "
+    "tables by small probabilities"
+)
+
+
+# What else can be done where others of several runs are possible.
+OF_RUNS = '; impossible="allow" gives such runs a log-evidence of −∞ and beliefs of NaN'
+
+
+class ImpossibleEvidence(EvidenceError):
+    """Evidence of probability zero; `lost` says in which runs, (runs,)."""
+
+    def __init__(
+        self,
+        message: str,
+        lost: Mask,
+        lead: tuple[int, ...],
+        *,
+        variable: Discrete,
+        cluster: int | None = None,
+    ) -> None:
+        run = int(lost.argmax()) if lead else None
+        super().__init__(message, variable=variable, cluster=cluster, run=run)
+        self.lost = np.atleast_1d(lost)
+
+
+def require_possible(
+    plan: TreePlan, evidence: BoundStates, log_tops: Array, of_runs: str = ""
+) -> None:
+    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞.
+
+    of_runs: What else can be done where there are several runs.
+    """
+    # One sum finds out, whatever is infinite.
+    if math.isfinite(np.add.reduce(log_tops, None)):
+        return
+    impossible = log_tops == -np.inf
+    runs = impossible.any(axis=0)
+    first = int(runs.argmax())
+    lost = impossible[:, first] if runs.ndim else impossible
+    root = int(plan.tree_of_top[lost.argmax()])
+    alone = some_runs(evidence, slice(first, first + 1))
+    cluster, involved = _contradiction(plan, alone, root)
+    where = in_run(runs.reshape(evidence.lead))
+    raise ImpossibleEvidence(
+        f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
+        f"for all states of cluster {cluster.index} over {names(cluster.scope)} are impossible "
+        f"given it. {ADVICE}{of_runs if evidence.lead else ''}",
+        runs,
+        evidence.lead,
+        variable=involved[0],
+        cluster=cluster.index,
+    )
+
+
+def _contradiction(
+    plan: TreePlan, evidence: BoundStates, root: int
+) -> tuple[Cluster, list[Discrete]]:
+    """The deepest cluster of a tree whose message upward is all zero, and the evidence below."""
+    forest, scopes = plan.forest, plan.storage.scopes
+    messages = TreeMessages(plan.storage, evidence)
+    upward = (
+        k
+        for level in reversed(forest.levels[1:])
+        for k in level.tolist()
+        if forest.roots[k] == root and (messages.message(k, int(forest.parent[k])) == -np.inf).all()
+    )
+    at = next(upward, root)
+    below, waiting = [], [at]
+    while waiting:
+        below.append(waiting.pop())
+        waiting += forest.children[below[-1]]
+    members = {v for k in below for v in scopes[k]}
+    states = [v for v, s in evidence.states.items() if v in members and np.min(s) >= 0]
+    weights = [v for v in evidence.weights if plan.storage.homes[v] in below]
+    return plan.graph.clusters[at], list(dict.fromkeys((*states, *weights)))
+
+
+def contradicted(empty: Mask, clusters: Iterable[Cluster], lead: tuple[int, ...]) -> EvidenceError:
+    """The error where sums over clusters' states, (clusters, runs), are zero."""
+    runs = empty.any(axis=0)
+    row = int(empty[:, runs.argmax()].argmax())
+    cluster = list(clusters)[row]
+    return EvidenceError(
+        f"the evidence has probability zero{in_run(runs.reshape(lead))}: all states of cluster "
+        f"{cluster.index} over {names(cluster.scope)} are impossible given it and the messages "
+        f"of the cluster's neighbours. {ADVICE}",
+        cluster=cluster.index,
+    )

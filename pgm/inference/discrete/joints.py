@@ -1,0 +1,127 @@
+"""Joints of variables of one cluster, or of several of a tree."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from pgm.clustergraph.structure import Forest
+from pgm.errors import GraphError
+from pgm.factors.axes import AXES, States, sizes, spread
+from pgm.factors.scope import names
+from pgm.inference import limits
+from pgm.inference.discrete.storage import Storage, sepset_between
+from pgm.kernels.arrays import Array
+from pgm.resources import gibibytes
+from pgm.variables import Discrete
+
+# A factor: its axes, then that of the runs, if any.
+Factor = tuple[States, Array]
+
+
+def holder(storage: Storage, wanted: States) -> int | None:
+    """The smallest cluster that holds some variables, if one does."""
+    members: set[Discrete] = set(wanted)
+    fits = [k for k, scope in enumerate(storage.scopes) if members.issubset(scope)]
+    return min(fits, key=storage.graph.sizes.__getitem__, default=None)
+
+
+def joint(storage: Storage, tables: Array, scope: States) -> Array:
+    """The probabilities of some variables, (sizes..., [runs]), from one cluster or from a tree.
+
+    Each cluster's belief given its sepset is multiplied into its parent's, along the smallest
+    subtree that holds the variables, and what is not asked for is summed out as soon as may be.
+    """
+    one = holder(storage, scope)
+    if one is not None:
+        return _sum((storage.scopes[one], storage.table(tables, one)), scope)
+    forest = storage.graph.derived(Forest.of)
+    homes = {v: storage.homes[v] for v in scope}
+    tree = forest.roots
+    result: Factor = ((), np.ones(tables.shape[1:]))
+    for root in dict.fromkeys(tree[list(homes.values())].tolist()):
+        mine = tuple(v for v in scope if tree[homes[v]] == root)
+        result = _product(result, _of_tree(storage, forest, tables, mine, {homes[v] for v in mine}))
+    return _sum(result, scope)
+
+
+def _of_tree(
+    storage: Storage, forest: Forest, tables: Array, scope: States, homes: set[int]
+) -> Factor:
+    """The joint of variables of one tree, whose tables are found in the clusters `homes`.
+
+    On the part of the tree that joins these clusters, each table is divided by its sepset with the
+    parent, so that it is conditional, and is multiplied into the parent, of which only the wanted
+    variables and that sepset are kept: p(scope) = Σ p(top) Π p(cluster | sepset).
+    """
+    parent = forest.parent
+    below: dict[int, int] = {}
+    for home in homes:
+        k = home
+        while k >= 0:
+            below[k] = below.get(k, 0) + 1
+            k = int(parent[k])
+    common = [k for k, count in below.items() if count == len(homes)]
+    top = max(common, key=lambda k: forest.depth[k])
+    inside = sorted(below.keys() - (set(common) - {top}), key=lambda k: -forest.depth[k])
+    found: dict[int, Factor] = {}
+    for k in inside:
+        own = storage.scopes[k]
+        factor: Factor = own, storage.table(tables, k)
+        shared: States = ()
+        if k != top:
+            shared = sepset_between(storage.graph, k, int(parent[k]))
+            factor = own, _given(factor, shared)
+        below_it = [found.pop(child) for child in forest.children[k] if child in found]
+        found[k] = _combined([factor, *below_it], {*scope, *shared})
+    return found[top]
+
+
+def _combined(factors: Sequence[Factor], keep: set[Discrete]) -> Factor:
+    """The product of some factors, each variable summed out as soon as no other factor has it."""
+    result, *others = factors
+    while True:
+        later = keep.union(*(scope for scope, _ in others))
+        left = tuple(v for v in result[0] if v in later)
+        result = left, _sum(result, left)
+        if not others:
+            return result
+        result = _product(result, others.pop(0))
+
+
+def _given(factor: Factor, sepset: States) -> Array:
+    """Probabilities given the sepset; zero where that has probability zero."""
+    scope, values = factor
+    axes = tuple(k for k, v in enumerate(scope) if v not in sepset)
+    total = values.sum(axis=axes, keepdims=True)
+    conditional: Array = values / np.where(total == 0.0, 1.0, total)
+    return conditional
+
+
+def _product(a: Factor, b: Factor) -> Factor:
+    """The product of two factors over all variables of both, refused where it is too large."""
+    scope = a[0] + tuple(v for v in b[0] if v not in a[0])
+    runs = a[1].shape[len(a[0]) :]
+    entries = math.prod(sizes(scope)) * math.prod(runs)
+    if entries > limits.LIMIT or len(scope) > AXES:
+        raise GraphError(
+            f"the joint needs a table over {names(scope)}, {len(scope)} variables and "
+            f"{gibibytes(entries)}, where {AXES} variables and "
+            f"{gibibytes(limits.LIMIT)} are the limit; ask for fewer variables at once, "
+            "with fewer runs, or pgm.query, which may need less"
+        )
+    return scope, _arranged(a, scope) * _arranged(b, scope)
+
+
+def _arranged(factor: Factor, scope: States) -> Array:
+    """Values with an axis for each variable of a scope, of length one if new."""
+    own, values = factor
+    # Turned round, so that runs lead as in tables.
+    return spread(values.T, own[::-1], scope[::-1]).T
+
+
+def _sum(factor: Factor, keep: States) -> Array:
+    """The sums of a factor over all variables but some, on axes in the order of these."""
+    scope, values = factor
+    total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
+    return _arranged((tuple(v for v in scope if v in keep), total), keep)

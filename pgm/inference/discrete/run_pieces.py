@@ -1,0 +1,98 @@
+"""Many runs of evidence in pieces that fit into memory, and each different one once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.evidence.static import BoundStates
+from pgm.kernels.arrays import Array, Integers
+from pgm.progress import counted
+
+# Runs at once, less than which are computed one by one: loops over a few are short, and the tables
+# of one run stay nearer the processor.
+FEW = 64
+
+
+def at_once(entries: int, batch: int) -> int:
+    """The runs of a tree that are calibrated at once: as many as fit, or one if only few do."""
+    size = batch // entries
+    return size if size >= FEW else 1
+
+
+def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
+    """Some runs after the other, as many as are calibrated at once."""
+    for piece in pieces(evidence, at_once(entries, batch)):
+        yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
+
+
+def _of_one(evidence: BoundStates) -> BoundStates:
+    """The evidence of a single run, without variables that are not observed in it."""
+    known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
+    observed = {v: state for v, state in known.items() if state >= 0}
+    return BoundStates(evidence.lead, observed, evidence.weights)
+
+
+def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
+    """Some runs after the other, so many at a time or one."""
+    size = max(1, size)
+    if evidence.runs <= size:
+        yield evidence
+        return
+    for start in counted(range(0, evidence.runs, size), "parts of the runs"):
+        yield some_runs(evidence, slice(start, start + size))
+
+
+def some_runs(evidence: BoundStates, which: slice | Integers) -> BoundStates:
+    """The evidence of some runs."""
+    count = np.arange(evidence.runs)[which].size
+    states = {
+        v: s if isinstance(s, int) or s.size == 1 else s[which] for v, s in evidence.states.items()
+    }
+    weights = {v: w if len(w) == 1 else w[which] for v, w in evidence.weights.items()}
+    return BoundStates((count,), states, weights)
+
+
+# Codes of runs are whole numbers of 64 bits.
+CODES = 2**62
+
+
+@dataclass(frozen=True, eq=False)
+class Distinct:
+    """The runs of some evidence, each different one once.
+
+    which: (runs,): which of them each run is; None if all differ.
+    """
+
+    evidence: BoundStates
+    which: Integers | None
+
+    @classmethod
+    def of(cls, evidence: BoundStates) -> Distinct:
+        """Find the runs that differ; those with weights of their own are not compared."""
+        if evidence.runs == 1 or any(len(weights) > 1 for weights in evidence.weights.values()):
+            return cls(evidence, None)
+        codes = np.zeros(evidence.runs, dtype=np.int64)
+        count = 1
+        for variable, state in evidence.states.items():
+            if isinstance(state, int) or state.size == 1:
+                continue
+            if count * (variable.size + 1) > CODES:
+                codes = np.unique(codes, return_inverse=True)[1]
+                count = evidence.runs
+            codes = codes * (variable.size + 1) + state + 1
+            count *= variable.size + 1
+        _, first, which = np.unique(codes, return_index=True, return_inverse=True)
+        if first.size == evidence.runs:
+            return cls(evidence, None)
+        return cls(some_runs(evidence, first), which)
+
+    def spread(self, values: Array) -> Array:
+        """Values (..., [runs that differ]) as those of all runs, (..., [runs])."""
+        if self.which is None:
+            return values
+        if self.evidence.runs == 1:
+            return np.broadcast_to(values[..., None], (*values.shape, self.which.size))
+        return values[..., self.which]

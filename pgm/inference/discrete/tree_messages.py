@@ -1,0 +1,49 @@
+"""The messages of a tree of tables by their definition, made on request."""
+
+from collections.abc import Iterable
+
+from pgm.evidence.static import BoundStates
+from pgm.inference.discrete.entered_evidence import enter_everywhere
+from pgm.inference.discrete.storage import Storage, sepset_between
+from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import log_sum
+
+
+class TreeMessages:
+    """Messages of a graph without loops, each from the potential and the other messages.
+
+    All are logarithms, with an axis for each variable, and one of runs.
+    """
+
+    def __init__(self, storage: Storage, evidence: BoundStates) -> None:
+        self.storage = storage
+        self.potentials = enter_everywhere(storage, evidence)
+        self._messages: dict[tuple[int, int], Array] = {}
+
+    def message(self, source: int, target: int) -> Array:
+        """The message from one cluster to a neighbour; it and those it is made of are kept."""
+        waiting = [] if (source, target) in self._messages else [(source, target)]
+        while waiting:
+            i, j = waiting[-1]
+            inputs = [(k, i) for k in self.storage.graph.neighbours(i) if k != j]
+            missing = [edge for edge in inputs if edge not in self._messages]
+            waiting += missing
+            if not missing:
+                waiting.pop()
+                self._messages[i, j] = self._sent(i, j, inputs)
+        return self._messages[source, target]
+
+    def _sent(self, i: int, j: int, inputs: Iterable[tuple[int, int]]) -> Array:
+        """The logarithm of the message from cluster i to j: Σ potential of i · messages to i.
+
+        The edges `inputs` are those of the other neighbours of i.
+        """
+        scope, graph = self.storage.scopes[i], self.storage.graph
+        total = self.storage.table(self.potentials, i)
+        for edge in inputs:
+            # Sepsets and clusters both have the network's order.
+            own = sepset_between(graph, *edge)
+            sizes = (v.size if v in own else 1 for v in scope)
+            total = total + self._messages[edge].reshape((*sizes, -1))
+        kept = sepset_between(graph, i, j)
+        return log_sum(total, tuple(k for k, v in enumerate(scope) if v not in kept))

@@ -1,0 +1,67 @@
+"""Gates: the probability within which a reading has to lie to be taken in, by sensor or of all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from pgm.boundary import is_number
+from pgm.errors import ModelError
+from pgm.immutable import Immutable
+from pgm.variables import Variable
+
+
+class Gates(Immutable, Mapping[Variable, float]):
+    """A gate for each of some sensors; the others have none."""
+
+    _gates: dict[Variable, float]
+
+    def __init__(self, gates: Mapping[Variable, float]) -> None:
+        self._set(_gates=dict(gates))
+
+    def __getitem__(self, sensor: Variable) -> float:
+        return self._gates[sensor]
+
+    def __iter__(self) -> Iterator[Variable]:
+        return iter(self._gates)
+
+    def __len__(self) -> int:
+        return len(self._gates)
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self._gates.items()))
+
+    def __repr__(self) -> str:
+        return repr(dict(self._gates))
+
+
+Gate = float | Mapping[Variable, float] | None
+
+
+def as_gate(owner: str, gate: object) -> float | Gates | None:
+    """A gate as a schedule keeps it; what is none is refused."""
+    if gate is None:
+        return None
+    if not isinstance(gate, Mapping):
+        return _probability(owner, gate, "")
+    for sensor in gate:
+        if not isinstance(sensor, Variable):
+            raise ModelError(
+                f"{owner}: gate= maps sensors' variables to probabilities, not {sensor!r}"
+            )
+    return Gates({sensor: _probability(owner, p, f" of {sensor!r}") for sensor, p in gate.items()})
+
+
+def _probability(owner: str, value: object, of: str) -> float:
+    """A probability between 0 and 1, checked; `of` names the sensor of a gate, if it has one."""
+    if not is_number(value) or not 0.0 < value < 1.0:
+        none = "left out for no gate" if of else "or None for no gate"
+        raise ModelError(
+            f"{owner}: a gate{of} is a probability between 0 and 1, such as 0.99, {none}; found "
+            f"{value!r}"
+        )
+    return float(value)
+
+
+def gate_of(gate: Gate, sensor: Variable) -> float | None:
+    """The gate of one sensor, None where it has none."""
+    return gate.get(sensor) if isinstance(gate, Mapping) else gate

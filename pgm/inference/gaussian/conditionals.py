@@ -1,0 +1,162 @@
+"""The linearised CPDs of a network in decimals: y = F p + b + n, with nothing rounded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from decimal import Decimal
+
+import numpy as np
+
+from pgm.cpds import AffineCPD
+from pgm.inference.family import Family
+from pgm.inference.gaussian.beliefs import runs_first
+from pgm.inference.gaussian.layout import Group, Layout
+from pgm.inference.gaussian.refusals import indefinite_noise
+from pgm.kernels import decimals, roots
+from pgm.kernels.arrays import Array
+from pgm.kernels.decimals import Decimals
+
+
+@dataclass(frozen=True, eq=False)
+class Conditional:
+    """A CPD of a network: y = F p + b + n, in (V, d, n), (V, d, N) and (V, d, d)."""
+
+    g: int
+    group: Group
+    row: int
+    matrix: Decimals
+    offset: Decimals
+    noise: Decimals
+
+
+@dataclass(eq=False)
+class Conditionals:
+    """The linearised CPDs of a network, in decimals."""
+
+    layout: Layout
+    families: list[Family]
+    runs: int
+    shared: bool
+    _roots: dict[bytes, Root] = field(default_factory=dict)
+
+    @property
+    def stacked(self) -> int:
+        """V, how many runs have matrices of their own."""
+        return 1 if self.shared else self.runs
+
+    def __iter__(self) -> Iterator[Conditional]:
+        for g, row in self.layout.order:
+            yield self.conditional(g, row)
+
+    def conditional(self, g: int, row: int) -> Conditional:
+        """One of them."""
+        group, family = self.layout.groups[g], self.families[g]
+        noise = family.noise[row, : self.stacked]
+        return Conditional(
+            g,
+            group,
+            row,
+            decimals.exact(family.matrix[row, : self.stacked]),
+            self.by_run(_offset(family, row, self.runs)),
+            np.stack([self.root(one, family).matrix for one in noise]),
+        )
+
+    def by_run(self, values: Decimals) -> Decimals:
+        """(runs, d) as (V, d, N)."""
+        if self.shared:
+            return np.asarray(values.T[None])
+        return np.asarray(values[..., None])
+
+    def by_float(self, values: Decimals) -> Array:
+        """(V, ..., N) as (runs, ...), rounded."""
+        return runs_first(decimals.floats(values))
+
+    def root(self, noise: Array, family: Family) -> Root:
+        """The factors of a noise."""
+        key = noise.tobytes()
+        if key not in self._roots:
+            made = Root.of(decimals.exact(noise))
+            if made is None:
+                raise indefinite_noise(family.cpd)
+            self._roots[key] = made
+        return self._roots[key]
+
+    def span(self) -> int:
+        """Decades between the numbers that matter: deviations, and slopes."""
+        edge = decimals.zeros(self.stacked, self.layout.size)
+        least, most = Decimal(1), Decimal(1)
+        slopes = [Decimal(1)]
+        for conditional in self:
+            size = np.abs(conditional.matrix)
+            parents = conditional.group.parents[conditional.row]
+            reach = decimals.product(size, edge[:, parents][..., None])[..., 0]
+            variance = np.diagonal(conditional.noise, axis1=-2, axis2=-1)
+            own = decimals.sqrt(reach * reach + variance)
+            if not conditional.group.observed:
+                edge[:, conditional.group.child[conditional.row]] = own
+            found = [x for x in (*own.flat, *decimals.sqrt(variance).flat) if x]
+            least, most = min([least, *found]), max([most, *found])
+            slopes += [x for x in size.flat if x]
+        decades = most.log10() - least.log10() + max(slopes).log10() - min(slopes).log10()
+        return int(decades) + 1
+
+
+def _offset(family: Family, row: int, runs: int) -> Decimals:
+    """The offset b of one row, (runs, d), of an affine CPD not rounded."""
+    cpd = family.cpd
+    known = [p for p in cpd.given if p not in family.hidden]
+    if not isinstance(cpd, AffineCPD) or not known:
+        return decimals.exact(np.broadcast_to(family.offset[row], (runs, cpd.child.dimension)))
+    total = decimals.exact(np.broadcast_to(cpd.offset, (runs, cpd.child.dimension)))
+    for parent in known:
+        values = decimals.exact(
+            np.broadcast_to(family.inputs[parent][row], (runs, parent.dimension))
+        )
+        slope = decimals.exact(cpd.matrices[parent])
+        total = total + decimals.product(slope, values[..., None])[..., 0]
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class Root:
+    """A covariance as L diag(d) Lᵀ, where L is unit lower triangular with its rows in an order."""
+
+    lower: Decimals
+    pivots: Decimals
+    order: list[int]
+
+    @classmethod
+    def of(cls, noise: Decimals) -> Root | None:
+        """The root of a covariance, largest pivots first; None where that is indefinite."""
+        size = len(noise)
+        variance = np.diagonal(noise).copy()
+        least = variance * Decimal(roots.NEGLIGIBLE)
+        lower, pivots, left = decimals.zeros(size, size), decimals.zeros(size), noise.copy()
+        waiting, order = list(range(size)), []
+        for k in range(size):
+            first = max(waiting, key=lambda i: left[i, i] / least[i] if least[i] else 0)
+            waiting.remove(first)
+            order.append(first)
+            lower[first, k] = Decimal(1)
+            pivot = left[first, first]
+            if pivot < -variance[first] * Decimal(roots.INDEFINITE) or variance[first] < 0:
+                return None
+            if pivot > least[first]:
+                pivots[k] = pivot
+                lower[waiting, k] = left[waiting, first] / pivot
+                left = left - lower[:, k, None] * left[first]
+        return cls(lower, pivots, order)
+
+    @property
+    def matrix(self) -> Decimals:
+        """The covariance, of which what was rounding is gone."""
+        return decimals.product(self.lower * self.pivots, self.lower.T)
+
+    def whitened(self, right: Decimals) -> Decimals:
+        """L⁻¹ B, (d, m)."""
+        left, found = right.copy(), decimals.zeros(*right.shape)
+        for k, row in enumerate(self.order):
+            found[k] = left[row]
+            left = left - self.lower[:, k, None] * found[k]
+        return found

@@ -1,0 +1,110 @@
+"""The prior predictive moments: where a network is first linearised, and its unit of length."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.inference.family import Family
+from pgm.inference.gaussian.layout import Layout
+from pgm.kernels.arrays import Array, Integers, Mask, apply, sandwich, transpose
+
+# The unit of a variable is at least this share of its value: small parts of it are still digits.
+SHARE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Coordinates ξ with x = mean + scale ξ, in which factors are kept: (runs, size) and (size,).
+
+    About the prior predictive means, in its standard deviations, large coordinates cost no digits
+    and units do not matter. Those `certain`, (size,), have no variance at all: ξ is zero.
+    """
+
+    mean: Array
+    scale: Array
+    certain: Mask
+
+
+# The plan of the prior's moments; see `prior_predictive`.
+Predictive = Callable[..., Frame]
+
+
+def prior_predictive(
+    layout: Layout, families: list[Family], runs: int, *, shared: bool, start: Array | None
+) -> Frame:
+    """Push moments through the CPDs in topological order, linearising on the way.
+
+    Families are one a group. The joint covariance of just those variables is kept that later CPDs
+    need. At a start, (runs, size), CPDs are linearised already; its NaN follow from the parents.
+    """
+    mean = np.empty((runs, layout.size)) if start is None else start.copy()
+    variance = np.zeros((1 if shared else runs, layout.size))
+    size = np.abs(mean).max(axis=0, initial=0.0) if start is not None else np.zeros(layout.size)
+    frontier = _Frontier(variance.shape[0])
+    left = Counter(int(place) for group in layout.groups for row in group.parents for place in row)
+    last = 1 if shared else runs
+    for g, row in layout.order:
+        group, family = layout.groups[g], families[g]
+        parents = group.parents[row]
+        inside, across = frontier.covariance(parents)
+        if start is None and not family.exact:
+            wide = np.broadcast_to(inside, (runs, *inside.shape[1:]))
+            family.linearise(row, mean[:, parents], wide)
+        if not group.observed:
+            child = group.child[row]
+            matrix = family.matrix[row, :last]
+            own = sandwich(matrix, inside) + family.noise[row, :last]
+            if start is None or np.isnan(mean[0, child[0]]):
+                at = mean[:, parents]
+                mean[:, child] = apply(family.matrix[row], at) + family.offset[row]
+                summands = apply(np.abs(family.matrix[row]), np.abs(at))
+                size[child] = (summands + np.abs(family.offset[row])).max(axis=0)
+            variance[:, child] = np.diagonal(own, axis1=-2, axis2=-1)
+            if left[int(child[0])]:
+                frontier.add(child, matrix @ across, own)
+        left.subtract(parents.tolist())
+        frontier.drop([int(place) for place in parents if not left[int(place)]])
+    scale = np.sqrt(np.maximum(variance.max(axis=0, initial=0.0), 0.0))
+    # No unit is smaller than the rounding of the numbers that a mean is the sum of.
+    scale = np.maximum(scale, SHARE * size)
+    certain = (variance == 0.0).all(axis=0) & (start is None)
+    return Frame(mean, np.where(scale > 0.0, scale, 1.0), certain)
+
+
+class _Frontier:
+    """A joint covariance whose components come and go: places share slots in turn."""
+
+    def __init__(self, stacked: int) -> None:
+        self.cov = np.zeros((stacked, 8, 8))
+        self.slots: dict[int, int] = {}
+        self.free = list(range(8))
+
+    def covariance(self, places: Integers) -> tuple[Array, Array]:
+        """The covariance of components, (V, m, m), and theirs with all slots, (V, m, slots)."""
+        rows = [self.slots[int(place)] for place in places]
+        across = self.cov[:, rows]
+        return across[:, :, rows], across
+
+    def add(self, places: Integers, across: Array, own: Array) -> None:
+        """Take in components, given their covariance with everything and their own."""
+        while len(self.free) < len(places):
+            size = self.cov.shape[-1]
+            self.free.extend(range(size, 2 * size))
+            self.cov = np.pad(self.cov, [(0, 0), (0, size), (0, size)])
+            across = np.pad(across, [(0, 0), (0, 0), (0, size)])
+        rows = [self.free.pop() for _ in places]
+        self.slots.update(zip((int(place) for place in places), rows, strict=True))
+        self.cov[:, rows, :] = across
+        self.cov[:, :, rows] = transpose(across)
+        self.cov[:, np.array(rows)[:, None], rows] = own
+
+    def drop(self, places: list[int]) -> None:
+        """Forget components that no later CPD needs; their slots are free."""
+        rows = [self.slots.pop(place) for place in dict.fromkeys(places)]
+        self.cov[:, rows, :] = 0.0
+        self.cov[:, :, rows] = 0.0
+        self.free.extend(rows)

@@ -1,0 +1,30 @@
+"""Errors of Gaussian networks that more than one way of solving them raises."""
+
+from __future__ import annotations
+
+from pgm.cpds import CPD
+from pgm.errors import NumericalError
+from pgm.factors.scope import names
+from pgm.inference.gaussian.model import Model
+
+
+def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
+    """The error that measurements contradict an exact model, with the CPD to blame."""
+    scope = model.layout.graph.clusters[cluster].scope
+    which = f", run {run}" if model.lead else ""
+    return NumericalError(
+        f"evidence contradicts an exact model at cluster {cluster}, {names(scope)}{which}: "
+        "CPDs without noise determine a value in two ways that differ; give one of them, or "
+        "the prior, some noise",
+        cluster=cluster,
+    )
+
+
+def indefinite_noise(cpd: CPD) -> NumericalError:
+    """The error that a noise covariance is not semidefinite."""
+    return NumericalError(
+        f"the noise of {cpd!r} plus the lineariser's approximation error is indefinite; use a "
+        "rule with positive weights, or more samples",
+        variable=cpd.child,
+        cpd=cpd,
+    )

@@ -1,0 +1,185 @@
+"""Rounds of messages: which rows each batched elimination gathers, and where its result goes."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgm.factors.scope import dimension
+from pgm.inference.gaussian.layout import Layout
+from pgm.kernels.arrays import Integers
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Eliminations of one shape: messages that some clusters send, or the beliefs of clusters.
+
+    `members` (B,) are the messages or clusters, from the factors of `clusters`, of whose columns
+    the first `drop` are integrated out. `components` (B, n) are the columns' places among all
+    hidden components, `columns` in the cluster's scope; `entries` (B, k, n), `rows` (B, k) those of
+    the factor in the buffer; `logs` (B, 1 + inputs) of log-scales, the cluster's and its messages'.
+    """
+
+    members: Integers
+    clusters: Integers
+    drop: int
+    components: Integers
+    columns: Integers
+    entries: Integers
+    rows: Integers
+    logs: Integers
+
+    @property
+    def kept(self) -> int:
+        """The number of columns left: the sepset's components."""
+        return int(self.components.shape[1] - self.drop)
+
+
+@dataclass(frozen=True, eq=False)
+class Rounds:
+    """The places of the rows of a layout's factors and messages in one buffer.
+
+    The factors of the CPDs come first, then the messages, each with as many rows as its sepset has
+    components, then a zero.
+    """
+
+    layout: Layout
+
+    @cached_property
+    def sizes(self) -> Integers:
+        """For each message, the components of its sepset."""
+        sizes = [dimension(scope) for scope in self.layout.sepsets]
+        return np.repeat(np.array(sizes, dtype=np.intp), 2)
+
+    @cached_property
+    def own_entries(self) -> Integers:
+        """The first entry of each group of CPDs, and the end."""
+        groups = self.layout.groups
+        return np.cumsum([0, *(len(g.cpds) * g.height * g.width for g in groups)])
+
+    @cached_property
+    def own_rows(self) -> Integers:
+        """The first row of each group of CPDs, and the end."""
+        return np.cumsum([0, *(len(g.cpds) * g.height for g in self.layout.groups)])
+
+    @cached_property
+    def entry_starts(self) -> Integers:
+        """The first entry of each message, and the zero."""
+        return int(self.own_entries[-1]) + np.cumsum([0, *(self.sizes**2)])
+
+    @cached_property
+    def row_starts(self) -> Integers:
+        """The first row of each message, and the zero."""
+        return int(self.own_rows[-1]) + np.cumsum([0, *self.sizes])
+
+    @cached_property
+    def by_size(self) -> list[tuple[int, Integers]]:
+        """The messages of each size of sepsets."""
+        every = np.unique(self.sizes).tolist()
+        return [(size, np.flatnonzero(self.sizes == size)) for size in every]
+
+    @cached_property
+    def _factors(self) -> list[list[tuple[Integers, Integers]]]:
+        """For each cluster, the entries (rows, n) and right sides of its CPDs."""
+        found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
+        starts = self.own_entries.tolist(), self.own_rows.tolist()
+        for group, entry, first in zip(self.layout.groups, *starts, strict=False):
+            height = group.height
+            scope = np.concatenate([group.child, group.parents], axis=1)
+            for row, cluster in enumerate(group.clusters.tolist()):
+                block = self._block(cluster, scope[row], entry + row * height * group.width, height)
+                found[cluster].append((block, first + row * height + np.arange(height)))
+        return found
+
+    @cached_property
+    def _arriving(self) -> list[tuple[Integers, Integers]]:
+        """For each message, its entries in the columns of its target, and its right sides."""
+        found = []
+        for message, target in enumerate(self.layout.directed.target.tolist()):
+            size = int(self.sizes[message])
+            places = self.layout.components(self.layout.sepsets[message // 2])
+            block = self._block(target, places, int(self.entry_starts[message]), size)
+            found.append((block, self.row_starts[message] + np.arange(size)))
+        return found
+
+    def _block(self, cluster: int, places: Integers, first: int, height: int) -> Integers:
+        """The entries of rows over some components, from the first on, in a cluster's columns."""
+        columns = self.layout.columns[cluster]
+        block = np.full((height, len(columns)), self.entry_starts[-1])
+        inside = np.arange(height * places.size).reshape(height, places.size)
+        block[:, [columns[place] for place in places.tolist()]] = first + inside
+        return block
+
+    def messages(self, wanted: Sequence[int]) -> list[Stack]:
+        """The elimination of some messages from what their sources know, but for the target."""
+        layout, directed = self.layout, self.layout.directed
+        kept = (layout.components(layout.sepsets[m // 2]).tolist() for m in wanted)
+        sources = directed.source[list(wanted)].tolist()
+        return self._stacks(zip(wanted, sources, map(directed.inputs, wanted), kept, strict=True))
+
+    def beliefs(self, clusters: Iterable[int]) -> list[Stack]:
+        """The elimination of everything in some clusters, from all that they know."""
+        outgoing = self.layout.directed.outgoing
+        return self._stacks([(i, i, [m ^ 1 for m in outgoing[i]], []) for i in clusters])
+
+    def potentials(self, clusters: Iterable[int]) -> list[Stack]:
+        """The elimination of everything in some clusters, from their CPDs alone."""
+        return self._stacks([(i, i, [], []) for i in clusters])
+
+    @cached_property
+    def all_beliefs(self) -> list[Stack]:
+        """The elimination of everything in every cluster."""
+        return self.beliefs(range(len(self.layout.scopes)))
+
+    def _stacks(self, tasks: Iterable[tuple[int, int, list[int], list[int]]]) -> list[Stack]:
+        """Lay out eliminations: tasks of a member, its cluster, messages to it, and variables kept.
+
+        Clusters with as many components, as many of them kept, and about as many rows make one
+        stack. Their indices into the buffer put the eliminated components first; missing rows point
+        at a zero.
+        """
+        count = len(self.layout.scopes)
+        zero, zero_row = int(self.entry_starts[-1]), int(self.row_starts[-1])
+        zero_log = count + len(self.layout.directed)
+        alike = defaultdict(list)
+        for member, cluster, inputs, kept in tasks:
+            blocks = [*self._factors[cluster], *(self._arriving[m] for m in inputs)]
+            rows, size = sum(len(right) for _, right in blocks), len(self.layout.columns[cluster])
+            # Stacks are padded with zero rows: few shapes, at most twice the rows.
+            room = max(size, 1 << max(rows - 1, 0).bit_length(), 1)
+            alike[size, len(kept), room].append((member, cluster, inputs, kept, blocks, rows))
+        stacks = []
+        for (size, kept_size, _), members in alike.items():
+            room = max(size, *(rows for *_, rows in members))
+            width = 1 + max(len(inputs) for _, _, inputs, *_ in members)
+            entries = np.full((len(members), room, size), zero)
+            right = np.full((len(members), room), zero_row)
+            logs = np.full((len(members), width), zero_log)
+            columns = np.empty((len(members), size), dtype=np.intp)
+            components = np.empty((len(members), size), dtype=np.intp)
+            for b, (_, cluster, inputs, kept, blocks, rows) in enumerate(members):
+                places, last = self.layout.columns[cluster], set(kept)
+                components[b] = [place for place in places if place not in last] + kept
+                columns[b] = [places[place] for place in components[b].tolist()]
+                if blocks:
+                    own, sides = map(np.concatenate, zip(*blocks, strict=True))
+                    entries[b, :rows], right[b, :rows] = own[:, columns[b]], sides
+                logs[b, 0] = cluster
+                logs[b, 1 : 1 + len(inputs)] = [count + m for m in inputs]
+            stacks.append(
+                Stack(
+                    np.array([member for member, *_ in members], dtype=np.intp),
+                    np.array([cluster for _, cluster, *_ in members], dtype=np.intp),
+                    size - kept_size,
+                    components,
+                    columns,
+                    entries,
+                    right,
+                    logs,
+                )
+            )
+        return stacks

@@ -1,0 +1,126 @@
+"""The rows of all factors and messages in one buffer, and eliminations of stacks of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.errors import NumericalError
+from pgm.factors.scope import names
+from pgm.inference.gaussian.beliefs import Flat
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.potentials import make_potentials
+from pgm.inference.gaussian.refusals import contradiction
+from pgm.inference.gaussian.rounds import Rounds, Stack
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.rows import Eliminated, Rows, eliminate
+
+
+@dataclass(eq=False)
+class Buffer:
+    """Factors and messages as rows; see `Rounds` for where they stand.
+
+    V runs have a matrix each and N = 1, or V = 1 matrix is for all of N runs; log-scales are (V,
+    clusters + messages + 1, N), the last zero. `coarse` and `largest` are those of the factors and
+    of all eliminations.
+    """
+
+    rounds: Rounds
+    model: Model
+    proper: Flat
+    exact: Flat | None
+    log_scale: Array
+    coarse: float = 0.0
+    largest: float = 0.0
+
+    @classmethod
+    def make(cls, rounds: Rounds, model: Model) -> Buffer:
+        """A buffer in which nothing stands yet; see `refresh`."""
+        stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
+        entries, rows = int(rounds.entry_starts[-1]) + 1, int(rounds.row_starts[-1]) + 1
+        logs = len(rounds.layout.scopes) + len(rounds.layout.directed) + 1
+        proper = Flat(np.zeros((stacked, entries)), np.zeros((stacked, rows, sides)))
+        return cls(rounds, model, proper, None, np.zeros((stacked, logs, sides)))
+
+    def refresh(self) -> None:
+        """Take the CPDs' factors as they are linearised; messages stay."""
+        potentials = make_potentials(self.model)
+        self.coarse = float(np.maximum(self.coarse, potentials.coarse))
+        own = potentials.proper
+        self.largest = float(np.maximum(self.largest, np.abs(own.matrix).max(initial=0.0)))
+        there = slice(own.matrix.shape[1]), slice(own.right.shape[1])
+        self.proper.put(*there, *own)
+        if self.exact is None and potentials.exact is not None:
+            # The noise of a linearised CPD may vanish later on.
+            self.exact = Flat(np.zeros_like(self.proper.matrix), np.zeros_like(self.proper.right))
+        if self.exact is not None:
+            self.exact.put(*there, *(potentials.exact or ()))
+        layout = self.rounds.layout
+        self.log_scale[:, : len(layout.scopes)] = 0.0
+        none = np.zeros(0, dtype=np.intp)
+        clusters = np.concatenate([none, *(group.clusters for group in layout.groups)])
+        np.add.at(self.log_scale.swapaxes(0, 1), clusters, potentials.log_scale.swapaxes(0, 1))
+
+    def factor(self, stack: Stack) -> Rows:
+        """The factors of a stack, products of clusters' CPDs and messages: (V, B, k, n)."""
+        return self._rows(stack.entries, stack.rows)
+
+    def _rows(self, entries: Integers, rows: Integers) -> Rows:
+        """The rows at some entries and sides of the buffer, with exact relations if it has any."""
+        exact = () if self.exact is None else self.exact.at(entries, rows)
+        return Rows(*self.proper.at(entries, rows), *exact)
+
+    def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
+        """The rows that a stack's elimination leaves, and their log-scale, (V, B, N)."""
+        done = eliminate(self.factor(stack), stack.drop)
+        self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
+        if done.contradiction is not None and done.contradiction.any():
+            v, b, n = (int(axis[0]) for axis in np.nonzero(done.contradiction))
+            raise contradiction(self.model, int(stack.clusters[b]), max(v, n))
+        unit = np.log(self.model.frame.scale[stack.components[:, : stack.drop]]).sum(axis=1)
+        known = self.log_scale[:, stack.logs].sum(axis=2)
+        return done, known + done.log_scale + unit[:, None]
+
+    def out(self, messages: Integers, size: int) -> tuple[Integers, Integers]:
+        """The places of the entries (B, s, s) and rows (B, s) of messages of one size."""
+        inside = np.arange(size * size).reshape(size, size)
+        entries = self.rounds.entry_starts[messages][:, None, None] + inside
+        return entries, self.rounds.row_starts[messages][:, None] + np.arange(size)
+
+    def messages(self, messages: Integers, size: int) -> Rows:
+        """The messages of one size as they are kept, (V, B, s, s)."""
+        return self._rows(*self.out(messages, size))
+
+    def store(self, stack: Stack, rest: Rows, log_scale: Array | None) -> None:
+        """Store a stack of messages."""
+        entries, rows = self.out(stack.members, stack.kept)
+        self.proper.put(entries, rows, rest.matrix, rest.right)
+        if self.exact is not None and rest.exact is not None and rest.exact_right is not None:
+            count = rest.exact.shape[2]
+            self.exact.put(entries, rows)
+            self.exact.put(entries[:, :count], rows[:, :count], rest.exact, rest.exact_right)
+        if log_scale is not None:
+            self.log_scale[:, len(self.rounds.layout.scopes) + stack.members] = log_scale
+
+    def require_finite(self, done: Array, clusters: Iterable[int]) -> None:
+        """Refuse a belief that does not exist."""
+        if np.isfinite(done).all():
+            return
+        bad = ~np.isfinite(done).all(axis=(0, *range(2, done.ndim)))
+        cluster = list(clusters)[int(np.flatnonzero(bad)[0])]
+        scope = self.rounds.layout.scopes[cluster]
+        if not scope:
+            raise NumericalError(
+                f"the density of the evidence in cluster {cluster} is beyond the range of float64: "
+                "a measurement is more than 1e150 deviations from what the model expects",
+                cluster=cluster,
+            )
+        raise NumericalError(
+            f"cluster {cluster} has no proper belief over {names(scope)}: its information is "
+            "singular in these numbers. Some noise is more than 1e11 times sharper than what else "
+            "is known of its variables, or, on a graph with loops, messages diverged or CPDs "
+            "without noise form a loop; scale the noise, or compile a junction tree",
+            cluster=cluster,
+        )

@@ -1,0 +1,73 @@
+"""The associations of open sightings, under the probabilities of cells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.cpds.mixture import UnidentifiedCPD
+from pgm.evidence import BoundEvidence, Reading
+from pgm.inference.associations import Found, collected
+from pgm.inference.grid.dependence import centres
+from pgm.inference.grid.lattice import Lattice
+from pgm.inference.grid.values import at_a_time, known_at
+from pgm.kernels.arrays import Array
+
+# Cells that are less probable than this share of the most probable one count for nothing.
+_NEGLIGIBLE = 1e-12
+
+
+def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any]) -> Found:
+    """The associations of all sensors, under the beliefs (runs, T + 1, *cells)."""
+    every, lead = ((reading, reading.cpd) for reading in bound.readings), bound.lead
+    open_ = [(reading, cpd) for reading, cpd in every if isinstance(cpd, UnidentifiedCPD)]
+    return MappingProxyType(
+        dict(
+            collected(reading, _by_row(lattice, reading, cpd, values), len(cpd.candidates), lead)
+            for reading, cpd in open_
+        )
+    )
+
+
+def _by_row(
+    lattice: Lattice, reading: Reading, cpd: UnidentifiedCPD, values: npt.NDArray[Any]
+) -> Iterator[Array]:
+    """The probabilities of what each sighting may be of, (runs, k + 2)."""
+    for row, step in enumerate(reading.step.tolist()):
+        yield np.stack(
+            [_responsible(lattice, reading, cpd, row, k, v[step]) for k, v in enumerate(values)]
+        )
+
+
+def _responsible(
+    lattice: Lattice,
+    reading: Reading,
+    cpd: UnidentifiedCPD,
+    row: int,
+    run: int,
+    belief: npt.NDArray[Any],
+) -> Array:
+    """The probabilities of what a sighting of a run may be of, (k + 2,)."""
+
+    def of(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return np.asarray(rows[row, run if rows.shape[1] > 1 else 0])
+
+    total = np.zeros(len(cpd.candidates) + 2)
+    if not of(reading.taken).any():
+        return np.full(len(total), np.nan)
+    child = np.where(of(reading.taken), of(reading.values), np.nan)
+    inputs = {parent: of(rows) for parent, rows in reading.inputs.items()}
+    flat = np.flatnonzero(belief > _NEGLIGIBLE * belief.max())
+    length, step = at_a_time(cpd), int(reading.step[row])
+    for first in range(0, len(flat), length):
+        some = flat[first : first + length]
+        cells = np.stack(np.unravel_index(some, lattice.shape), axis=-1)
+        points = lattice.values(centres(lattice, cells))
+        wide, known = known_at(cpd, child, points, inputs, step)
+        total += cpd.responsibilities(wide, known) @ belief.flat[some].astype(np.float64)
+    total /= total.sum()
+    return total

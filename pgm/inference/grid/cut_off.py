@@ -1,0 +1,106 @@
+"""Beliefs cut off by windows of active cells, and how much of one that may have come to be.
+
+A belief is carried up to a share of 10⁻¹⁵ along each axis, and kernels up to 8.5 deviations. What
+is beyond is lost, and no evidence brings it back, however much likelier it is there.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.inference.grid.lattice import Lattice
+from pgm.kernels.arrays import Array
+
+# The share of a belief, along an axis, that may stand outside the window of active cells.
+TINY = 1e-15
+# An edge with more than this was not cut: the belief ends there.
+_TAIL = 1e-13
+# So much likelier the last cells at a bound have to become to speak for what is beyond.
+_REMARKABLE = 30.0
+# Evidence that is less likely than its best by this is compared with that of all cells.
+_DOUBT = 20.0
+
+
+class Cut(NamedTuple):
+    """The belief of which the most may have been cut off."""
+
+    share: float
+    step: int
+
+
+class Tails:
+    """The share of a belief beyond either end of each axis' cells in use, as evidence goes on.
+
+    The cut part is taken to become as much likelier as the last cells within. If the model is true
+    these gains are a martingale: a share of ε becomes one of 10⁻³ with a probability of 10³ε at the
+    most (Ville's inequality). So is what left the bounds at a step, where its measurements make the
+    last cells much likelier.
+    """
+
+    def __init__(self, lattice: Lattice) -> None:
+        self.lattice = lattice
+        ends = len(lattice.axes), 2
+        self._share = np.full(ends, TINY)
+        self._cells = np.zeros(ends, dtype=np.intp)
+        self._open = np.zeros(ends, dtype=bool)
+        self._left = np.zeros(ends)
+        self._before = self._taken = np.ones(ends)
+
+    def predicted(self, marginals: list[Array], left: float) -> None:
+        """Look at a predicted belief, by its marginals along the axes of the lattice.
+
+        `left` is the share of it that is beyond the bounds.
+        """
+        for k, (axis, marginal) in enumerate(zip(self.lattice.axes, marginals, strict=True)):
+            (used,) = np.nonzero(marginal > TINY / axis.cells * marginal.sum())
+            gap = 0
+            if axis.angle and used.size:  # the cells in use begin after the widest gap
+                gap = (int(np.diff(used, append=used[0] + axis.cells).argmax()) + 1) % used.size
+            if used.size:
+                self._cells[k] = used[gap], used[gap - 1]
+            if axis.angle:
+                self._open[k] = 0 < used.size < axis.cells
+            else:
+                self._open[k] = self._cells[k, 0] > 0, self._cells[k, 1] + 1 < axis.cells
+            self._left[k] = 0.0 if axis.angle else np.where(self._open[k], 0.0, left)
+        self._before = self._at(marginals)
+        # Motion leads away from an end that was not cut, as a wall is.
+        fallen = np.minimum(self._before / np.maximum(self._taken, 1e-300), 1.0)
+        kept = np.where(self._before > _TAIL, self._share * fallen, self._share)
+        self._share = np.maximum(kept, TINY)
+
+    def taken(self, marginals: list[Array]) -> float:
+        """Look at the same belief given measurements: the largest share that was cut."""
+        self._taken = self._at(marginals)
+        gain = self._taken / np.maximum(self._before, 1e-300)
+        self._share = np.minimum(self._share * gain, 1.0)
+        beyond = np.where(gain > _REMARKABLE, np.minimum(self._left * gain, 1.0), 0.0)
+        return max(float(self._share.max(initial=0.0, where=self._open)), float(beyond.max()))
+
+    def _at(self, marginals: list[Array]) -> Array:
+        """The shares (axes, 2) of the marginals in the last cells in use at either end."""
+        return np.array(
+            [
+                each[cells] / max(float(each.sum()), 1e-300)
+                for each, cells in zip(marginals, self._cells, strict=True)
+            ]
+        )
+
+
+def doubtful(log_density: float, ceiling: float, components: int) -> bool:
+    """Whether evidence is so unlikely that the part cut off might explain it better.
+
+    log_density: ln p(measurements of a step | those before).
+    ceiling: The logarithm of the density of residuals that are all zero.
+    components: How many numbers were measured; true residuals have half their number as exponent.
+    """
+    usual = max(0.5 * components - math.sqrt(2.0 * components), 0.0)
+    return log_density < ceiling - usual - _DOUBT
+
+
+def bound(log_density: float, best: float) -> float:
+    """The share of a belief that cells without a part in it may have, of the best log-density."""
+    return math.exp(min(math.log(TINY) + best - log_density, 0.0))

@@ -1,0 +1,138 @@
+"""Moves of mixtures: each part moves its share, by chance, of the same group of states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pgm.inference.grid.densities import EVEN, Dense, Uneven
+from pgm.inference.grid.groups import Members
+from pgm.inference.grid.lattice import Lattice, Window, spanned
+from pgm.inference.grid.moves import Operator, Split
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.lattice import Span
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Operators one after another, from one window to another."""
+
+    source: Window
+    target: Window
+    operators: Sequence[Operator | Mixed]
+
+    @property
+    def split(self) -> frozenset[int]:
+        """The axes that are moved cell by cell."""
+        each = [operator.axes for _, operator in self.leaves() if isinstance(operator, Split)]
+        return frozenset().union(*each)
+
+    @property
+    def uneven(self) -> Uneven:
+        """The least even density, by its share in all."""
+        each = [
+            operator.uneven._replace(share=weight * operator.uneven.share)
+            for weight, operator in self.leaves()
+            if isinstance(operator, Dense)
+        ]
+        return max(each, key=lambda found: found.share, default=EVEN)
+
+    def leaves(self) -> Iterator[tuple[float, Operator]]:
+        """The operators and their weights, those of mixtures too."""
+        for operator in self.operators:
+            if isinstance(operator, Mixed):
+                for weight, step in zip(operator.weights.tolist(), operator.steps, strict=True):
+                    yield from ((weight * share, leaf) for share, leaf in step.leaves())
+            else:
+                yield 1.0, operator
+
+    def forward(self, array: Array) -> tuple[Array, Array]:
+        """The probabilities in the target window, and the variance added by the lattice.
+
+        That is along each of its axes, in cells.
+        """
+        added = np.zeros(len(self.source))
+        for operator in self.operators:
+            if isinstance(operator, Mixed):
+                array, more = operator.moved(array)
+                added += more
+                continue
+            for axis, variance in operator.added(array).items():
+                added[axis] += variance
+            array = operator.forward(array)
+        return array, added
+
+    def backward(self, array: Array) -> Array:
+        """The transpose."""
+        for operator in reversed(self.operators):
+            array = operator.backward(array)
+        return array
+
+
+@dataclass(frozen=True, eq=False)
+class Mixed:
+    """The weighted sum of several steps from one window.
+
+    target: The window that holds those of all steps.
+    """
+
+    lattice: Lattice
+    weights: Array
+    steps: Sequence[Step]
+    target: Window
+
+    def moved(self, array: Array) -> tuple[Array, Array]:
+        """The probabilities after it, and the variance that the lattice has added on the way."""
+        total, added = np.zeros([span.length for span in self.target]), np.zeros(array.ndim)
+        for weight, step in zip(self.weights, self.steps, strict=True):
+            part, more = step.forward(array)
+            total[self._of(step)] += weight * part
+            added += weight * more
+        return total, added
+
+    def backward(self, array: Array) -> Array:
+        """The transpose."""
+        parts = [
+            weight * step.backward(array[self._of(step)])
+            for weight, step in zip(self.weights, self.steps, strict=True)
+        ]
+        total: Array = np.sum(parts, axis=0)
+        return total
+
+    def _of(self, step: Step) -> tuple[Integers, ...]:
+        """The indices of a part's target window in the window that holds those of all parts."""
+        each = [
+            (np.arange(own.length) + own.first - span.first) % axis.cells
+            for own, span, axis in zip(step.target, self.target, self.lattice.axes, strict=True)
+        ]
+        return np.ix_(*each)
+
+
+@dataclass(frozen=True, eq=False)
+class MixedGroup(Members):
+    """A mixture, part by part."""
+
+    parts: tuple[Members, ...] = ()
+    weights: Array = field(default_factory=lambda: np.ones(1))
+
+    def mixed(self, steps: Sequence[Step]) -> Mixed:
+        """The sum of the steps of its parts."""
+        target = []
+        for k, axis in enumerate(self.lattice.axes):
+            target.append(_around([step.target[k] for step in steps], axis.cells, axis.angle))
+        return Mixed(self.lattice, self.weights, steps, tuple(target))
+
+
+def _around(spans: Sequence[Span], cells: int, periodic: bool) -> Span:
+    """The shortest span that holds others, on a line or on a circle of so many cells."""
+    if all(span == spans[0] for span in spans):
+        return spans[0]
+    if not periodic:
+        first = min(span.first for span in spans)
+        return Span(first, max(span.first + span.length for span in spans) - first)
+    used = np.zeros(cells, dtype=bool)
+    for span in spans:
+        used[np.arange(span.first, span.first + span.length) % cells] = True
+    return spanned(used, periodic)

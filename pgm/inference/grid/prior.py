@@ -1,0 +1,26 @@
+"""The prior on a lattice: point masses with its mean and covariance, or its density at centres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pgm.inference.grid.densities import Uneven
+from pgm.inference.grid.groups import Members
+from pgm.inference.grid.lattice import Lattice
+from pgm.inference.grid.motion import Motion
+from pgm.kernels.arrays import Array
+from pgm.kernels.lattice import Span
+
+
+def start(lattice: Lattice, groups: Sequence[Members], run: int) -> tuple[Array, Array, Uneven]:
+    """The probabilities at step 0; what the bounds leave out is missing from their sum.
+
+    With them the variance that the lattice has added along each axis, in cells, and the density
+    whose sums over centres are the least those of it.
+    """
+    nowhere = (Span(0, 1),) * len(lattice.axes)
+    made = Motion(lattice, list(groups)).at(0, run, nowhere)
+    found, added = made.forward(np.ones((1,) * len(lattice.axes)))
+    return lattice.put(found, made.target), added, made.uneven

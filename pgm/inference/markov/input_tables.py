@@ -1,0 +1,46 @@
+"""Tables that are functions of inputs, at their rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from pgm.cpds import TableCPD
+from pgm.kernels.arrays import Array
+from pgm.variables import Discrete, Variable
+
+
+def smallest_entry(table: Array) -> float:
+    """The smallest positive entry of a table, 1 if there is none."""
+    return float(table.min(where=table > 0.0, initial=1.0))
+
+
+class InputTables:
+    """The tables that the function of a CPD returns for the inputs of a row.
+
+    inputs: (rows, runs or 1, d), or of states (rows, runs or 1, 1).
+    """
+
+    def __init__(
+        self, cpd: TableCPD, inputs: Mapping[Variable, Any], step: Callable[[int], int]
+    ) -> None:
+        self.cpd, self.inputs, self.step = cpd, inputs, step
+        self.smallest = 1.0
+
+    def at(self, row: int) -> Array:
+        """The tables of a row, (runs or 1, size of each parent..., size of the child)."""
+        values = {}
+        for v in self.cpd.inputs:
+            rows = self.inputs[v][row]
+            values[v] = rows[:, 0] if isinstance(v, Discrete) else rows
+        runs = max(len(rows) for rows in values.values())
+        step = self.step(row)
+        if runs == 1:  # a single value, as a function of one robot takes it
+            tables = self.cpd.at_inputs({v: a[0] for v, a in values.items()}, step=step)[None]
+        else:
+            wide = {v: np.broadcast_to(a, (runs, *a.shape[1:])) for v, a in values.items()}
+            tables = self.cpd.at_inputs(wide, (runs,), step=step)
+        self.smallest = min(self.smallest, smallest_entry(tables))
+        return tables

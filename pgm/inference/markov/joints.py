@@ -1,0 +1,103 @@
+"""Joints of variables of several slices, made only where they are asked for."""
+
+from typing import Any
+
+import numpy as np
+
+from pgm.factors.axes import States, sizes
+from pgm.inference.markov.chain import StateChain
+from pgm.inference.markov.plan import SlicePlan, TableSlices
+from pgm.inference.status import Kind
+from pgm.kernels.arrays import Array
+
+
+def pair(chain: StateChain, plan: SlicePlan, step: int, message: Array) -> Array:
+    """The states of the step before and the slice of a step: (*states, *slice, *runs), of sum one.
+
+    step: 1 or later.
+    message: To the slice of the step, from later ones.
+    """
+    slices: Any = chain.slices
+    semiring = chain.semiring
+    belief = chain.known[step - 1]
+    if plan.controls:
+        belief = semiring.total(belief, plan.controls, None)
+    found = plan.pairs.apply(belief, slices.factors(step, "pairs"), semiring)
+    weights, _ = slices.likelihood(step)
+    own = message if weights is None else semiring.times(message, weights)
+    found = semiring.times(found, own)  # the slice's axes are the last before the runs
+    return chain.numbers(semiring.over(found, chain.total(found)))
+
+
+def potential(
+    chain: StateChain, plan: SlicePlan, step: int
+) -> tuple[Array, Array | None, Array | float]:
+    """The transition into a step, or the prior, and the weights of the step's measurements.
+
+    The transition is (*states, *slice, *runs), of step 0 the prior, (*slice, *runs); the weights,
+    (*slice, *runs), are None where nothing is measured; last, their log-scale.
+    """
+    slices: Any = chain.slices
+    weights, log_scale = slices.likelihood(step)
+    if not step:
+        return slices.prior(), weights, log_scale
+    runs = chain.known[0].shape[len(plan.shape) :]
+    ones = np.full((*sizes(plan.states), *runs), chain.semiring.one)
+    found = plan.pairs.apply(ones, slices.factors(step, "pairs"), chain.semiring)
+    return found, weights, log_scale
+
+
+def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Array:
+    """The joint of variables at steps, (sizes..., *runs), in their order.
+
+    Forward messages carry the axes of the variables that have passed, from the first of their steps
+    to the last, whose backward message ends it.
+    """
+    slices: TableSlices = chain.slices  # type: ignore[assignment]
+    semiring, axes = chain.semiring, len(plan.shape)
+    ordered = sorted(scope, key=lambda v: v.step or 0)
+    step, end = ordered[0].step or 0, ordered[-1].step or 0
+    array = chain.known[step]
+    passed = 0
+    for variable in ordered:
+        while step < (variable.step or 0):
+            step += 1
+            array = slices.forward(step, array)
+            weights, _ = slices.likelihood(step)
+            if weights is not None:
+                array = semiring.times(array, _behind(weights, axes, passed))
+            top = array.max(axis=tuple(range(array.ndim - chain.batch)))
+            array = semiring.over(array, top)
+        if step < end:
+            array = _kept(array, plan.labels[variable.template], axes + passed, chain)
+            passed += 1
+    last = kind.last(step, slices.steps)
+    message = np.full(chain.known[last].shape, semiring.one)
+    for before in range(last - 1, step - 1, -1):
+        message = chain.back(before, message)
+    array = semiring.times(array, _behind(message, axes, passed))
+    here = [plan.labels[v.template] for v in ordered[passed:]]
+    others = tuple(axis for axis in range(axes) if axis not in here)
+    array = semiring.total(array, others, None) if others else array
+    array = chain.numbers(semiring.over(array, chain.total(array)))
+    # The axes that are left: variables of the last slice in its order, then those that have passed.
+    stand = sorted(ordered[passed:], key=lambda v: plan.labels[v.template])
+    stand += ordered[:passed]
+    order = [stand.index(v) for v in scope]
+    return array.transpose(*order, *range(len(order), array.ndim))
+
+
+def _behind(values: Array, axes: int, passed: int) -> Array:
+    """Values over a slice with axes of length one for the variables that have passed."""
+    return values.reshape(*values.shape[:axes], *(1,) * passed, *values.shape[axes:])
+
+
+def _kept(array: Array, axis: int, place: int, chain: StateChain) -> Array:
+    """An array with a second axis for a variable, equal to the first, at a place."""
+    semiring, size = chain.semiring, array.shape[axis]
+    same = np.where(np.eye(size, dtype=bool), semiring.one, semiring.zero)
+    wide = np.expand_dims(array, place)
+    shape = [1] * wide.ndim
+    shape[axis] = shape[place] = size
+    found: Array = semiring.times(wide, same.reshape(shape))
+    return found

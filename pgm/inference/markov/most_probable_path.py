@@ -1,0 +1,129 @@
+"""The most probable path of a chain of tables: max-product messages, traced back."""
+
+from typing import Any
+
+import numpy as np
+
+from pgm.inference.markov.chain import StateChain
+from pgm.inference.markov.contraction import Move
+from pgm.inference.markov.plan import SlicePlan, TableSlices
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import MAX_PRODUCT
+from pgm.progress import counted
+
+
+def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
+    """The states of all hidden variables on the path, and its log-probability, by max-product.
+
+        δ_0 = ln p(x_0) l_0,    δ_t(x) = ln l_t(x) + max_x' (ln p(x | x') + δ_{t−1}(x')).
+
+    No pointers are kept: of a state on the path the best one before it is the maximum over a single
+    column, looked for on the way back.
+
+    Returns: Of each variable of the slice its states, (runs, T+1); of a control those at step 0 are
+    0. (runs,): ln p(path, measurements), of measurements not taken summed over.
+
+    Source: Viterbi, Error bounds for convolutional codes, 1967; Koller & Friedman, section 13.3.
+    """
+    own = slices.within(MAX_PRODUCT)
+    chain = StateChain(own, MAX_PRODUCT).run()
+    plan, runs = slices.plan, slices.bound.runs
+    path = np.zeros((len(plan.slice), runs, slices.steps + 1), dtype=np.intp)
+    states = _best(_by_run(chain.known[-1], chain.batch))
+    path[:, :, -1] = states
+    for step in counted(range(slices.steps, 0, -1), "back"):
+        before = _by_run(chain.known[step - 1], chain.batch)
+        scores = before.max(axis=_axes(plan.controls), keepdims=True)
+        scores = scores.reshape(runs, *(v.size for v in plan.states)) + _scores(own, step, states)
+        places = _best(scores)
+        states = _with_controls(plan, before, places)
+        path[:, :, step - 1] = states
+    log_probability = chain.log_density.reshape(slices.steps + 1, -1).sum(axis=0)
+    return list(path), np.broadcast_to(log_probability, runs)
+
+
+def _axes(controls: tuple[int, ...]) -> tuple[int, ...]:
+    """The axes of controls in a belief whose first axis is of runs."""
+    return tuple(k + 1 for k in controls)
+
+
+def _by_run(values: Array, batch: int) -> Array:
+    """Values (..., [runs]) with the runs, or the single one, first."""
+    return np.moveaxis(values, -1, 0) if batch else values[None]
+
+
+def _best(scores: Array) -> Integers:
+    """The indices of the largest entry of each run, (axes, runs); the first of equals."""
+    runs, *shape = scores.shape
+    flat = scores.reshape(runs, -1).argmax(axis=1)
+    return np.array(np.unravel_index(flat, shape), dtype=np.intp).reshape(len(shape), runs)
+
+
+def _with_controls(plan: SlicePlan, before: Array, states: Integers) -> Integers:
+    """The states of the whole slice: of the controls the best ones beside the states found."""
+    if not plan.controls:
+        return states
+    runs = before.shape[0]
+    each = np.arange(runs)
+    held = [k for k in range(len(plan.slice)) if k not in plan.controls]
+    turned = before.transpose(0, *(k + 1 for k in (*held, *plan.controls)))
+    found = np.zeros((len(plan.slice), runs), dtype=np.intp)
+    found[held] = states
+    found[list(plan.controls)] = _best(turned[(each, *states)])
+    return found
+
+
+def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
+    """Ln p(slice | states before) of a slice with known states, (runs, *states before)."""
+    plan = slices.plan
+    count, runs = len(plan.slice), states.shape[1]
+    total: Array = np.zeros((runs, *(v.size for v in plan.states)))
+    for rows, factor in zip(slices.rows, slices.factors(step, "onward"), strict=True):
+        labels: tuple[int, ...] = rows.labels
+        before = [x for x in labels if x >= count]
+        if isinstance(factor, Move):
+            own = _columns(factor, states[labels[-1]], _known_parent(labels, states, count))
+        else:
+            own = _selected(factor, labels, states, count)
+        shape = [runs, *(1,) * len(plan.states)]
+        order = np.argsort(before)
+        for x in before:
+            shape[1 + x - count] = plan.sizes[x]
+        total = total + own.transpose(0, *(order + 1)).reshape(shape)
+    return total
+
+
+def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Integers | None:
+    """The states of a parent of the same slice, (runs,); None of one of the slice before."""
+    return states[labels[0]] if labels[0] < count else None
+
+
+def _columns(move: Move, children: Integers, parents: Integers | None) -> Array:
+    """The logarithms of p(child | parent) for all parents, or for one, (runs, [parents])."""
+    runs = len(children)
+    found: Array | None = None
+    with np.errstate(divide="ignore"):
+        for each, of in move.maps:
+            here: Any = slice(None) if of is None else of
+            own = np.log(
+                each.parents(children[here])
+                if parents is None
+                else each.entries(parents[here], children[here])
+            )
+            if found is None:
+                found = np.empty((runs, *own.shape[1:]))
+            found[here] = own
+    assert found is not None
+    return found
+
+
+def _selected(table: Array, labels: tuple[int, ...], states: Integers, count: int) -> Array:
+    """A table of logarithms at the known states of its slice, (runs, *parents before)."""
+    runs = states.shape[1]
+    before = [k for k, x in enumerate(labels) if x >= count]
+    now = [k for k, x in enumerate(labels) if x < count]
+    by_run = table.ndim > len(labels)
+    turned = table.transpose(*(len(labels),) * by_run, *now, *before)
+    place = (*(np.arange(runs),) * by_run, *(states[labels[k]] for k in now))
+    found: Array = turned[place]
+    return found

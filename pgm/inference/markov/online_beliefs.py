@@ -1,0 +1,188 @@
+"""The beliefs of an online filter of a discrete dynamic network, and the steps of their lag."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from pgm.display import NoArray, Shown, Summary
+from pgm.errors import EvidenceError
+from pgm.factors import Table
+from pgm.factors.axes import discrete
+from pgm.factors.scope import namesake
+from pgm.immutable import Immutable
+from pgm.inference.markov.chain import TINY, BackwardChain, smallest
+from pgm.inference.markov.plan import SlicePlan, TableSlices
+from pgm.inference.posterior import require_variable
+from pgm.inference.status import Kind, Status
+from pgm.inference.summaries import at_a_step
+from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.variables import Variable
+
+
+class Held(NamedTuple):
+    """A belief over a slice, of sum one, and the weights of its step's measurements so far.
+
+    entries: (*states, *runs), numbers or logarithms.
+    weights: The same; None, if there were no measurements.
+    linear: Whether they are numbers.
+    """
+
+    entries: Array
+    weights: Array | None
+    linear: bool
+
+    @property
+    def semiring(self) -> Semiring:
+        """The semiring of the entries."""
+        return SUM_PRODUCT if self.linear else LOG_SUM_PRODUCT
+
+    def within(self, semiring: Semiring) -> Held:
+        """The held tables and weights, with entries of another semiring."""
+        if semiring.linear == self.linear:
+            return self
+        weights = None if self.weights is None else semiring.entries(self.weights)
+        return Held(semiring.entries(self.entries), weights, semiring.linear)
+
+    @property
+    def numbers(self) -> Array:
+        """The probabilities."""
+        if self.linear:
+            return self.entries
+        with np.errstate(under="ignore"):
+            found: Array = np.exp(self.entries)
+        return found
+
+    @property
+    def loses(self) -> bool:
+        """Whether numbers may have lost a state, so that logarithms are due."""
+        return self.linear and smallest(self.entries) < TINY
+
+
+class Passed(NamedTuple):
+    """A step that lies behind a belief: its own belief, and the transition out of it."""
+
+    held: Held
+    ahead: TableSlices
+
+
+class OnlineStates(Shown, NoArray, Immutable):
+    """The belief of an online filter of a discrete network at one step.
+
+    log_evidence: (*runs): ln p of all measurements so far.
+    status: Tables need no iterations.
+    kind: Filtered after an update, predicted before; of `lagged`, fixed-lag.
+    """
+
+    step: int
+    log_evidence: Array
+    status: Status
+    kind: Kind
+    lead: tuple[int, ...]
+    # A window of steps that are linearised again, which tables need none of.
+    behind: None
+    _plan: SlicePlan
+    _held: Held
+    _trail: tuple[Passed, ...]
+    _lag: int | None
+
+    _arrays: ClassVar[str] = "probabilities by variable, belief[x].probabilities"
+
+    def __init__(
+        self,
+        plan: SlicePlan,
+        step: int,
+        kind: Kind,
+        held: Held,
+        log_evidence: Array,
+        lag: int | None,
+        trail: tuple[Passed, ...] = (),
+    ) -> None:
+        lead = log_evidence.shape
+        status = Status.of([], np.ones(math.prod(lead), dtype=bool), lead)
+        self._set(
+            step=step, kind=kind, log_evidence=frozen(np.asarray(log_evidence)), status=status
+        )
+        self._set(lead=lead, behind=None, _plan=plan, _held=held, _lag=lag, _trail=trail)
+
+    def __getitem__(self, variable: Variable) -> Table:
+        """The marginal of a hidden variable at the belief's step.
+
+        Returns (*runs, size).
+        """
+        plan, template = self._plan, require_variable(variable).template
+        hidden = plan.slice if self.step else plan.states
+        if template not in hidden or variable.step not in (None, self.step):
+            raise EvidenceError(
+                f"the belief at step {self.step} is over {list(hidden)}, not {variable!r}"
+                f"{namesake(variable, hidden)}",
+                variable=variable,
+                step=self.step,
+            )
+        own = plan.labels[template]
+        others = tuple(k for k in range(len(plan.slice)) if k != own)
+        values = self._held.numbers.sum(axis=others) if others else self._held.numbers
+        rows = np.array(values.T).reshape(*self.lead, values.shape[0])
+        return Table._plain(discrete((template,)), frozen(rows))
+
+    @property
+    def lagged(self) -> OnlineStates:
+        """The belief at the step a lag before, given all measurements; at step 0 until then."""
+        if self._lag is None:
+            raise EvidenceError(
+                f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, "
+                "lag=5)",
+                step=self.step,
+            )
+        if not self._trail:
+            return self
+        passed = len(self._trail)
+        values = _Window(self._trail, self._held, self.lead).smoothed()
+        found = Held(values, None, linear=True)
+        kind = Kind(passed + self.kind.lag)
+        return OnlineStates(
+            self._plan, self.step - passed, kind, found, np.array(self.log_evidence), self._lag
+        )
+
+    @property
+    def _title(self) -> str:
+        runs = f", runs {self.lead}" if self.lead else ""
+        return f"OnlineStates({self.kind}, step {self.step}{runs})"
+
+    def _summary(self) -> Summary:
+        hidden = self._plan.slice if self.step else self._plan.states
+        return at_a_step(self._title, self, hidden, self.lead)
+
+
+class _Window:
+    """The steps of a lag, to go back along; forward they have been gone."""
+
+    def __init__(self, passed: Sequence[Passed], last: Held, lead: tuple[int, ...]) -> None:
+        every = [*(each.held for each in passed), last]
+        linear = all(each.linear for each in every)
+        self.semiring = SUM_PRODUCT if linear else LOG_SUM_PRODUCT
+        self.held = [each.within(self.semiring) for each in every]
+        self.ahead = [each.ahead for each in passed]
+        self.steps, self.lead = len(passed), lead
+
+    def smoothed(self) -> Array:
+        """The probabilities of the first step's states, given all of the window."""
+        chain = BackwardChain(self, self.semiring)
+        chain.known = [each.entries for each in self.held]
+        message = chain.unit()
+        for step in range(self.steps - 1, -1, -1):
+            message = chain.back(step, message)
+        return chain.posterior(0, message)
+
+    def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
+        """See `Slices`."""
+        return self.held[step].weights, 0.0
+
+    def backward(self, step: int, message: Array) -> Array:
+        """See `Behind`."""
+        ahead = self.ahead[step - 1].within(self.semiring)
+        return ahead.backward(ahead.first, message)  # whose only row is of its own step

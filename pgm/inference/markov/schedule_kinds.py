@@ -1,0 +1,40 @@
+"""The schedules of chains of finitely many states, on which nothing is linearised."""
+
+from __future__ import annotations
+
+from pgm.compile import BalancedGraph, DynamicGraph
+from pgm.display import titled
+from pgm.errors import GraphError, ModelError
+from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.inference.status import Kind
+
+
+def require_chain(graph: DynamicGraph, beliefs: str) -> None:
+    """Refuse a balanced tree of slices; `beliefs` says what goes along them."""
+    if isinstance(graph, BalancedGraph):
+        raise GraphError(
+            f"{beliefs} go along a chain of slices, which {titled(graph)} is not: leave method= "
+            "out of pgm.compile or pgm.smooth"
+        )
+
+
+def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
+    """The kind of the beliefs that a schedule leaves; smoothed without one."""
+    if schedule is None or type(schedule) is Calibration:
+        schedule = Smoothing() if schedule is None else Smoothing(schedule.iterations)
+    if not isinstance(schedule, Filtering | FixedLag | Smoothing):
+        raise ModelError(
+            f"{beliefs} take pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
+            f"{schedule!r}"
+        )
+    if schedule.gate is not None:
+        raise ModelError(
+            f"{schedule!r}: a gate is for Gaussian beliefs, whose innovations have a covariance; "
+            f"{beliefs} weigh measurements: leave it out"
+        )
+    if schedule.iterations != 1 or schedule.damping:
+        raise ModelError(
+            f"{schedule!r}: {beliefs} need no linearising, so that there is nothing to "
+            "iterate or damp; leave iterations and damping out"
+        )
+    return schedule.kind

@@ -1,0 +1,169 @@
+r"""Guided proposals: particles drawn where the measurements of their step are.
+
+The noise of the transition is white noise w under its root, x_t = f(x_{t−1}) + L w, CPD by CPD. A
+lineariser makes of each particle a chain of one step, begun at the particle, whose Gaussian belief
+given the measurements is one of w,
+
+.. math:: q(w) = N(w;\, A^{-1}(μ^+ - μ^-),\, A^{-1} P^+ A^{-T}), \qquad P^- = A A^T,
+
+μ⁻, P⁻ and μ⁺, P⁺ being the moments of the slice before and after its measurements. w is drawn from
+it, goes through the transition as it is, and counts N(w; 0, I) / q(w): weights are exact, however
+bad the linearisation, and a component without noise stays a function of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.compile import DynamicGraph
+from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD
+from pgm.errors import LinearisationError, ModelError, NumericalError
+from pgm.evidence import BoundEvidence, Reading
+from pgm.inference.argument_checks import require_gaussian, require_plain
+from pgm.inference.chain.moments import MomentChain
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.readings import Moments
+from pgm.inference.particles.laws import Drawing, Some, States
+from pgm.inference.particles.model import ParticleModel
+from pgm.inference.schedule import Filtering
+from pgm.kernels import roots, semidefinite, solving
+from pgm.kernels.arrays import Array, quiet
+from pgm.linearisers import Lineariser
+from pgm.networks import DynamicBayesianNetwork
+
+_ONCE = Filtering()
+# The share of its largest variance by which rounding may leave a covariance indefinite.
+_ROUNDING = 1e-6
+
+
+class Guide:
+    """The proposals of one model."""
+
+    def __init__(self, graph: DynamicGraph, model: ParticleModel, lineariser: Lineariser) -> None:
+        self.graph, self.model, self.lineariser = graph, model, lineariser
+
+    def reads(self, step: int) -> bool:
+        """Whether a step has measurements that can guide: those of Gaussian sensors."""
+        return any(len(sensor.rows(step)) for sensor in self._sensors)
+
+    @property
+    def _sensors(self) -> list[Any]:
+        sensors = self.model.sensors
+        return [s for s in sensors if isinstance(s.reading.cpd, ConditionalGaussian)]
+
+    def steered(self, row: int, some: Some, drawing: Drawing) -> tuple[Steered, Array]:
+        """White noise for particles to be moved to a step, and ln N(w; 0, I) / q(w) of each."""
+        before, after = self._moments(row, some)
+        lower = roots.root(before.cov)
+        free = ~roots.determined(lower)
+        mean = solving.whiten(lower, after.mean - before.mean)
+        cov = _whitened(lower, after.cov)
+        # A direction that the measurements say nothing of is as it was.
+        cov += ~free[..., None] * np.eye(cov.shape[-1])
+        spread = roots.root(semidefinite.semidefinite(cov, _ROUNDING))
+        pivots = np.diagonal(spread, axis1=-2, axis2=-1)
+        if not (np.isfinite(mean).all() and (pivots > 0.0).all()):
+            raise NumericalError(
+                f"the proposals of {self.lineariser!r} at step {some.step} have no support in a "
+                "direction in which the transition has: weights would be infinite; leave "
+                "proposal= out, or give another lineariser",
+                step=some.step,
+            )
+        drawn = drawing.white(mean.shape[-1], some.size, np.float64).T
+        white = mean + np.einsum("mij,mj->mi", spread, drawn)
+        square = np.einsum("mi,mi->m", drawn, drawn) - np.einsum("mi,mi->m", white, white)
+        return Steered(white.T.astype(self.model.dtype)), 0.5 * square + np.log(pivots).sum(axis=-1)
+
+    @quiet()
+    def _moments(self, row: int, some: Some) -> tuple[Moments, Moments]:
+        """The moments (m, n), (m, n, n) of each particle's slice before and after measurements."""
+        plan = self._plan(row, some)
+        chain = MomentChain(plan, _ONCE, keep=False, check=True)
+        layout, places = self.graph.layout, self.model.places
+        mean = np.concatenate([some.before[places[v]] for v in layout.slice], dtype=np.float64)
+        begin = Moments(mean.reshape(-1, *plan.batch), np.zeros((*mean.shape[:1] * 2, *plan.batch)))
+        try:
+            before = chain.predict(1, begin)
+            after, _ = chain.take(1, before)
+        except (LinearisationError, NumericalError) as error:
+            raise type(error)(
+                f"a proposal of {self.lineariser!r}, made of each particle, fails at step "
+                f"{some.step} (its runs are particles here): {error}",
+                variable=error.variable,
+                cpd=error.cpd,
+                step=some.step,
+            ) from error
+        return Moments(*before.by_run), Moments(*after.by_run)
+
+    def _plan(self, row: int, some: Some) -> ChainPlan:
+        """The chain of one step whose runs are particles."""
+
+        def own(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            return values if values.shape[1] == 1 or some.owner is None else values[:, some.owner]
+
+        def reading(found: Reading, rows: range) -> Reading:
+            chosen = slice(rows.start, rows.stop)
+            return replace(
+                found,
+                step=np.ones(len(rows), dtype=np.intp),
+                order=found.order[chosen],
+                values=own(found.values[chosen]),
+                taken=own(found.taken[chosen]),
+                inputs={v: own(a[chosen]) for v, a in found.inputs.items()},
+            )
+
+        bound = self.model.bound
+        transition = tuple(
+            {v: own(a[row : row + 1]) for v, a in inputs.items()} for inputs in bound.transition
+        )
+        readings = tuple(
+            reading(sensor.reading, sensor.rows(some.step))
+            for sensor in self._sensors
+            if len(sensor.rows(some.step))
+        )
+        one = BoundEvidence(1, (some.size,), transition, readings)
+        return ChainPlan.make(
+            self.graph, one, self.lineariser, first=some.step - 1, prior=False, probe=False
+        )
+
+
+class Steered(Drawing):
+    """White noise that was drawn beforehand, (components, m), given out CPD by CPD."""
+
+    def __init__(self, white: States) -> None:
+        super().__init__(())
+        self._left = white
+
+    def white(self, components: int, count: int, dtype: Any) -> States:
+        """The next components."""
+        del count, dtype
+        found, self._left = self._left[:components].copy(), self._left[components:]
+        return found
+
+
+def require_guidable(model: DynamicBayesianNetwork) -> None:
+    """Refuse a network whose transition no Gaussian proposal can be made of."""
+    require_gaussian(model.transition, "proposals of a lineariser")
+    require_plain(model.transition)
+    every: Sequence[CPD] = (*model.transition, *model.observation)
+    for cpd in every:
+        if isinstance(cpd, GaussianCPD) and cpd._lead():
+            raise ModelError(
+                f"{cpd!r} has axes of runs of its own, which proposal= does not take; leave it "
+                "out, or give each run a model",
+                variable=cpd.child,
+                cpd=cpd,
+            )
+
+
+def _whitened(lower: Array, cov: Array) -> Array:
+    """A⁻¹ P A⁻ᵀ, zero in determined components."""
+    free = ~roots.determined(lower)
+    half = solving.solve_lower(lower, cov) * free[..., None]
+    found: Array = solving.solve_lower(lower, half.swapaxes(-1, -2)) * free[..., None]
+    return 0.5 * (found + found.swapaxes(-1, -2))

@@ -1,0 +1,51 @@
+"""The record of a sweep of particles: clouds by step, and what happened to them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.inference.particles.cloud import Cloud
+from pgm.inference.particles.status import ParticleStatus
+from pgm.kernels.arrays import Array
+
+
+class Record:
+    """The clouds of steps, and events of each step and run, (T+1, runs), as of `ParticleStatus`.
+
+    clouds: Given the measurements up to each step.
+    log_density: ln p(z_t | z_0..t−1), estimated.
+    """
+
+    def __init__(self, steps: int, runs: int) -> None:
+        shape = steps + 1, runs
+        self.clouds: list[Cloud] = []
+        self.log_density, self.effective = np.zeros(shape), np.zeros(shape)
+        self.number, self.injected = np.zeros(shape, dtype=int), np.zeros(shape, dtype=int)
+        self.resampled = np.zeros(shape, dtype=bool)
+        self.ignored, self.restarted = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+
+    def keep(self, step: int, predicted: Cloud, known: Cloud, log_density: Array | float) -> None:
+        """Keep a step's cloud given its measurements."""
+        del predicted
+        self.clouds.append(known)
+        self.log_density[step] = log_density
+        self.effective[step], self.number[step] = known.effective, known.counts
+
+    def status(self, lead: tuple[int, ...], unmoved: Array | None = None) -> ParticleStatus:
+        """The status of the sweep, and of trajectories drawn backwards, if there are any."""
+
+        def by_run(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            return np.ascontiguousarray(values.T).reshape(*lead, -1)
+
+        return ParticleStatus(
+            by_run(self.effective),
+            by_run(self.number),
+            by_run(self.resampled),
+            by_run(self.injected),
+            by_run(self.ignored),
+            by_run(self.restarted),
+            None if unmoved is None else by_run(unmoved),
+        )

@@ -1,0 +1,144 @@
+"""The results of parts of the runs, joined to one posterior of them all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from pgm.compile import DynamicGraph
+from pgm.evidence import BoundEvidence
+from pgm.inference.chain.backward import Beliefs, Reverse
+from pgm.inference.chain.fixed_lag import Windows
+from pgm.inference.chain.forward import Filtered, Forward
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.sensor import GateRecord, Sensor
+from pgm.inference.family import Family
+from pgm.inference.status import FILTERED, SMOOTHED, Status
+from pgm.kernels.arrays import Array
+from pgm.linearisers import Lineariser
+
+
+def joined(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    status: Status,
+    found: Sequence[ChainPosterior],
+) -> ChainPosterior:
+    """The posterior of all runs, as one call for them all leaves it."""
+    plan = ChainPlan.make(graph, bound, lineariser, probe=False)
+    return type(found[0])(
+        graph,
+        status,
+        found[0].kind,
+        plan,
+        _swept(plan, found),
+        _along_runs(Beliefs, [each._smoothed for each in found]),
+        _along_runs(Reverse, [each._reverse_given for each in found]),
+        None,
+        _along_runs(Windows, [each._windows for each in found]),
+    )
+
+
+def swept_once(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    status: Status,
+    beliefs: Sequence[Array],
+) -> ChainPosterior:
+    """The posterior of a schedule that linearised once, of its beliefs; a sweep finds the rest."""
+    plan = ChainPlan.make(graph, bound, lineariser, probe=False)
+    mean, cov, log_density, *smoothed = beliefs
+    swept, kind = Filtered(plan, mean, cov, log_density), SMOOTHED if smoothed else FILTERED
+    last = Beliefs(*smoothed) if smoothed else None
+    return ChainPosterior(graph, status, kind, plan, swept, last, None)
+
+
+def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
+    """The forward sweeps of the parts as one; the plan is linearised as they were."""
+    plans = [each._plan for each in found]
+    for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
+        _family(family, families)
+    for sensor, *sensors in zip(plan.sensors, *(p.sensors for p in plans), strict=True):
+        _sensor(sensor, sensors)
+    forward: Forward = _along_runs(Forward, [each._forward for each in found])
+    return forward
+
+
+def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
+    """One status of all runs; a part that was done earlier keeps its last residuals."""
+    every = tuple(statuses)
+    longest = max(len(status.residuals) for status in every)
+    records = []
+    for status in every:
+        record = status.residuals.reshape(len(status.residuals), status.converged.size)
+        last = record[-1:].repeat(longest - len(record), axis=0)
+        records.append(np.concatenate([record, last]))
+    converged = np.concatenate([status.converged.reshape(-1) for status in every])
+    status = Status.of(list(np.concatenate(records, axis=1)), converged, lead)
+    told = {part: None for each in every for part in [each.compilation] if part}
+    status = status.with_compilation("; of other runs ".join(told))
+    if all(each.digits is None for each in every):
+        return status
+    digits = [_digits(each) for each in every]
+    return status.with_digits(np.concatenate(digits).reshape(lead))
+
+
+def _digits(status: Status) -> Array:
+    """The digits of runs; all that float64 has, where they were not measured."""
+    if status.digits is None:
+        return np.full(status.converged.size, -np.log10(np.finfo(np.float64).eps))
+    return status.digits.reshape(-1)
+
+
+def _family(whole: Family, parts: list[Family]) -> None:
+    if not whole.exact:
+        whole.matrix = np.concatenate([part.matrix for part in parts], axis=1)
+        whole.offset = np.concatenate([part.offset for part in parts], axis=1)
+    whole.approximate = any(part.approximate for part in parts)
+    if whole.approximate:
+        whole.noise = np.concatenate([part.noise for part in parts], axis=1)
+
+
+def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
+    whole.moved = np.concatenate([part.moved for part in parts], axis=1)
+    if whole.robust:
+        for name in ("weight", "square"):
+            joined = [getattr(part.weights, name) for part in parts]
+            setattr(whole.weights, name, np.concatenate(joined, axis=1))
+    records = [part.gated for part in parts if part.gated is not None]
+    if records:
+        taken = [part.taken for part in parts if part.taken is not None]
+        whole.taken = np.concatenate(taken, axis=1)
+        whole.gated = GateRecord.joined(records)
+    for step in {step for part in parts for step in part.cross}:
+        some = next(part.cross[step] for part in parts if step in part.cross)
+
+        def cross(part: Sensor, step: int = step, some: Array = some) -> Array:
+            return part.cross.get(step, np.zeros((part.moved.shape[1], *some.shape[1:])))
+
+        whole.cross[step] = np.concatenate([cross(part) for part in parts])
+
+
+def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
+    """An array with the runs as second axis, or a value of such, from those of its parts."""
+    if parts[0] is None:
+        return None
+    if kind in (bool, float):  # of all, or the least
+        return min(parts)
+    if issubclass(kind, np.ndarray):
+        return np.concatenate(parts, axis=1)
+    found = {}
+    for name in getattr(kind, "_fields", None) or [field.name for field in fields(kind)]:
+        values = _each(parts, name)
+        found[name] = _along_runs(type(values[0]), values)
+    return kind(**found)
+
+
+def _each(parts: Sequence[Any], name: str) -> list[Any]:
+    return [getattr(part, name) for part in parts]

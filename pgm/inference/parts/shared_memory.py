@@ -1,0 +1,156 @@
+"""Memory that processes of one machine share, where the system has it (Linux).
+
+A block is a file without a name or a disk, gone when no process has it any more; since the first
+use of fresh memory costs as much as a filter, blocks are kept for the next call with the same
+executor.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import mmap
+import os
+import weakref
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.kernels.arrays import Array
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+
+# Blocks of an executor that wait for its next call.
+_IDLE = 3
+# Blocks that a worker keeps in sight.
+_SEEN = 4
+# Arrays in a block begin at lines of the processor's cache.
+LINE = 64
+
+# Leading axes, the last of runs, and own ones.
+Shape = tuple[tuple[int, ...], tuple[int, ...]]
+
+_NUMBERS = itertools.count()
+_idle: weakref.WeakKeyDictionary[Executor, list[Block]] = weakref.WeakKeyDictionary()
+
+
+class Name(NamedTuple):
+    """The name of a block in other processes: its maker, number, file and size."""
+
+    process: int
+    number: int
+    file: int
+    size: int
+
+    def open(self, size: int | None = None) -> mmap.mmap:
+        """The memory, made larger before if a size is given."""
+        file = os.open(f"/proc/{self.process}/fd/{self.file}", os.O_RDWR)
+        try:
+            if size is not None:
+                os.ftruncate(file, size)
+            return mmap.mmap(file, self.size if size is None else size)
+        finally:
+            os.close(file)
+
+
+@lru_cache(_SEEN)
+def seen(name: Name) -> mmap.mmap:
+    """A shared block mapped in a worker, kept mapped: pages used once cost nothing again."""
+    return name.open()
+
+
+class Block:
+    """A growable block of shared memory."""
+
+    def __init__(self) -> None:
+        self.file = os.memfd_create("pgm")
+        self.number = next(_NUMBERS)
+        self.size = 0
+        self._memory: mmap.mmap | None = None
+        weakref.finalize(self, os.close, self.file)
+
+    @property
+    def name(self) -> Name:
+        """Its name, as it is now."""
+        return Name(os.getpid(), self.number, self.file, self.size)
+
+    def hold(self, size: int, *, anew: bool = False) -> mmap.mmap:
+        """The memory, of so many bytes at least; seen anew, as nobody else sees it."""
+        if size > self.size or not self.size:
+            self.size, self._memory = max(size, 1), None
+            os.ftruncate(self.file, self.size)
+        if anew or self._memory is None:
+            memory = mmap.mmap(self.file, self.size)
+            if anew:
+                return memory
+            self._memory = memory
+        return self._memory
+
+
+class Room:
+    """Uninitialised arrays in one shared block, which workers fill in; kept once it is `done`."""
+
+    def __init__(self, idle: list[Block], shapes: Sequence[Shape]) -> None:
+        sizes = [lines(8 * math.prod(lead) * math.prod(own)) for lead, own in shapes]
+        edges = [0, *itertools.accumulate(sizes)]
+        self.block = borrow(idle, edges[-1])
+        self._memory = self.block.hold(edges[-1], anew=True)
+        self._start = address(np.frombuffer(self._memory, np.uint8))
+        self.arrays: list[Array] = []
+        for ((*before, runs), own), edge in zip(shapes, edges, strict=False):
+            array = np.ndarray((*before, *own, runs), np.float64, self._memory, edge)
+            self.arrays.append(np.moveaxis(array, -1, len(before)))
+
+    def offset(self, array: npt.NDArray[Any]) -> int | None:
+        """The offset of an array; None, if it is of other memory."""
+        found = address(array) - self._start
+        return found if 0 <= found < self.block.size else None
+
+    def done(self, idle: list[Block]) -> None:
+        """Keep the block, once nobody looks at it any more."""
+        weakref.finalize(self._memory, keep, idle, self.block)
+
+
+def idle_blocks(executor: Executor) -> list[Block] | None:
+    """The blocks that wait for an executor's next call; None, if it shares no memory with us."""
+    from concurrent.futures import ProcessPoolExecutor  # here, since few need it
+
+    if not isinstance(executor, ProcessPoolExecutor):
+        return None
+    if not hasattr(os, "memfd_create") or not os.path.isdir("/proc/self/fd"):
+        return None
+    return _idle.setdefault(executor, [])
+
+
+def borrow(idle: list[Block], size: int) -> Block:
+    """The idle block that fits best, or a new one."""
+    fitting = sorted(idle, key=lambda block: (block.size < size, abs(block.size - size)))
+    for block in fitting:
+        try:
+            idle.remove(block)
+        except ValueError:  # another thread was faster
+            continue
+        return block
+    return Block()
+
+
+def keep(idle: list[Block], block: Block) -> None:
+    """Keep a block for another call."""
+    if len(idle) < _IDLE:
+        idle.append(block)
+
+
+def lines(size: int) -> int:
+    """Bytes rounded up to whole cache lines."""
+    return -(-size // LINE) * LINE
+
+
+def address(array: npt.NDArray[Any]) -> int:
+    """The address of an array in this process's memory."""
+    found: int = array.__array_interface__["data"][0]
+    return found

@@ -1,0 +1,176 @@
+"""Summing the variables of a query out, for many runs at once; impossible evidence is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from pgm.cpds import TableCPD
+from pgm.evidence import Evidence
+from pgm.evidence.static import BoundStates
+from pgm.factors.axes import States
+from pgm.factors.scope import in_run, listed, names
+from pgm.inference.discrete.entered_evidence import one_hot
+from pgm.inference.discrete.impossible import ADVICE, OF_RUNS, ImpossibleEvidence
+from pgm.inference.discrete.run_pieces import some_runs
+from pgm.inference.query.plan import EliminationPlan, Step
+from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.variables import Discrete
+
+
+def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
+    """The probabilities of what is asked, (sizes..., runs or 1); NaN where evidence is impossible.
+
+    With logarithms, where a number would be lost to underflow.
+    """
+    try:
+        with np.errstate(all="raise"):
+            table = _result(plan, evidence, SUM_PRODUCT)
+            result: Array = table / table.sum(axis=tuple(range(table.ndim - 1)))
+            return result
+    except FloatingPointError:
+        table = _result(plan, evidence, LOG_SUM_PRODUCT)
+        axes = tuple(range(table.ndim - 1))
+        with np.errstate(invalid="ignore", under="ignore"):
+            probabilities: Array = np.exp(table - LOG_SUM_PRODUCT.total(table, axes, None))
+            return probabilities
+
+
+def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) -> Array:
+    """The table that is left once all steps of a plan are done, (sizes..., runs or 1)."""
+    tables = Tables(plan, evidence, semiring)
+    for step in plan.steps:
+        tables.do(step)
+    return tables.last
+
+
+class Tables:
+    """The tables of an elimination under way, (sizes..., runs or 1)."""
+
+    last: Array
+
+    def __init__(self, plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) -> None:
+        self.plan = plan
+        self.evidence = evidence
+        self.semiring = semiring
+        self._sizes = [v.size for v in plan.order]
+        self._made: dict[int, Array] = {}
+        self._count = len(plan.scopes)
+
+    def do(self, step: Step) -> None:
+        """Make one product, and sum over its first axes."""
+        product: Array | None = None
+        for factor in step.factors:
+            table = self._over(step.scope, *self._take(factor))
+            product = table if product is None else self.semiring.times(product, table)
+        assert product is not None
+        if step.summed:
+            # One axis of all that is summed out.
+            rows = product.reshape(-1, *product.shape[step.summed :])
+            product = self.semiring.total(rows, 0, None)
+        if self.semiring.linear:
+            axes = tuple(range(product.ndim - 1))
+            product = product / np.maximum.reduce(product, axes)
+        self._made[self._count] = self.last = product
+        self._count += 1
+
+    def _take(self, factor: int) -> tuple[Sequence[int], Array]:
+        """A table and its variables; what a step made is used once, and not kept."""
+        plan = self.plan
+        first = len(plan.scopes)
+        if factor >= first:
+            step = plan.steps[factor - first]
+            return step.scope[step.summed :], self._made.pop(factor)
+        cpds = plan.requisite.cpds
+        if factor < len(cpds):
+            table = self._reduced(cpds[factor], plan.requisite.open[factor], plan.scopes[factor])
+        else:
+            table = self._weights(plan.weighted[factor - len(cpds)])
+        return plan.scopes[factor], self.semiring.entries(table)
+
+    def _reduced(self, cpd: TableCPD, unknown: Sequence[Discrete], scope: Sequence[int]) -> Array:
+        """A CPD's table at the states of the known variables, (hidden sizes..., runs or 1)."""
+        states = self.evidence.states
+        index: list[int | slice] = []
+        left: list[Discrete] = []
+        by_run: list[Discrete] = []
+        for variable in (*cpd.given, cpd.child):
+            # A variable of a single state has that, observed or not.
+            state = 0 if variable.size == 1 else states.get(variable)
+            if isinstance(state, int):
+                index.append(state)
+                continue
+            index.append(slice(None))
+            left.append(variable)
+            if variable not in unknown:
+                by_run.append(variable)
+        table = cpd.table[tuple(index)]
+        order = [left.index(self.plan.order[k]) for k in scope]
+        table = table.transpose(*order, *(left.index(v) for v in by_run))
+        if not by_run:
+            return table[..., None]
+        reduced: Array = table[(..., *(states[v] for v in by_run))]
+        return reduced
+
+    def _weights(self, variable: Discrete) -> Array:
+        """The weights (states, runs) of evidence for a variable not known in all runs."""
+        soft = self.evidence.weights.get(variable)
+        if soft is not None:
+            return soft.T
+        return one_hot(np.asarray(self.evidence.states[variable]), variable.size)
+
+    def _over(self, scope: Sequence[int], own: Sequence[int], table: Array) -> Array:
+        """A view with an axis for each variable of a scope, of length one where it is new."""
+        if len(own) == len(scope):
+            return table
+        members = set(own)
+        shape = [self._sizes[k] if k in members else 1 for k in scope]
+        return table.reshape((*shape, table.shape[-1]))
+
+
+def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
+    """Refuse evidence of probability zero, where probabilities (sizes..., runs or 1) are NaN."""
+    lost = np.asarray(np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1))))
+    if not lost.any():
+        return
+    first = int(lost.argmax())
+    involved, scope = _contradiction(plan, first)
+    where = in_run(lost.reshape(plan.requisite.evidence.lead))
+    lead = plan.requisite.evidence.lead
+    raise ImpossibleEvidence(
+        f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
+        f"for all states of ({listed(scope)}) are impossible given it. {ADVICE}"
+        f"{OF_RUNS if lead else ''}",
+        lost,
+        lead,
+        variable=involved[0],
+    )
+
+
+def _contradiction(plan: EliminationPlan, run: int) -> tuple[list[Discrete], States]:
+    """The evidence that the first product of zeros is made of, and that product's variables."""
+    evidence = some_runs(plan.requisite.evidence, slice(run, run + 1))
+    tables = Tables(plan, evidence, LOG_SUM_PRODUCT)
+    first, cpds = len(plan.scopes), plan.requisite.cpds
+    for lost, step in enumerate(plan.steps, first):  # noqa: B007, used after the loop
+        tables.do(step)
+        if (tables.last == -np.inf).all():
+            break
+    waiting, members = [lost], set[Discrete]()
+    while waiting:
+        factor = waiting.pop()
+        if factor >= first:
+            waiting += plan.steps[factor - first].factors
+        elif factor < len(cpds):
+            members.update((*cpds[factor].given, cpds[factor].child))
+        else:
+            members.add(plan.weighted[factor - len(cpds)])
+    shown = [v for v, s in evidence.states.items() if np.min(s) >= 0 and v in members]
+    soft = [v for v in evidence.weights if v in members]
+    return shown + soft, tuple(plan.order[k] for k in step.scope)
+
+
+NOTHING: Evidence = MappingProxyType({})

@@ -1,0 +1,73 @@
+"""Files of networks told by how they begin: for files that were given to another reader."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from pgm.io.sources import Content, line_of
+
+BIF, XMLBIF, UAI = "BIF", "XMLBIF", "UAI"
+# How much of a file is looked at, in characters or bytes.
+HEAD = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A format by its beginning, behind white space and comments, and the way to read it."""
+
+    name: str
+    begins: re.Pattern[str]
+    remedy: str
+
+
+_BY_PYAGRUM = (
+    "it is not read here, and pyAgrum makes a BIF file of it, for pgm.read_bif: "
+    "pyagrum.saveBN(pyagrum.loadBN({0!r}), 'network.bif')"
+)
+_BY_GENIE = "it is not read here; GeNIe opens it, and saves it as Hugin's .net, of which pyAgrum's "
+_BY_GENIE += "loadBN and saveBN make a BIF file"
+
+
+def _format(name: str, begins: str, remedy: str) -> Format:
+    return Format(name, re.compile(begins, re.IGNORECASE), remedy)
+
+
+FORMATS = {
+    BIF: _format("a BIF file", r"(?:network\b[^{]*|variable\s[^{]*)\{", "pgm.read_bif reads it"),
+    XMLBIF: _format("an XMLBIF file", r"<BIF\b", "pgm.read_xmlbif reads it"),
+    UAI: _format("a UAI file", r"(?:BAYES|MARKOV)\s", "pgm.read_uai reads it"),
+    "XDSL": _format("a GeNIe file (XDSL)", r"<smile\b", _BY_PYAGRUM.format("network.xdsl")),
+    "DSL": _format("a GeNIe file (DSL)", r"net\s+\w+\s*\{", _BY_PYAGRUM.format("network.dsl")),
+    "NET": _format(
+        "a Hugin file (NET)",
+        r"net\s*\{|class\s+\w+\s*\{|node\s+\w+\s*\{",
+        _BY_PYAGRUM.format("network.net"),
+    ),
+    "DNE": _format("a Netica file (DNE)", r"bnet\s+\w+\s*\{", _BY_GENIE),
+    "DSC": _format("a Microsoft belief network (DSC)", r"belief\s+network\b", _BY_GENIE),
+    "XBN": _format("a Microsoft belief network (XBN)", r"<ANALYSISNOTEBOOK\b", _BY_GENIE),
+    "ARFF": _format(
+        "a table of records of Weka (ARFF), and no network",
+        r"@relation\b",
+        "scipy.io.arff.loadarff reads it, for pgm.records; Weka saves networks as XMLBIF, for "
+        "pgm.read_xmlbif",
+    ),
+}
+# White space, comments of all of these formats, and the head of an XML file; none is tried twice.
+_BEFORE = re.compile(
+    r"(?:\s++|//[^\r\n]*+|[%#][^\r\n]*+|/\*(?s:.*?)\*/|<\?(?s:.*?)\?>|<!--(?s:.*?)-->"
+    r"|<!DOCTYPE[^\[>]*+(?:\[[^\]]*+\]\s*+)?>)*+"
+)
+
+
+def refuse_others(content: Content, own: str) -> None:
+    """Refuse a file that begins as one of another format, and say which reader takes it."""
+    data = content.data[:HEAD]
+    text = data if isinstance(data, str) else data.decode("utf-8-sig", errors="replace")
+    text = text.removeprefix("\ufeff")
+    before = _BEFORE.match(text)
+    start = before.end() if before else 0
+    for key, each in FORMATS.items():
+        if key != own and each.begins.match(text, start):
+            raise content.origin.fault(f"it is {each.name}; {each.remedy}", line_of(text, start))

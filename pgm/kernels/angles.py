@@ -1,0 +1,37 @@
+"""Angles in radians: equal ones in [−π, π), differences, and the branch nearest a reference."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels.arrays import Array, Mask
+
+TURN = 2.0 * np.pi
+
+
+def wrap(angle: Array) -> Array:
+    """The equal angle in [−π, π)."""
+    wrapped = angle - TURN * np.floor((angle + np.pi) / TURN)  # a remainder takes thrice as long
+    # Rounding can pass either end by a last digit.
+    return np.where((wrapped < -np.pi) | (wrapped >= np.pi), -np.pi, wrapped)
+
+
+def difference(a: Array, b: Array, angles: Mask) -> Array:
+    """The difference a − b, (..., d), with the components that are angles wrapped to [−π, π)."""
+    delta = np.asarray(a - b)
+    for k in np.flatnonzero(angles):
+        delta[..., k] = wrap(delta[..., k])
+    return delta
+
+
+def nearest_branch(value: Array, reference: Array, angles: Mask) -> Array:
+    """The value, (..., d), its angles moved by whole turns to within π of the reference's."""
+    places = np.flatnonzero(angles)
+    if not places.size:
+        return value
+    shape = np.broadcast_shapes(value.shape, reference.shape)
+    moved = np.empty_like(reference, shape=shape)  # in memory as the reference is
+    moved[...] = value
+    for k in places:
+        moved[..., k] += TURN * np.round((reference[..., k] - moved[..., k]) / TURN)
+    return moved

@@ -1,0 +1,81 @@
+"""Linear models of functions by regression on sigma points."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, apply, transpose
+
+
+def regress(
+    s: Array,
+    values: Array,
+    mean_weights: Array,
+    cov_weights: Array,
+    lower: Array,
+    *,
+    known: bool = False,
+) -> tuple[Array, Array, Array]:
+    """The line through values (..., N, d) at points s (..., N, n) of N(0, I).
+
+    Returns the slope J (..., d, n), the line's value at s = 0, (..., d), and the covariance of what
+    the line leaves, (..., d, d). Components of s that a root L does not use have no part in it. The
+    mean and covariance of s are those of the sample, or, where `known`, 0 and I; what is left may
+    then be indefinite.
+    """
+    value_mean, s_mean = mean_weights @ values, mean_weights @ s
+    deviation, ds = values - value_mean[..., None, :], s - s_mean[..., None, :]
+    unused = roots.determined(lower)
+    if unused.any():
+        ds = np.where(unused[..., None, :], 0.0, ds)
+    weighted = transpose(cov_weights[:, None] * ds)
+    moment = weighted @ deviation
+    if known:
+        spread = transpose(cov_weights[:, None] * deviation) @ deviation
+        return transpose(moment), value_mean, spread - transpose(moment) @ moment
+    normal = weighted @ ds
+    if unused.any():
+        normal = normal + unused[..., None] * np.eye(unused.shape[-1])
+    slope = transpose(np.asarray(np.linalg.solve(normal, moment), dtype=np.float64))
+    left = deviation - ds @ transpose(slope)
+    noise = transpose(cov_weights[:, None] * left) @ left
+    return slope, value_mean - apply(slope, s_mean), noise
+
+
+class Fit(NamedTuple):
+    """The regression on points that do not change: linear in the values, but for a square.
+
+    `rows` (N, N) times N values Y has the line's value at s = 0, its slope in n rows, and N − n − 1
+    rows R: what the line leaves has the covariance Rᵀ diag(signs) R. Signs None are all one.
+    """
+
+    rows: Array
+    signs: Array | None
+
+
+def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
+    """The `regress` of points s (N, n) of which every component is used."""
+    count, size = s.shape
+    s_mean = mean_weights @ s
+    ds = s - s_mean
+    weighted = transpose(cov_weights[:, None] * ds)
+    deviation = np.eye(count) - mean_weights
+    slope = np.asarray(np.linalg.solve(weighted @ ds, weighted @ deviation), dtype=np.float64)
+    left = deviation - ds @ slope
+    # As many squares as there are points more than a line passes through.
+    values, vectors = np.linalg.eigh(transpose(left) @ (cov_weights[:, None] * left))
+    largest = np.argsort(np.abs(values))[size + 1 :]
+    root = (np.sqrt(np.abs(values)) * vectors)[:, largest].T
+    moments = np.vstack([mean_weights - s_mean @ slope, slope])
+    signs = np.sign(values[largest])
+    return Fit(np.vstack([moments, root]), None if (signs > 0.0).all() else signs)
+
+
+def range_inverse(lower: Array, std: Array) -> tuple[Array, Array]:
+    """A pseudo-inverse of a root, in deviations, and the projector onto what it does not reach."""
+    unit = np.where(std > 0.0, std, 1.0)
+    inverse = np.linalg.pinv(lower / unit[..., None], rcond=1e-10) / unit[..., None, :]
+    return inverse, np.eye(lower.shape[-1]) - lower @ inverse

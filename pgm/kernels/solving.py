@@ -1,0 +1,102 @@
+"""Linear equations, gains and determinants of covariances, by their roots.
+
+A root L, L Lᵀ = P, is lower triangular, with a zero column for each component that those before it
+determine (`roots`). Equations are solved over the other components; of a singular P the solution is
+one of many, and a gain C P⁺ is the same for all of them where the rows of C lie in its range.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels.arrays import (
+    Array,
+    Mask,
+    transpose,
+    variances,
+)
+from pgm.kernels.roots import NEGLIGIBLE, determined
+
+# From this many matrices on, one vectorised operation a column beats one LAPACK call a matrix.
+_MANY = 16
+
+
+def _regular(lower: Array, fixed: Mask) -> Array:
+    """The root with ones in place of its zero pivots, so that it can be divided by."""
+    if not fixed.any():
+        return lower
+    return lower + fixed[..., None] * np.eye(lower.shape[-1])
+
+
+def solve_lower(lower: Array, right: Array) -> Array:
+    """The Y with L Y = B, (..., n, m); in determined rows what is left of B."""
+    return _solve(_regular(lower, determined(lower)), right, range(lower.shape[-1]))
+
+
+def solve_upper(lower: Array, right: Array) -> Array:
+    """The X with Lᵀ X = B, (..., n, m), zero in rows of determined components."""
+    fixed = determined(lower)
+    if fixed.any():
+        right = np.where(fixed[..., None], 0.0, right)
+    return _solve(transpose(_regular(lower, fixed)), right, range(lower.shape[-1])[::-1])
+
+
+def _solve(triangle: Array, right: Array, order: range) -> Array:
+    """Solve with regular triangular matrices; row by row, in this order, where they are many."""
+    if triangle.size < _MANY * len(order) ** 2:
+        return np.asarray(np.linalg.solve(triangle, right), dtype=np.float64)
+    batch = triangle.shape[:-2]
+    if right.shape[:-2] != batch:
+        batch = np.broadcast_shapes(batch, right.shape[:-2])
+        right = np.broadcast_to(right, (*batch, *right.shape[-2:]))
+    solution = right.copy(order="K")  # in memory as the right side is
+    for done, j in enumerate(order):
+        row = solution[..., j, :]
+        for k in order[:done]:
+            row -= triangle[..., j, k, None] * solution[..., k, :]
+        row /= triangle[..., j, j, None]
+    return solution
+
+
+def solve(lower: Array, right: Array) -> Array:
+    """Some X with L Lᵀ X = B, (..., n, m), for a B in the range of L Lᵀ."""
+    return solve_upper(lower, solve_lower(lower, right))
+
+
+def regression(cross: Array, cov: Array) -> Array:
+    """The gain C P⁺ of a cross-covariance C, (..., m, n), P⁺ in units of deviations."""
+    variance = variances(cov)
+    unit = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    correlation = cov / (unit[..., :, None] * unit[..., None, :])
+    inverse = np.linalg.pinv(correlation, rcond=NEGLIGIBLE, hermitian=True)
+    found: Array = (cross / unit[..., None, :]) @ inverse / unit[..., None, :]
+    return found
+
+
+def gain(cross: Array, lower: Array, cov: Array | None = None) -> Array:
+    """C P⁺ for P = L Lᵀ and a cross-covariance C, (..., m, n), whose rows lie in the range of P.
+
+    With P itself, by `regression` where its root was lost to rounding.
+    """
+    result = transpose(solve(lower, transpose(cross)))
+    if cov is not None:
+        lost = np.isnan(lower).any(axis=(-2, -1))
+        if lost.any():
+            result[lost] = regression(cross[lost], cov[lost])
+    return result
+
+
+def whiten(lower: Array, residual: Array) -> Array:
+    """L⁻¹ r, (..., n), zero in determined components."""
+    white = solve_lower(lower, residual[..., None])[..., 0]
+    return np.where(determined(lower), 0.0, white)
+
+
+def log_determinant(lower: Array) -> Array:
+    """The value ln |L Lᵀ| over the components that are not determined, (...)."""
+    pivots = np.diagonal(lower, axis1=-2, axis2=-1)
+    fixed = pivots == 0.0
+    if fixed.any():
+        pivots = np.where(fixed, 1.0, pivots)
+    total: Array = np.log(pivots).sum(axis=-1)
+    return 2.0 * total

@@ -1,0 +1,42 @@
+"""Block tridiagonal equations, as the normal equations of a chain are, solved as a band matrix."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.kernels.arrays import (
+    Array,
+    room,
+)
+
+
+class Tridiagonal(NamedTuple):
+    """The symmetric equations Aₖ₋₁ᵀ xₖ₋₁ + Dₖ xₖ + Aₖ xₖ₊₁ = rₖ, for stacks with the steps k first.
+
+    D (N, R, n, n) is positive definite as a whole.
+    """
+
+    diagonal: Array
+    above: Array
+    right: Array
+
+
+def solve_tridiagonal(system: Tridiagonal) -> Array:
+    """The solution, (N, R, n); NaN in runs whose system is not positive definite."""
+    from scipy.linalg.lapack import dpbsv  # here, since LAPACK is slow to import
+
+    steps, runs, size = system.right.shape
+    solution = room((steps, runs), (size,))
+    band = np.zeros((steps, size, 2 * size))
+    for run in range(runs):
+        # Column (k, j) of the matrix, from its diagonal entry down.
+        for j in range(size):
+            band[:, j, : size - j] = system.diagonal[:, run, j:, j]
+            band[:-1, j, size - j : 2 * size - j] = system.above[:, run, j, :]
+        columns = band.reshape(steps * size, 2 * size).T
+        right = np.array(system.right[:, run]).reshape(-1)
+        _, found, failed = dpbsv(columns, right, lower=1)
+        solution[:, run] = np.nan if failed else found.reshape(steps, size)
+    return solution

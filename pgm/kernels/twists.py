@@ -1,0 +1,72 @@
+"""Motions (forward, left, turn) in the plane: composed, turned back, and divided along their arcs.
+
+A steady motion, with twist τ = (v, w, φ) over its whole time, has after the share s of it made
+
+    [forward; left] = s sinc(s φ / 2) R(s φ / 2) [v; w],    turn = s φ,
+
+where sinc a = sin a / a and R is a rotation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels.angles import TURN, wrap
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.rigid import turned
+
+# Whole turns have no arc that ends elsewhere; of turns nearer to one it would be huge.
+WHOLE = TURN * (1.0 - 1e-6)
+
+
+def motions(twists: Array, share: Array | float = 1.0) -> Array:
+    """The motions (..., 3) that shares of steady ones, with twists (..., 3), are."""
+    half = 0.5 * share * twists[..., 2]
+    chord = turned(twists[..., :2], half) * (share * _sinc(half))[..., None]
+    return np.concatenate([chord, np.asarray(share * twists[..., 2])[..., None]], axis=-1)
+
+
+def twists(steady: Array) -> Array:
+    """The twists (..., 3) of steady motions (..., 3) that turn by less than `WHOLE`."""
+    half = 0.5 * steady[..., 2]
+    chord = turned(steady[..., :2], -half) / _sinc(half)[..., None]
+    return np.concatenate([chord, steady[..., 2:]], axis=-1)
+
+
+def composed(parts: Array, first: Integers) -> Array:
+    """The motions (m, 3) of rows of parts (n, 3), each beginning at its place in `first`."""
+    after = np.cumsum(parts[:, 2])
+    before = after - parts[:, 2]
+    counts = np.diff(first, append=len(parts))
+    facing = before - np.repeat(before[first], counts)
+    steps = np.concatenate([turned(parts[:, :2], facing), parts[:, 2:]], axis=1)
+    return np.add.reduceat(steps, first)
+
+
+def path(start: Array, parts: Array) -> Array:
+    """The poses (n + 1, 3) from a start (3,) on, motion (n, 3) after motion."""
+    headings = start[2] + np.concatenate([[0.0], np.cumsum(parts[:, 2])])
+    steps = np.cumsum(turned(parts[:, :2], headings[:-1]), axis=0)
+    return np.column_stack([np.concatenate([start[None, :2], start[:2] + steps]), headings])
+
+
+def between(poses: Array) -> Array:
+    """The motions (n − 1, 3) from each pose (n, 3) to the next, turning by half a turn at most."""
+    away = np.diff(poses, axis=0)
+    return np.column_stack([turned(away[:, :2], -poses[:-1, 2]), wrap(away[:, 2])])
+
+
+def inverse(motions: Array) -> tuple[Array, Array]:
+    """The motions (n, 3) back, and their derivatives by those there, (n, 3, 3)."""
+    ahead, left = turned(-motions[:, :2], -motions[:, 2]).T
+    slope = np.zeros((len(motions), 3, 3))
+    slope[:, 0, 0] = slope[:, 1, 1] = -np.cos(motions[:, 2])
+    slope[:, 1, 0] = np.sin(motions[:, 2])
+    slope[:, 0, 1] = -slope[:, 1, 0]
+    slope[:, 0, 2], slope[:, 1, 2], slope[:, 2, 2] = left, -ahead, -1.0
+    return np.column_stack([ahead, left, -motions[:, 2]]), slope
+
+
+def _sinc(angle: Array) -> Array:
+    found: Array = np.sinc(angle / np.pi)
+    return found

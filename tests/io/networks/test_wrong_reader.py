@@ -1,0 +1,55 @@
+"""Files that were given to another reader: what they are, and where to go."""
+
+import gzip
+import io
+
+import pytest
+
+import pgm
+
+XML = '<?xml version="1.0" encoding="UTF-8"?>\n<!-- made by hand -->\n'
+FILES = {
+    "Hugin": ("% a comment\nnet\n{\n  node_size = (80 40);\n}\nnode A\n{\n}\n", 2, "loadBN"),
+    "Hugin .*NET": ("class Sprinkler {\n}\n", 1, "pgm.read_bif"),
+    "GeNIe .*XDSL": (XML + '<smile version="1.0" id="n"></smile>\n', 3, "pgm.read_bif"),
+    "GeNIe .*DSL": ("net Asia\n{\n HEADER = {}\n}", 1, "network.dsl"),
+    "Netica": ("// ~->[DNET-1]->~\n\nbnet Asia {\n};\n", 3, "GeNIe opens it"),
+    "Microsoft .*DSC": ('belief network "asia"\nnode a {}\n', 1, "GeNIe opens it"),
+    "Microsoft .*XBN": ("<ANALYSISNOTEBOOK ROOT='a'>", 1, "GeNIe opens it"),
+    "Weka": ("% 1. Title\n@RELATION iris\n@DATA\n", 2, "loadarff"),
+}
+OURS = {
+    pgm.read_bif: "/* a\nb */ network n {\n}\nvariable a {\n}\n",
+    pgm.read_xmlbif: XML
+    + "<!DOCTYPE BIF [\n<!ELEMENT BIF (NETWORK)*>\n]>\n<BIF VERSION='0.3'></BIF>",
+    pgm.read_uai: "# a comment\n#\nBAYES\n1\n2\n1\n1 0\n2\n0.5 0.5\n",
+}
+
+
+@pytest.mark.parametrize("kind", FILES)
+@pytest.mark.parametrize("reader", OURS)
+def test_files_of_other_programs(kind, reader):
+    text, line, remedy = FILES[kind]
+    packed = io.BytesIO(gzip.compress(("\ufeff" + text).replace("\n", "\r\n").encode()))
+    for file in (io.StringIO(text), packed):
+        with pytest.raises(pgm.FileError, match=rf"it is a.* {kind}.*{remedy}") as caught:
+            reader(file)
+        assert caught.value.line == line
+
+
+@pytest.mark.parametrize("reader", OURS)
+@pytest.mark.parametrize("due", OURS)
+def test_files_of_each_other(reader, due):
+    if reader is due:
+        return
+    with pytest.raises(pgm.FileError, match=rf"pgm\.{due.__name__} reads it"):
+        reader(io.StringIO(OURS[due]))
+
+
+def test_the_line_behind_comments():
+    with pytest.raises(pgm.FileError, match="Markov network") as caught:
+        pgm.read_uai(io.StringIO("#\n# an example\n#\nMARKOV\n1\n2\n"))
+    assert caught.value.line == 4
+    with pytest.raises(pgm.FileError, match="expected BAYES") as caught:
+        pgm.read_uai(io.StringIO("#\n\nBAYESIAN\n"))
+    assert caught.value.line == 3

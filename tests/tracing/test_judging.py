@@ -1,0 +1,185 @@
+"""Traces that decide by numbers that tracing cannot follow, and slopes whose formula cancels."""
+
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import pgm
+from pgm.kernels import differences
+from pgm.tracing import Answers, Tracer
+
+NUMBA = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
+S, U, Y = pgm.variables("s u y")
+
+
+def by_asarray(s, u):
+    gear = np.asarray(u, dtype=float)
+    return np.where(gear == 2, 2.0 * s, 0.5 * s)
+
+
+def by_array(s, u):
+    return np.where(np.array(u, float) > 1.5, 2.0 * s, 0.5 * s)
+
+
+def by_buffer(s, u):
+    held = np.zeros(u.shape)
+    held[...] = u
+    return np.where(held == 2, 2.0 * s, 0.5 * s)
+
+
+def by_empty(s, u):
+    held = np.empty((*u.shape[:-1], 2))
+    held[..., 0], held[..., 1] = u[..., 0], 0.5
+    return np.where(held[..., :1] == 2, 2.0 * s, held[..., 1:] * s)
+
+
+def by_astype(s, u):
+    return np.where(u.astype(float) == 2, 2.0 * s, 0.5 * s)
+
+
+def by_table(s, u):
+    return np.array([0.5, 0.5, 2.0])[np.asarray(u, dtype=float).clip(0, 2).astype(int)] * s
+
+
+FROZEN = [by_asarray, by_array, by_buffer, by_empty, by_astype, by_table]
+GEARS = np.array([[0.0], [0], [2], [2], [2]])
+
+
+@pytest.mark.parametrize("function", FROZEN)
+@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("runs", [(), (3,), (12,)])
+def test_a_comparison_on_a_float_copy_is_not_frozen(function, rule, compiled, runs):
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(S, 1.0, 1.0)],
+        [pgm.NonlinearGaussianCPD(S, (S.previous, U), function, cov=1e-3)],
+        [],
+    )
+    gears = np.broadcast_to(GEARS, (*runs, 5, 1))
+    found = pgm.filter(model, {U: gears}, lineariser=rule, compiled=compiled)[S]
+    variance = 1.0
+    for gain in (0.5, 0.5, 2.0, 2.0, 2.0):
+        variance = gain**2 * variance + 1e-3
+    assert_allclose(found.mean[..., -1, 0], np.full(runs, 2.0), rtol=1e-9)
+    assert_allclose(found.cov[..., -1, 0, 0], np.full(runs, variance), rtol=1e-7)
+
+
+def test_online_a_comparison_on_a_float_copy_is_not_frozen():
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(S, 1.0, 1.0)],
+        [pgm.NonlinearGaussianCPD(S, (S.previous, U), by_asarray, cov=1e-3)],
+        [],
+    )
+    for compiled in (False, True) if find_spec("numba") else (False,):
+        robot = pgm.OnlineFilter(model, compiled=compiled)
+        belief, due = robot.initial(), 1.0
+        for gear in [0.0] * 12 + [2.0] * 9:
+            belief, due = robot.predict(belief, {U: np.array([gear])}), due * (2 if gear else 0.5)
+            assert_allclose(belief[S].mean, [due], rtol=1e-9)
+
+
+def turn(x, v=10.0, dt=1.0):
+    """A move along an arc, straight where the turn rate is nearly zero."""
+    e, n, h, w = (x[..., k] for k in range(4))
+    small = np.abs(w) < 1e-9
+    s = np.where(small, 1.0, w)
+    de = np.where(small, v * dt * np.cos(h), v / s * (np.sin(h + w * dt) - np.sin(h)))
+    dn = np.where(small, v * dt * np.sin(h), v / s * (np.cos(h) - np.cos(h + w * dt)))
+    return np.stack([e + de, n + dn, h + w * dt, w], -1)
+
+
+def turn_slope(h, w, v=10.0):
+    """The exact slopes of the place by the turn rate, by a series near zero."""
+    order = np.arange(1, 12)
+    powers = w ** (order - 1) / np.cumprod(np.r_[order + 1]) * order
+    # d/dw (sin(h + w) − sin h)/w, term by term of the Taylor series about h.
+    east = np.array([np.sin(h + (k + 1) * np.pi / 2) for k in order])
+    north = np.array([-np.cos(h + (k + 1) * np.pi / 2) for k in order])
+    return v * (powers @ east), v * (powers @ north)
+
+
+W = pgm.Variable("x", components=("e", "n", "h", "w"), angles=("h",))
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-12, 2e-9, -1e-8, 1e-7, 1e-3])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("runs", [(), (12,)])
+def test_slopes_through_a_removable_singularity(rate, compiled, runs):
+    mean = np.broadcast_to([0.0, 0.0, 0.3, rate], (*runs, 4))
+    spread = [0.01, 0.01, 1e-4, 0.04]
+    move = pgm.NonlinearGaussianCPD(W, W.previous, turn, cov=1e-4)
+    model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(W, mean, spread)], [move], [])
+    found = pgm.filter(model, {}, steps=1, compiled=compiled)[W].cov[..., 1, :, :]
+    east, north = turn_slope(0.3, rate)
+    due = np.array([0.04 * east, 0.04 * north])
+    assert_allclose(found[..., :2, 3], np.broadcast_to(due, (*runs, 2)), rtol=2e-3)
+    if abs(rate) < 1e-7:
+        assert "formula cancels" in move.derivatives.reason
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        np.abs,
+        lambda x: np.maximum(x, 0.0),
+        np.round,
+        lambda x: np.floor(10.0 * x) / 10.0,
+        lambda x: np.where(x > 0.3, 2.0 * x, x),
+        lambda x: np.sin(50.0 * x),
+        lambda x: x + 5e6,
+        lambda x: 1e-12 * np.cos(x),
+        lambda x: np.sinc(x),
+        lambda x: x * 0.0,
+        np.exp,
+        lambda x: 1e8 * np.tanh(1e-3 * x),
+        lambda x: np.sqrt(np.abs(x) + 1e-9),
+    ],
+)
+@pytest.mark.parametrize("std", [1e-6, 0.3, 1e4])
+def test_right_traces_stay(function, std):
+    """At kinks and steps, for wide beliefs and narrow ones, far and small values."""
+    move = pgm.NonlinearGaussianCPD(Y, S, function, cov=0.01)
+    found = (
+        Answers(move._tracer, ((0, 0),), (0,), (0.01,))
+        if move._tracer.confirm([np.zeros(1)])
+        else pytest.fail(move._tracer.reason)
+    )
+    rng = np.random.default_rng(3)
+    for x in np.r_[0.0, 0.3, 1e3, std * rng.normal(size=30)]:
+        found.single([np.array([x])], np.array([[std**2]]))
+    found.batch([std * rng.normal(size=(40, 1))], (40,), np.full((40, 1), std))
+    found.close()
+    assert found.fault is None
+
+
+def test_wrong_slopes_are_told_with_their_point():
+    tracer = Tracer(
+        lambda x: np.where(x == 0.0, 0.0, (np.cos(x) - 1.0) / x), (1,), np.array([False])
+    )
+    assert tracer.confirm([np.ones(1)])
+    found = Answers(tracer, ((0, 0),), (0,), (0.0,))
+    _, slope, finite = found.single([np.array([1e-9])], np.array([[0.01]]))
+    assert finite
+    assert abs(slope[0, 0] + 0.5) > 0.1  # which is what is to be found
+    found.close()
+    assert "[1e-09]" in found.fault
+    assert "[-0.5]" in found.fault
+
+
+def test_a_large_batch_is_judged_at_a_sample_only_where_the_trace_shows_all():
+    for function, sampled in ((np.sin, True), (lambda x: np.asarray(x, dtype=float), False)):
+        move = pgm.NonlinearGaussianCPD(Y, S, function, cov=0.01)
+        judge = pgm.tracing.Judge()
+        found = judge.asked(move._tracer, [np.zeros(1)], ((0, 0),), (0,), (0.01,), 10**6)
+        assert found.sampled == sampled
+        assert (found.sample(np.arange(10**5)).size < 10**4) == sampled
+
+
+def test_finer_differences():
+    x, std = np.array([0.3]), np.array([0.5])
+    each = [differences.jacobian(np.sin, x, std, np.array([False]), finer) for finer in (1.0, 0.01)]
+    assert_allclose(each[0], [[np.cos(0.3)]], rtol=1e-9)
+    assert_allclose(each[1], [[np.cos(0.3)]], rtol=1e-9)
+    assert differences.steps(x, std, 0.01) == [5e-5]
