@@ -56,7 +56,8 @@ def whole(ahead: Ahead) -> Forward:
     """All of a forward pass."""
     if isinstance(ahead, Scanned):
         predicted = ahead.predicted_mean, ahead.predicted_cov
-        return Forward(*predicted, ahead.mean, ahead.cov, ahead.log_density(), float(ahead.agrees))
+        closest = 1.0 / certificate.GENTLE if ahead.agrees else 0.0
+        return Forward(*predicted, ahead.mean, ahead.cov, ahead.log_density(), closest)
     assert isinstance(ahead, Forward)
     return ahead
 
