@@ -338,9 +338,8 @@ def _each(body, get):
     def moved(x, u):
         if x.ndim == 1:
             return body(x, u, get())
-        return np.stack(
-            [moved(a, b) for a, b in zip(x, np.broadcast_to(u, (*x.shape[:-1], u.shape[-1])))]
-        )
+        wide = np.broadcast_to(u, (*x.shape[:-1], u.shape[-1]))
+        return np.stack([moved(a, b) for a, b in zip(x, wide, strict=True)])
 
     return moved
 
@@ -552,5 +551,6 @@ def draw(rng: np.random.Generator, n: int, m: int) -> Drawn:
         return output(parts)
 
     get, change = holder(old, new)
-    name = f"{bodies} x:{read_x} u:{read_u} {decides}{' by state' * by_state} -> {writes}; {wraps}, {holds}"
+    name = f"{bodies} x:{read_x} u:{read_u} {decides}{' by state' * by_state}"
+    name += f" -> {writes}; {wraps}, {holds}"
     return Drawn(wrapper(whole, get), name, change)
