@@ -176,7 +176,7 @@ def _solve(
         agrees = agrees and certificate.composes(predicted.cov, known.cov)
 
     def log_density() -> Array:
-        """ln p(z_t | earlier measurements) of each step, (T+1, runs)."""
+        """Ln p(z_t | earlier measurements) of each step, (T+1, runs)."""
         total = evidence + readings.log_density(known.mean, predicted)
         total[0] = first.log_density
         return total
