@@ -102,7 +102,8 @@ def thrice(work: Robots) -> Contender:
     def call() -> tuple[Array, Array]:
         with warnings.catch_warnings():  # three, whether they settle or not
             warnings.simplefilter("ignore", pgm.ConvergenceWarning)
-            return contender.call()
+            found: tuple[Array, Array] = contender.call()
+            return found
 
     return Contender(call, contender.units)
 

@@ -47,11 +47,23 @@ class Rule:
     def solve(self, case: Case, lineariser: pgm.Lineariser | None = None) -> pgm.ChainPosterior:
         """The beliefs of all simulations of a case at once."""
         rule = lineariser or self.lineariser
-        settings: dict[str, Any] = {"iterations": self.iterations, "tolerance": TOLERANCE}
         if self.lag == 0:
-            return pgm.filter(case.model, case.evidence, lineariser=rule, **settings)
+            return pgm.filter(
+                case.model,
+                case.evidence,
+                lineariser=rule,
+                iterations=self.iterations,
+                tolerance=TOLERANCE,
+            )
         lag = None if self.lag == math.inf else int(self.lag)
-        return pgm.smooth(case.model, case.evidence, lineariser=rule, lag=lag, **settings)
+        return pgm.smooth(
+            case.model,
+            case.evidence,
+            lineariser=rule,
+            lag=lag,
+            iterations=self.iterations,
+            tolerance=TOLERANCE,
+        )
 
 
 def rules(seed: int) -> dict[str, Rule]:
