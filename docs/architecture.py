@@ -59,7 +59,9 @@ LAYERS = [
     Layer("cpds, maps", "means, noises, scans"),
     Layer("linearisers", "slope, value, error"),
     Layer("factors, tracing", "densities; functions as graphs"),
-    Layer("variables, errors, boundary, immutable, resources, progress, display", "names"),
+    Layer(
+        "variables, errors, arguments, boundary, immutable, resources, progress, display", "names"
+    ),
     Layer("kernels", "mathematics of arrays; Numba"),
 ]
 STATIONS = {

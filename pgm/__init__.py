@@ -36,7 +36,9 @@ from pgm.cpds import (
 from pgm.display.notebook import hand_in as _hand_in
 from pgm.errors import (
     ArrayError,
+    ConvergenceWarning,
     EvidenceError,
+    EvidenceWarning,
     ExecutorError,
     FileError,
     GraphError,
@@ -203,10 +205,12 @@ __all__ = [
     "ClusterGraph",
     "Comparison",
     "Compiled",
+    "ConvergenceWarning",
     "Cubature",
     "Discrete",
     "DynamicBayesianNetwork",
     "EvidenceError",
+    "EvidenceWarning",
     "ExecutorError",
     "FileError",
     "Filtering",

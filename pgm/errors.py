@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -38,11 +39,11 @@ class ModelError(PgmError, ValueError):
 
 
 class GraphError(PgmError, ValueError):
-    """A cluster graph that is not valid or has not what it is asked for; a `ValueError` too."""
+    """A cluster graph is not valid, or lacks what is asked of it; also a `ValueError`."""
 
 
 class FileError(PgmError, ValueError):
-    """A file that cannot be read as what it should be; a `ValueError` too.
+    """A file cannot be read in the format expected; also a `ValueError`.
 
     Its attributes are `path`, where the file has a name, and `line`, counted from 1.
     """
@@ -70,7 +71,7 @@ class ArrayError(PgmError, TypeError):
 
 
 class ExecutorError(PgmError, RuntimeError):
-    """An executor that takes no work, or loses what it was handed; a `RuntimeError` too.
+    """An executor refuses work, or loses a result; also a `RuntimeError`.
 
     Its attribute `runs` has those that were lost: of each row the first and the one after it.
     """
@@ -80,13 +81,33 @@ class ExecutorError(PgmError, RuntimeError):
         self.runs = tuple(runs)
 
 
+class EvidenceWarning(UserWarning):
+    """Evidence taken as its shape says, where another meaning is likelier; it says how to ask."""
+
+
 class PrecisionWarning(UserWarning):
     """An answer of which rounding leaves few digits; ``status.digits`` says how many."""
 
 
+class ConvergenceWarning(UserWarning):
+    """An iteration that ended before it settled; ``status`` says how far from that it was."""
+
+
 class GridWarning(UserWarning):
-    """A grid's answer that is not what the model says; the status says by how much."""
+    """A grid's answer differs from the model's; the status says by how much."""
 
 
 class ParticleWarning(UserWarning):
     """A particle filter's answer that rests on few particles; the status says on how many."""
+
+
+def levels_to_user() -> int:
+    """The number of calls up to a user's own line, for a warning to point at."""
+    frame, levels = sys._getframe(1), 1
+    while frame.f_back is not None:
+        name = frame.f_globals.get("__name__", "")
+        # contextlib and NumPy's errstate stand in decorators.
+        if not name.startswith(("pgm.", "numpy.")) and name != "contextlib":
+            break
+        frame, levels = frame.f_back, levels + 1
+    return levels

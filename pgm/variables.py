@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -26,6 +27,7 @@ class _Hashed:
     _hash: int
 
 
+@public
 @dataclass(frozen=True, slots=True)
 class Variable(_Hashed, InCode):
     """A continuous random variable, scalar or vector.
@@ -98,6 +100,9 @@ class Variable(_Hashed, InCode):
                 f"{self.components}",
                 variable=self,
             )
+        # In the components' order, so that a set of angles makes the same variable each time.
+        angles = tuple(name for name in self.components if name in self.angles)
+        object.__setattr__(self, "angles", angles)
         for field, value in (("step", self.step), ("lag", self.lag)):
             if value is None and field == "step":
                 continue
@@ -131,7 +136,7 @@ class Variable(_Hashed, InCode):
 
     @property
     def previous(self) -> Variable:
-        """The same variable one step before; refused at step 0."""
+        """This variable one step before; refused at step 0."""
         if self.step is not None:
             return self.at(self.step - 1)
         return self._moved(None, self.lag + 1)
@@ -175,6 +180,7 @@ class Variable(_Hashed, InCode):
         return f"{self.name}[t-{self.lag}]" if self.lag else self.name
 
 
+@public
 @dataclass(frozen=True, slots=True, init=False, repr=False)
 class Discrete(Variable):
     """A random variable with finitely many named states.
@@ -266,6 +272,7 @@ def _names(variable: Variable, field: str, value: object) -> tuple[str, ...]:
     return found
 
 
+@public
 def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:
     """Scalar variables, one a name.
 

@@ -106,11 +106,15 @@ def test_the_protocol_is_that_of_the_sweeps():
 
 
 def frames():
-    """The package's frames above the caller's caller, outermost first."""
+    """The package's frames above the caller's caller, outermost first.
+
+    Without those that tell of arguments that do not fit, before a public call.
+    """
     found, frame = [], sys._getframe(2)
     while frame is not None:
         path = Path(frame.f_code.co_filename)
-        if PACKAGE in path.parents and not frame.f_code.co_name.startswith("<"):
+        named = path.name != "arguments.py" and not frame.f_code.co_name.startswith("<")
+        if PACKAGE in path.parents and named:
             found.append((frame.f_code.co_qualname, path.relative_to(PACKAGE).as_posix()))
         frame = frame.f_back
     return found[::-1]

@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "pgm"
 LAYERS = [
     {
-        *("boundary", "display", "errors", "immutable", "progress", "resources"),
+        *("arguments", "boundary", "display", "errors", "immutable", "progress", "resources"),
         *("variables", "kernels"),
     },
     {"factors", "tracing"},

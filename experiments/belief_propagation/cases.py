@@ -79,6 +79,6 @@ def gaussian_sweep(
 
 def _damped(limit: int) -> dict[str, pgm.Flooding]:
     return {
-        "flooding": pgm.Flooding(max_iterations=limit),
-        "damped": pgm.Flooding(damping=0.5, max_iterations=limit),
+        "flooding": pgm.Flooding(iterations=limit),
+        "damped": pgm.Flooding(damping=0.5, iterations=limit),
     }

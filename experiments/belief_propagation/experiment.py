@@ -246,9 +246,9 @@ def _records(
     hard = cases.sums_of_three(_DIVERGING)
     half = pgm.Flooding(damping=0.5)
     limited = {
-        "flooding": pgm.Flooding(max_iterations=60),
-        "sequential": pgm.Sequential(max_iterations=60),
-        "residual": pgm.Residual(max_iterations=60),
+        "flooding": pgm.Flooding(iterations=60),
+        "sequential": pgm.Sequential(iterations=60),
+        "residual": pgm.Residual(iterations=60),
     }
     found = {
         "four spins in a ring": posteriors["spins"]["bethe"],

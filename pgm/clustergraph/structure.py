@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_whole
 from pgm.clustergraph.cluster import (
     Cluster,
@@ -32,7 +33,7 @@ from pgm.clustergraph.cluster import (
 from pgm.cpds.jacobians import check_jacobians
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
-from pgm.factors.scope import MOST, Scope, as_scope, listed
+from pgm.factors.scope import MOST, Scope, as_scope, listed, unknown_name
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Integers
 from pgm.networks import BayesianNetwork
@@ -48,6 +49,7 @@ Places = tuple[int, ...]
 PLANS_KEPT = 32
 
 
+@public
 class ClusterGraph(Drawn, Immutable):
     """An undirected graph of clusters; its edges are labelled with sepsets.
 
@@ -102,7 +104,7 @@ class ClusterGraph(Drawn, Immutable):
             for variable in found:
                 if variable not in place:
                     raise GraphError(
-                        f"{where} holds {variable!r}, which the network does not have",
+                        f"{where} holds {variable!r}, {unknown_name(variable, place)}",
                         variable=variable,
                     )
             return tuple(sorted(map(place.__getitem__, found)))
@@ -263,6 +265,7 @@ class ClusterGraph(Drawn, Immutable):
         """The families of all CPDs of the network, each of which needs a cluster."""
         return (cpd.scope for cpd in self.network.cpds)
 
+    @public
     def check(self, *, jacobians: bool = False) -> None:
         """Prove family preservation and running intersection, or raise a `GraphError`.
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pgm import consistency
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple
 from pgm.comparison.oracle import Compared, Oracle, Reference, references, require_oracle
 from pgm.comparison.row import FAILURES, Name, Row, failed, judge
@@ -18,9 +19,10 @@ from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import as_scope, labels, listed
-from pgm.inference import Filtering, FixedLag, Grid, Kind, Smoothing, infer
+from pgm.inference import Filtering, FixedLag, Grid, Kind, Smoothing
 from pgm.inference.argument_checks import require_lineariser
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.engine import send
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Cubature, Lineariser, Taylor, Unscented
 from pgm.networks import DynamicBayesianNetwork
@@ -35,6 +37,7 @@ SCHEDULES: tuple[OverTime, ...] = (Filtering(), Smoothing())
 _WORDS = {Filtering: "filter", Smoothing: "smoother"}
 
 
+@public
 def compare(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
@@ -154,7 +157,7 @@ def _run(
     names = {state: Name(*named, state, kind) for state in compared.states}
     began = time.perf_counter()
     try:
-        posterior = infer(
+        posterior = send(  # of runs that did not settle the rows tell
             compared.graph,
             compared.evidence,
             schedule=schedule,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol, overload
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile.dynamic import DynamicGraph, SliceGraph
@@ -190,6 +191,7 @@ def compile(
 ) -> ClusterGraph: ...
 
 
+@public
 def compile(
     model: DynamicBayesianNetwork | BayesianNetwork,
     steps: int | None = None,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.display import InCode, Told
@@ -27,6 +28,7 @@ from pgm.linearisers.regression import FEW
 from pgm.resources import optional
 
 
+@public
 @dataclass(frozen=True)
 class Compiled(InCode):
     """Sweeps along a chain in machine code, the runs shared by threads.
@@ -82,7 +84,7 @@ def as_choice(compiled: Any, what: str) -> Choice:
 
 
 class Compilation(Told[CPD]):
-    """Of each CPD of a dynamic network ``"compiled"``, or why sweeps do not compile it.
+    """For each CPD of a dynamic network ``"compiled"``, or why sweeps do not compile it.
 
     A chain is swept in machine code where all of its CPDs can be. `Taylor`, `Unscented`, `Cubature`
     and `GaussHermite` are compiled. Of a schedule `under` tells, before there is a call; after it

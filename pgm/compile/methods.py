@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.cluster import Edge, amount, holding, is_discrete, size
@@ -17,6 +18,7 @@ from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
 
+@public
 @dataclass(frozen=True)
 class JunctionTree(InCode):
     """Compile to a tree of the cliques of the triangulated moral graph.
@@ -76,6 +78,7 @@ def graph_of(
     )
 
 
+@public
 @dataclass(frozen=True)
 class JoinGraph(InCode):
     """Compile to clusters of at most some size, as near to a junction tree as that allows.

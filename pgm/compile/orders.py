@@ -7,12 +7,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.cluster import extent
 from pgm.compile.elimination import Adjacency, cheapest, min_fill, moral
 from pgm.display import InCode
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, listed
+from pgm.factors.scope import Scope, listed, unknown_name
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
@@ -76,6 +77,7 @@ class WeightedMinFill(Rule):
         return min_fill(adjacent, _weights(network))
 
 
+@public
 @dataclass(frozen=True)
 class StochasticMinFill(Rule):
     """The order of `MinFill`, or the cheapest of many that are drawn, if that is cheaper.
@@ -123,6 +125,7 @@ class StochasticMinFill(Rule):
         return cheapest(adjacent, _weights(network), self.tries, self.seed)
 
 
+@public
 @dataclass(frozen=True)
 class NestedDissection(Rule):
     """Last is a small set of variables that parts the network into halves; so in each half.
@@ -179,7 +182,7 @@ def places(
     strangers = [v for v in found if not isinstance(v, Variable) or v not in place]
     if strangers:
         raise GraphError(
-            f"the elimination order holds {strangers[0]!r}, which the network does not have",
+            f"the elimination order holds {strangers[0]!r}, {unknown_name(strangers[0], place)}",
             variable=strangers[0],
         )
     order_ = [place[variable] for variable in found]

@@ -1,10 +1,11 @@
-"""Are innovations white? A filter has not used what it could still predict."""
+"""Whiteness of innovations: a filter with correlated innovations leaves information unused."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaincc
 
+from pgm.arguments import public
 from pgm.consistency.errors import check_count, check_innovations
 from pgm.consistency.regions import chi_squared, normal
 from pgm.display import Shown, Summary, count, number, table
@@ -72,6 +73,7 @@ class Whiteness(Shown):
         return float(gammaincc(0.5 * self.dof, 0.5 * self.statistic))
 
 
+@public
 def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0.95) -> Whiteness:
     r"""The autocorrelation of innovations, whitened by their own covariances.
 

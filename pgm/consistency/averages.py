@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats
 from pgm.consistency.errors import check_count, check_innovations, nees_and_dof
 from pgm.consistency.regions import chi_squared, tails
@@ -50,7 +51,7 @@ class Average(Shown):
 
     @property
     def expected(self) -> Array:
-        """The mean that a right belief has: degrees of freedom of one, averaged."""
+        """The mean under a consistent belief: its degrees of freedom, averaged."""
         return _quotient(self.dof, self.count)
 
     @property
@@ -86,7 +87,7 @@ class Average(Shown):
         return Summary(self._title, [f"{inside} of {known} inside their band", listing])
 
     def per_dof(self) -> Average:
-        """The same, divided by what is expected, so that 1 is right whatever the degrees."""
+        """The averages divided by their expected values, so that a consistent filter has 1."""
         value, low, high = (
             _quotient(part * self.count, self.dof) for part in (self.value, self.low, self.high)
         )
@@ -107,6 +108,7 @@ class Average(Shown):
         return Average(value, low, high, self.dof.sum(), count)
 
 
+@public
 def average(
     squares: npt.ArrayLike,
     dof: npt.ArrayLike,
@@ -172,6 +174,7 @@ def average(
     return Average(value, low, high, total, count)
 
 
+@public
 def anees(
     belief: Gaussian,
     truth: npt.ArrayLike,
@@ -218,6 +221,7 @@ def anees(
     return average(squares, dof, axis=run_axes(squares, belief.steps), confidence=confidence)
 
 
+@public
 def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
     """The NIS at each step, averaged over the runs that read the sensor there, (T+1,).
 
@@ -254,6 +258,7 @@ def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
     return average(found.nis, found.dof, axis=axes, confidence=confidence)
 
 
+@public
 def mean_band(dof: int, count: int, confidence: float = 0.99) -> tuple[float, float]:
     """The two-sided χ² band, (low, high), of the mean of independent normalised errors squared.
 

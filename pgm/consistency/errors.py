@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_whole
 from pgm.display import titled
 from pgm.errors import ModelError, NumericalError
@@ -56,6 +57,7 @@ def check_count(what: str, value: Any) -> None:
         raise ModelError(f"{what} = {value!r}; a whole number, 1 or more, was due")
 
 
+@public
 def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
     """Mean less truth, (*runs, T+1, n), angles wrapped to [−π, π); NaN where no truth is known.
 
@@ -144,6 +146,7 @@ def size(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     return np.asarray(np.sqrt(np.sum(errors**2, axis=-1)))
 
 
+@public
 def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> float:
     """Root mean square error over all runs and steps, in the units of the components.
 
@@ -187,6 +190,7 @@ def nothing_known(belief: Gaussian, components: Sequence[str]) -> ModelError:
     )
 
 
+@public
 def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> Array:
     """Normalised estimation error squared, eᵀP⁻¹e, (*runs, T+1): χ² with n degrees of a right one.
 
@@ -256,6 +260,7 @@ def _no_scale(belief: Gaussian, judged: list[str], faulty: Mask) -> NumericalErr
     )
 
 
+@public
 def nis(innovations: Innovations) -> Array:
     """Normalised innovation squared, rᵀS⁻¹r, (*runs, T+1); NaN at steps where nothing was read.
 
@@ -283,6 +288,7 @@ def nis(innovations: Innovations) -> Array:
     return check_innovations(innovations).nis
 
 
+@public
 def kl(p: Gaussian, q: Gaussian) -> Array:
     """KL(p ‖ q), (...), in nats: what is lost by holding q where p is right; angles wrapped.
 

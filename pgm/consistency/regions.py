@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import betaincinv, gammaincinv, ndtri
 
+from pgm.arguments import public
 from pgm.consistency.errors import check_confidence, nees_and_dof, nothing_known
 from pgm.display import Shown, Summary, table
 from pgm.display import count as counted
@@ -67,6 +68,7 @@ class Coverage(Shown):
         return np.asarray((self.low <= self.nominal) & (self.nominal <= self.high))
 
 
+@public
 def coverage(
     belief: Gaussian,
     truth: npt.ArrayLike,

@@ -11,12 +11,13 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_generator, as_lengths, as_mapping
 from pgm.display import Listing, Shown, Summary
 from pgm.errors import ModelError
 from pgm.factors.arrays import Shape, clash, flat
 from pgm.factors.axes import as_known
-from pgm.factors.scope import Scope, as_scope, as_value, listed, one_name_each
+from pgm.factors.scope import Scope, as_scope, as_value, listed, namesake, one_name_each
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 from pgm.resources import require_memory
@@ -46,6 +47,7 @@ def as_parents(cpd: CPD, given: Any) -> Known:
     for key in found:
         if key not in cpd.parents:
             why = f"which is none of its parents ({listed(cpd.parents)})"
+            why += namesake(key, cpd.parents)
             variable = key if isinstance(key, Variable) else None
             advice = "" if variable else "; give the variable itself"
             raise ModelError(
@@ -163,7 +165,7 @@ class CPD(Shown, Immutable):
 
     @property
     def parents(self) -> Scope:
-        """All parents: those of the mean, then those of the noise alone."""
+        """All parents: first the mean's, then the parents of the noise alone."""
         noise = self.noise_given
         return self.given + tuple(v for v in noise if v not in self.given) if noise else self.given
 
@@ -205,6 +207,7 @@ class CPD(Shown, Immutable):
         placed._set(**self._placed(step), _origin=self.origin)
         return placed
 
+    @public
     def log_density(
         self, child: npt.ArrayLike, parents: Mapping[Variable, npt.ArrayLike] | None = None
     ) -> Array:
@@ -261,6 +264,7 @@ class CPD(Shown, Immutable):
         common(self, leads)
         return self._log_density(values, known)
 
+    @public
     def sample(
         self,
         parents: Mapping[Variable, npt.ArrayLike] | None = None,

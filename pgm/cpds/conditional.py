@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.cpds.base import CPD, Known, Values
 from pgm.cpds.robust import RobustNoise
 from pgm.display import InCode, Listing, called, named_matrix
@@ -49,6 +50,7 @@ class Noise(InCode):
         return f"Noise({called(self.function)}, given=({listed(self.given)}))"
 
 
+@public
 def noise(
     function: Callable[..., Any],
     given: Variable | Iterable[Variable],

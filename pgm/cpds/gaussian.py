@@ -1,4 +1,4 @@
-"""Gaussian CPDs, whose mean is affine in the parents, or any function of them."""
+"""Gaussian CPDs p(y | x) = N(f(x), R), with an affine f or any function."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.derivatives import Derivatives
@@ -17,7 +18,7 @@ from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, by_component, called, named_matrix, number, stacked, vector
 from pgm.errors import ModelError
 from pgm.factors.arrays import flat
-from pgm.factors.scope import Scope, as_value, components, listed
+from pgm.factors.scope import Scope, as_value, components, listed, namesake
 from pgm.kernels.arrays import Array, apply, frozen
 from pgm.linearisers import FunctionTemplate, Lineariser
 from pgm.linearisers.calls import Call
@@ -65,6 +66,7 @@ def _finite(child: Variable, value: Array, what: str) -> Array:
     return frozen(value)
 
 
+@public
 class GaussianCPD(AffineCPD):
     """A density without parents: x ~ N(mean, cov).
 
@@ -123,6 +125,7 @@ class GaussianCPD(AffineCPD):
         return [stacked(heads, lead, None, lambda at: (mean[at], cov[at]))]
 
 
+@public
 class LinearGaussianCPD(AffineCPD):
     """A linear Gaussian density: y = Σ F_p p + offset + n, n ~ N(0, cov).
 
@@ -133,12 +136,12 @@ class LinearGaussianCPD(AffineCPD):
     given : mapping of Variable to array_like
         The matrix F_p, (d, dimension of p), of each parent p; a number c stands for c I where
         both have the same number of components.
-    offset : array_like
-        (d,).
     cov : array_like or Noise
         (d, d), positive semidefinite; or (d,), the variance of each component; or one variance for
         all of them; or ``pgm.noise(...)``. Zero where the sum is exact: a static unknown is
         ``LinearGaussianCPD(m, given={m.previous: 1.0}, cov=0)``.
+    offset : array_like
+        (d,); zero, if not given.
     noise : RobustNoise, optional
         As of `NonlinearGaussianCPD`.
 
@@ -154,8 +157,8 @@ class LinearGaussianCPD(AffineCPD):
         self,
         child: Variable,
         given: Mapping[Variable, npt.ArrayLike],
-        *,
         cov: npt.ArrayLike | Noise,
+        *,
         offset: npt.ArrayLike = 0.0,
         noise: RobustNoise | None = None,
     ) -> None:
@@ -202,6 +205,7 @@ def _matrix(child: Variable, parent: Variable, value: npt.ArrayLike) -> Array:
     return _finite(child, matrix, f"matrix of {parent!r}")
 
 
+@public
 class NonlinearGaussianCPD(ConditionalGaussian):
     """A Gaussian density about a function: y = f(*given) + n, n ~ N(0, cov).
 
@@ -276,7 +280,8 @@ class NonlinearGaussianCPD(ConditionalGaussian):
         unknown = [parent for parent in derivatives if parent not in self.given]
         if unknown:
             raise ModelError(
-                f"{self!r}: a Jacobian is given by [{listed(unknown)}], not among its parents",
+                f"{self!r}: a Jacobian is given by [{listed(unknown)}], not among its parents"
+                f"{namesake(unknown[0], self.given)}",
                 variable=unknown[0],
                 cpd=self,
             )
@@ -305,7 +310,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
 
     @property
     def derivatives(self) -> Derivatives:
-        """How the derivative by each parent is found: given, traced or numerical, and why."""
+        """How the Jacobian by each parent is found (given, traced or numerical), and why."""
         return Derivatives(self)
 
     def source(self) -> str:

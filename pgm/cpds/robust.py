@@ -16,6 +16,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import is_number
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -117,6 +118,7 @@ def _log_rise(a: float, b: float) -> float:
     return float(gammaln(b) - betaln(a, b))
 
 
+@public
 @dataclass(frozen=True)
 class StudentT(RobustNoise):
     r"""Multivariate Student-t noise, whose scale matrix is the CPD's `cov`.
@@ -162,11 +164,12 @@ class StudentT(RobustNoise):
         return _log_rise(0.5 * self.dof, 0.5 * size) - 0.5 * size * log(pi * self.dof)
 
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
-        """Draws of unit scale."""
+        """Draws at unit scale: a Gaussian draw divided by √(χ²_ν / ν)."""
         gamma = rng.chisquare(self.dof, white.shape[:-1]) / self.dof
         return white / np.sqrt(gamma)[..., None]
 
 
+@public
 @dataclass(frozen=True)
 class Cauchy(RobustNoise):
     r"""The Cauchy loss of robust statistics, a Gaussian's near zero: w = 1 there.
@@ -216,11 +219,12 @@ class Cauchy(RobustNoise):
         return _log_rise(half, 0.5 * size) - 0.5 * size * log(pi * self.scale**2)
 
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
-        """Draws of unit scale."""
+        """Draws at unit scale: a Gaussian draw divided by the root of a χ² over the scale²."""
         gamma = rng.chisquare(self.scale**2 - white.shape[-1], white.shape[:-1])
         return white * (self.scale / np.sqrt(gamma))[..., None]
 
 
+@public
 @dataclass(frozen=True)
 class Huber(RobustNoise):
     r"""Huber's noise: a Gaussian's within a threshold, of exponential tails beyond.
@@ -296,6 +300,7 @@ class Huber(RobustNoise):
         return found
 
 
+@public
 @dataclass(frozen=True)
 class TruncatedLeastSquares(RobustNoise):
     r"""Truncated least squares: a Gaussian within a threshold, nothing beyond it.

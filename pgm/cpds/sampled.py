@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.cpds.base import CPD, Known, Values
 from pgm.display import Listing, called
 from pgm.errors import LinearisationError, ModelError
@@ -15,6 +16,7 @@ from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
 
+@public
 class SampledCPD(CPD):
     """Any density of a continuous child, by a sampler, a log-density, or both.
 
@@ -87,7 +89,8 @@ class SampledCPD(CPD):
         try:
             drawn = sampler(*arguments, size=shape, rng=rng)
         except Exception as error:
-            raise call.error(f"failed: {type(error).__name__}: {error}") from error
+            reason = call.reason(sampler, arguments, error, None)
+            raise call.error(f"failed: {reason}") from error
         found = call.array(sampler, arguments, drawn, (*shape, self.child.dimension))
         self._require(
             np.isfinite(found).all(axis=-1), call, "draws values that are NaN or infinite"
@@ -106,7 +109,8 @@ class SampledCPD(CPD):
         try:
             value = density(*arguments)
         except Exception as error:
-            raise call.error(f"failed: {type(error).__name__}: {error}") from error
+            reason = call.reason(density, arguments, error, lead)
+            raise call.error(f"failed: {reason}") from error
         found = call.array(density, arguments, value, lead)
         fine = ~(np.isnan(found) | (found == np.inf))
         self._require(fine, call, "has values that are NaN or plus infinity")

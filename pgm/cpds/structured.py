@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -23,6 +24,7 @@ EDGES = ("slide", "stay", "wrap")
 FARTHEST = 2**62
 
 
+@public
 class Kronecker(InCode, Immutable):
     r"""The table of a state whose index runs over several axes, each of which moves by itself.
 
@@ -67,6 +69,7 @@ class Kronecker(InCode, Immutable):
         return f"Kronecker({' x '.join(map(str, self.transition.after))} states)"
 
 
+@public
 def shifts(
     shape: int | tuple[int, ...],
     moves: Mapping[Any, float],

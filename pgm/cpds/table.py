@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats
 from pgm.cpds.base import CPD, Known, Values
 from pgm.cpds.structured import as_transition, is_structured, rounding
@@ -26,6 +27,7 @@ from pgm.variables import Discrete, Variable
 TableFunction = Callable[..., npt.ArrayLike]
 
 
+@public
 class TableCPD(CPD):
     """The probabilities of a discrete child for each combination of its parents' states.
 
@@ -197,7 +199,7 @@ class TableCPD(CPD):
 
     @property
     def parents(self) -> Scope:
-        """All parents: those of the table's axes, then the inputs of its function."""
+        """All parents: first the table's axes, then the inputs of its function."""
         return (*self.given, *self.inputs)
 
     @cached_property
@@ -229,6 +231,7 @@ class TableCPD(CPD):
         by = "" if None in self._maps else f" for each state of {self.given[1]!r}"
         return [f"table: {kind}{by}, of {count(self.child.size, 'state')}"]
 
+    @public
     def at_inputs(
         self,
         values: Mapping[Variable, Any],

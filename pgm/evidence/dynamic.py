@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from pgm.boundary import is_whole
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
+from pgm.evidence.lengths import Lengths
 from pgm.evidence.rows import (
     Rows,
     as_steps,
@@ -26,7 +26,7 @@ from pgm.evidence.rows import (
 )
 from pgm.evidence.values import Constant, Evidence, Sightings, Unknown, opened, require_whole
 from pgm.factors.arrays import common_runs, flat
-from pgm.factors.scope import listed
+from pgm.factors.scope import listed, namesake
 from pgm.kernels.arrays import Integers, Mask
 from pgm.resources import APIECE, in_threads, require_memory
 from pgm.variables import Discrete, Variable
@@ -38,7 +38,9 @@ Kind = TypeVar("Kind", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """All measurements of one sensor, sorted by `step`, (M,), of rows `order` of the evidence.
+    """All measurements of one sensor, sorted by `step`, (M,).
+
+    Row k comes from row ``order[k]`` of the user's evidence.
 
     `values` are (M, runs or 1, d), zero where not `taken`; of a discrete sensor the index of its
     state, d = 1, or weights of its states. `inputs` are values of observed parents, likewise;
@@ -145,6 +147,7 @@ class _Binder:
     ) -> None:
         self.evidence, self.drawing, self.identities = evidence, drawing, identities
         self.threads = threads
+        self.lead, self.transition = lead, transition
         self.hidden = {cpd.child for cpd in transition}
         self.sensors = {cpd.child: cpd for cpd in observation}
         self._check_known((*transition, *observation))
@@ -178,11 +181,7 @@ class _Binder:
             if not isinstance(variable, Variable):
                 raise no_evidence_for(variable, known)
             if variable.template in self.hidden:
-                raise EvidenceError(
-                    f"evidence for {variable!r}, which is hidden since a CPD of the transition "
-                    f"has it as its child; declare a sensor of it ({_sensor_of(variable)})",
-                    variable=variable,
-                )
+                raise self._of_hidden(variable, cpds)
             if variable.step is not None and variable.template in known:
                 raise EvidenceError(
                     f"evidence for the single step {variable!r}; give {variable.template!r} an "
@@ -194,36 +193,44 @@ class _Binder:
             if variable not in known:
                 raise no_evidence_for(variable, known)
 
+    def _of_hidden(self, variable: Variable, cpds: Sequence[CPD]) -> EvidenceError:
+        child = variable.template
+        cpd = next(cpd for cpd in self.transition if cpd.child == child)
+        advice = f"declare a sensor of it ({_sensor_of(child)})"
+        if not any(child == parent.template for each in cpds for parent in each.parents):
+            # Nothing depends on it, as nothing does on a measurement.
+            advice = (
+                f"if it is a sensor's measurement, the CPD belongs in observation=; else {advice}"
+            )
+        return EvidenceError(
+            f"evidence for {variable!r}, which is hidden since {cpd!r} stands in transition=; "
+            f"{advice}",
+            variable=variable,
+            cpd=cpd,
+        )
+
     def _length(self, steps: int | None) -> int:
-        if steps is not None and (not is_whole(steps) or steps < 0):
-            raise EvidenceError(f"steps must be a whole number, 0 or more, not {steps!r}")
-        lengths = {variable: array.shape[-2] for variable, array in self.arrays.items()}
-        if len(set(lengths.values())) > 1:
-            one, *rest = lengths.items()
-            other = next(found for found in rest if found[1] != one[1])
-            raise EvidenceError(
-                "plain arrays must agree about the number of steps: "
-                f"{one[0]!r} has {one[1]}, {other[0]!r} has {other[1]}"
-            )
-        if steps is None and not lengths:
-            raise EvidenceError(
-                "no plain array tells the number of steps; give steps=, the last step, T"
-            )
-        for variable, length in lengths.items():
-            if steps is not None and length != steps:
-                raise EvidenceError(
-                    f"evidence for {variable!r} has {length} steps where there are {steps}",
-                    variable=variable,
-                )
+        lengths = Lengths(self.arrays, self.sensors, self.evidence)
+        found = lengths.steps(steps, self._unexplained())
         if steps is None:
-            return int(next(iter(lengths.values())))
+            if not math.prod(self.lead) > 1:
+                lengths.warn_of_columns(found)
+            return found
         require_memory(
-            int(steps) * sum(variable.dimension for variable in self.hidden),
+            found * sum(variable.dimension for variable in self.hidden),
             f"the hidden variables at {steps} steps",
             "take fewer steps",
             error=EvidenceError,
         )
-        return int(steps)
+        return found
+
+    def _unexplained(self) -> tuple[Variable, CPD] | None:
+        """An input of the transition without evidence, and its CPD."""
+        for cpd in self.transition:
+            for parent in cpd.parents:
+                if parent.template not in self.hidden and parent not in self.evidence:
+                    return parent, cpd
+        return None
 
     def _check_inputs(self) -> None:
         for variable, value in self.evidence.items():
@@ -254,7 +261,8 @@ class _Binder:
             if value.values is not None:
                 rows = rows_of(sensor, value.values, "M")
                 count = rows.shape[-2]
-            step = as_steps(sensor, value.step, count, self.steps)
+            runs = 1 if rows is None else math.prod(rows.shape[:-2])
+            step = as_steps(sensor, value.step, count, self.steps, runs)
         else:
             given = {}
             step = self.span
@@ -296,7 +304,7 @@ class _Binder:
             if variable not in seen:
                 raise EvidenceError(
                     f"sightings of {cpd.child!r} are given {variable!r}, which is no observed "
-                    f"parent of its CPD; those are [{listed(seen)}]",
+                    f"parent of its CPD; those are [{listed(seen)}]{namesake(variable, seen)}",
                     variable=variable,
                     cpd=cpd,
                 )

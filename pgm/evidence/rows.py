@@ -39,15 +39,26 @@ def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
         array = np.empty((0, variable.dimension))  # no measurements, written as []
     if axis is None and array.ndim == 0 and variable.dimension == 1:
         array = array[None]
-    hint = "; give a scalar its component axis, value[..., None]" if variable.dimension == 1 else ""
     due = f"(..., {axis}, {variable.dimension})" if axis else f"(..., {variable.dimension})"
     if array.ndim < (2 if axis else 1) or array.shape[-1] != variable.dimension:
         raise EvidenceError(
             f"evidence for {variable!r} has shape {array.shape}; {due} was due, the last axis "
-            f"its components ({listed(variable.components)}){hint}",
+            f"its components ({listed(variable.components)}){_turned(variable, array, axis)}",
             variable=variable,
         )
     return array
+
+
+def _turned(variable: Variable, array: Array, axis: str | None) -> str:
+    """How an array of another shape becomes evidence, where its axes can only mean one thing."""
+    size = variable.dimension
+    if size == 1:
+        return "; give a scalar its component axis, value[..., None]"
+    if array.ndim < 2 or array.shape[-2] != size:
+        return ""
+    if array.shape[-1] == 1 and array.ndim > (2 if axis else 1):
+        return "; of columns make rows, np.asarray(value)[..., 0]"
+    return "; turn it round, np.swapaxes(value, -1, -2)"
 
 
 def require_finite(
@@ -108,8 +119,10 @@ def _refuse(
     )
 
 
-def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Integers:
-    """The steps of sightings, (M,), in 0..last."""
+def as_steps(
+    variable: Variable, step: Any, count: int | None, last: int, runs: int = 1
+) -> Integers:
+    """The steps of sightings, (M,), in 0..last; each run has `count` of them."""
     if step is None:
         raise EvidenceError(
             f"sightings of {variable!r} have no steps; give step=, one for each measurement",
@@ -123,9 +136,14 @@ def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Int
             variable=variable,
         )
     if count is not None and array.shape != (count,):
+        width = "" if isinstance(variable, Discrete) else f", {variable.dimension}"
+        columns = (
+            f"; the values of {runs} runs were given: if they are of one, take "
+            f"np.reshape(values, (-1{width or ','}))"
+        )
         raise EvidenceError(
             f"sightings of {variable!r}: {count} measurements with {array.shape[0]} steps; one "
-            "step for each measurement was due",
+            "step for each measurement was due" + columns * (runs == len(array) and count == 1),
             variable=variable,
         )
     outside = array[(array < 0) | (array > last)]
@@ -235,7 +253,7 @@ def _require_known(variable: Discrete, rows: Rows, step: Integers | None) -> Row
 
 
 def _taken_states(rows: Rows) -> Mask | None:
-    """The mask of what was measured, of the rows' shape; None for all."""
+    """The mask of measured states, of the rows' shape; None if all were measured."""
     if rows.dtype.kind == "f":
         return None
     missing = rows == MISSING
@@ -275,7 +293,7 @@ def complete(variable: Variable, rows: Rows, step: Integers | None = None) -> Ro
 
 
 def taken_of(variable: Variable, rows: Rows, step: Integers, threads: int) -> Mask | None:
-    """The mask of what was measured, (..., rows, d); None for all."""
+    """The mask of components that were measured, (..., rows, d); None where every one was."""
     if isinstance(variable, Discrete):
         return _taken_states(rows)
     return taken_readings(variable, rows, step, threads)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, is_number
 from pgm.cpds import CPD
 from pgm.display import InCode, Shown, Summary, as_numbers, brief, table
@@ -41,7 +42,7 @@ class Soft(InCode):
 
 
 class Sightings(Shown, Immutable):
-    """Measurements of one sensor at any steps; made by `sightings`."""
+    """Measurements of one sensor at any steps, as `sightings` makes them."""
 
     __slots__ = ("given", "step", "values")
 
@@ -78,6 +79,7 @@ _new, _Unlocked = object.__new__, unlocked(Sightings)
 Evidence = Mapping[Variable, Any]
 
 
+@public
 def constant(value: npt.ArrayLike) -> Constant:
     """Evidence that is equal at all steps.
 
@@ -94,6 +96,7 @@ def constant(value: npt.ArrayLike) -> Constant:
     return Constant(value)
 
 
+@public
 def soft(weights: npt.ArrayLike) -> Soft:
     """Soft (virtual, likelihood) evidence for a discrete variable.
 
@@ -122,12 +125,13 @@ def soft(weights: npt.ArrayLike) -> Soft:
     return Soft(weights)
 
 
+@public
 def sightings(
     values: npt.ArrayLike | None = None,
     step: npt.ArrayLike | None = None,
     given: Mapping[Variable, npt.ArrayLike | Constant] | None = None,
 ) -> Sightings:
-    """Any number of measurements of one sensor at any steps, none included.
+    """Measurements of one sensor at any steps, any number of them at one step.
 
     Parameters
     ----------
@@ -254,6 +258,7 @@ class Unknown(InCode, Immutable):
         return f"unknown(one of {len(self.candidates):,}, by {self.association})"
 
 
+@public
 def unknown(
     candidates: Any,
     *,
@@ -264,7 +269,7 @@ def unknown(
     gate: float | None = None,
     association: str = LIKELIHOOD,
 ) -> Unknown:
-    r"""Sightings whose parent is not known: one of some candidates, or none of them.
+    r"""A sighting's parent that is not known: one of some candidates, or none.
 
     ``pgm.sightings(values, step=..., given={m: pgm.unknown(landmarks)})``. The density of each
     sighting z is, of a robot at x,

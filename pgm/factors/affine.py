@@ -1,4 +1,4 @@
-"""Affine Gaussian conditionals: what a lineariser makes of a CPD."""
+"""Affine Gaussian conditionals p(y | x) = N(F x + b, Q), the result of linearising a CPD."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats
 from pgm.display import NoArray, Shown, Summary, axes, named_matrix
 from pgm.errors import ModelError, NumericalError
@@ -21,6 +22,7 @@ from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
+@public
 class AffineGaussian(Shown, NoArray, Immutable):
     r"""An affine Gaussian conditional.
 

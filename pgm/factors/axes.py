@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pgm.boundary import as_floats, is_whole, masked_whole
 from pgm.errors import EvidenceError, ModelError, NumericalError
-from pgm.factors.scope import Place, Scope, as_scope, in_run, listed, names
+from pgm.factors.scope import Place, Scope, as_scope, in_run, listed, names, namesake
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete, Variable
 
@@ -110,7 +110,10 @@ def axes_of(scope: States, wanted: Iterable[Variable]) -> tuple[int, ...]:
     wanted = as_scope(wanted, ordered=False)
     for variable in wanted:
         if variable not in place:
-            raise ModelError(f"{variable!r} is not in the scope {names(scope)}", variable=variable)
+            raise ModelError(
+                f"{variable!r} is not in the scope {names(scope)}{namesake(variable, scope)}",
+                variable=variable,
+            )
     return tuple(place[variable] for variable in wanted)
 
 

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_mapping
 from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError, NumericalError
@@ -29,6 +30,7 @@ from pgm.kernels.arrays import Array, apply, frozen, inner
 from pgm.variables import Variable
 
 
+@public
 class CanonicalForm(Shown, NoArray, Immutable):
     r"""A Gaussian factor in canonical form.
 
@@ -115,6 +117,7 @@ class CanonicalForm(Shown, NoArray, Immutable):
         return cls._make(scope, np.zeros((size, size)), np.zeros(size), np.zeros(()))
 
     @classmethod
+    @public
     def from_gaussian(cls, gaussian: Gaussian, log_weight: npt.ArrayLike = 0.0) -> CanonicalForm:
         """exp(log_weight) N(x; μ, P): K = P⁻¹, h = P⁻¹μ, g = ln N(0; μ, P) + log_weight.
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import (
     as_generator,
     as_lengths,
@@ -110,6 +111,7 @@ def confidence_ellipse(
     return Ellipse(mean[..., [i, j]], half_axes, orientation)
 
 
+@public
 class Gaussian(Framed, Shown, NoArray, Immutable):
     r"""A normal density in moment form.
 
@@ -204,7 +206,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
 
     @classmethod
     def _sealed(cls, scope: Scope, mean: Array, cov: Array) -> Gaussian:
-        """Of arrays that are read-only."""
+        """A Gaussian of arrays that are already checked and read-only; nothing is copied."""
         gaussian: Gaussian = _new(_Unlocked)
         gaussian.scope, gaussian.mean, gaussian.cov, gaussian.steps = scope, mean, cov, None
         gaussian.__class__ = cls
@@ -220,7 +222,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
 
     @property
     def components(self) -> tuple[str, ...]:
-        """The names of the components, with that of the variable where variables share one."""
+        """Names of components, preceded by their variable's where several variables share them."""
         return distinct_labels(self.scope)
 
     @property
@@ -294,6 +296,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         mean[..., self.angles] = wrap(mean[..., self.angles])
         return self._make(self.scope, mean, self.cov, self.steps)
 
+    @public
     def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
         """Draws; the covariance may be singular, and angles stay on the mean's chart.
 
@@ -360,6 +363,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
             )
         return value
 
+    @public
     def ellipse(
         self, confidence: float = 0.95, components: tuple[str, str] | None = None
     ) -> Ellipse:

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.display import Listing, Summary, column, few, named_matrix, number, places
 from pgm.display.summary import LEFT_OUT, Place
 from pgm.errors import ModelError, NumericalError
@@ -87,7 +88,7 @@ def _entries(values: Array, log_scale: Array) -> tuple[Array, str]:
 
 
 def states_of(table: Any, run: tuple[int, ...] = ()) -> str:
-    """The first states of the only variable of a table, of one of its runs."""
+    """The first few states of a table of one variable, for one of its runs."""
     return _row(table.scope, table.values[run], table.log_scale[run])
 
 
@@ -101,7 +102,7 @@ def _row(scope: States, values: Array, log_scale: Array) -> str:
 
 
 def canonical_summary(title: str, scope: Scope, K: Array, h: Array, g: Array) -> Summary:
-    """A canonical form's constant, vector and matrix; of several forms those of the first."""
+    """A canonical form's g, h and K as text; of several forms, the first."""
     if not g.size:
         return Summary(title)
     first = (0,) * g.ndim
@@ -120,7 +121,7 @@ class Moments(Protocol):
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Their names."""
+        """The names of the components."""
 
     @property
     def mean(self) -> Array:
@@ -195,6 +196,7 @@ class FramedTable:
 
     __slots__ = ()
 
+    @public
     def to_frame(self: Entries, *, axes: str | Sequence[str] | None = None) -> Any:
         """The entries as a data frame of pandas, with the states of the last variable as columns.
 

@@ -45,22 +45,46 @@ def as_scope(
 
 
 def one_name_each(variables: Iterable[Variable]) -> None:
-    """Refuse two different variables of one name; copies of one at several steps are none."""
+    """Refuse different variables of one name; copies of a variable at other steps are allowed."""
     seen: dict[str, Variable] = {}
     for variable in variables:
         first = seen.setdefault(variable.name, variable)
         if first is not variable and kind(first) != kind(variable):
             raise ModelError(
                 f"two different variables are called {variable.name!r}: one with "
-                f"{described(first)}, one with {described(variable)}; rename one",
+                f"{described(first)}, one with {described(variable)}{cut_short(first, variable)}; "
+                "rename one or, if they are to be the same, make it once and use it everywhere",
                 variable=variable.template,
             )
 
 
-def kind(variable: Variable) -> tuple[object, ...]:
+def kind(variable: Variable) -> tuple[tuple[str, ...] | None, ...]:
     """The parts that all copies of a variable share beside its name."""
     states = variable.states if isinstance(variable, Discrete) else None
     return variable.components, variable.angles, states
+
+
+def cut_short(first: Variable, second: Variable) -> str:
+    """A clause of where two variables of one name differ that `described` leaves out, if any."""
+    if isinstance(first, Discrete) == isinstance(second, Discrete):
+        for one, other in zip(kind(first), kind(second), strict=True):
+            for place, (own, its) in enumerate(zip(one or (), other or (), strict=False)):
+                if own != its:
+                    return "" if place < MOST else f" (number {place + 1} is {own!r} and {its!r})"
+    return ""
+
+
+def namesake(variable: object, known: Iterable[Variable]) -> str:
+    """A clause that says how a variable differs from one of its name; empty if none has it."""
+    if not isinstance(variable, Variable):
+        return ""
+    for other in known:
+        if other.name == variable.name and kind(other) != kind(variable):
+            return (
+                f": the variable of that name is a different one, with {described(other)} where "
+                f"this one has {described(variable)}{cut_short(other, variable)}; use that one"
+            )
+    return ""
 
 
 def described(variable: Variable) -> str:
@@ -93,7 +117,7 @@ def labels(scope: Iterable[Variable]) -> tuple[str, ...]:
 
 
 def distinct_labels(scope: Iterable[Variable]) -> tuple[str, ...]:
-    """The names of the components, with that of the variable where variables share one."""
+    """Names of components, preceded by their variable's where several variables share them."""
     scope = tuple(scope)
     count = Counter(labels(scope))
     return tuple(
@@ -133,7 +157,8 @@ def positions(scope: Sequence[Variable], wanted: Iterable[Variable]) -> Index:
     for variable in wanted:
         if not isinstance(variable, Variable) or variable not in starts:
             raise ModelError(
-                f"{variable!r} is not in the scope ({listed(scope)})", variable=variable
+                f"{variable!r} is not in the scope ({listed(scope)}){namesake(variable, scope)}",
+                variable=variable,
             )
         places.extend(range(starts[variable], starts[variable] + variable.dimension))
     return as_index(places)
@@ -182,7 +207,8 @@ def unknown_name(key: object, known: Collection[Variable], where: str = "the net
     if kind(key) != kind(alike[0]):
         return (
             f"which {where} does not have: its variable of that name is a different one, with "
-            f"{described(alike[0])} where this one has {described(key)}; use that one"
+            f"{described(alike[0])} where this one has {described(key)}"
+            f"{cut_short(alike[0], key)}; use that one"
         )
     template = key.step is None and not key.lag
     advice = f"name the step, {key.name}.at(k)" if template else "use what it has"
@@ -202,11 +228,11 @@ class Component(Protocol):
 
     @property
     def component(self) -> int:
-        """Its place in the variable."""
+        """The component's index within its variable."""
 
     @property
     def label(self) -> str:
-        """Its name, with that of the variable where variables share it."""
+        """The component's name, preceded by its variable's where several variables share it."""
 
 
 def places_of(each: Sequence[Component], asked: Sequence[str], what: str) -> tuple[int, ...]:
@@ -240,7 +266,7 @@ def whole_variables(each: Sequence[Component]) -> Scope:
 
 
 def in_row(bad: Mask | np.bool_) -> str:
-    """The place of the first bad one of rows, whose axis is the last, behind those of runs."""
+    """The index of the first bad row along the last axis; the axes before it are runs."""
     *runs, row = map(int, np.argwhere(bad)[0]) if np.ndim(bad) else (None,)
     if row is None:
         return ""

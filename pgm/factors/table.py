@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_mapping
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import ModelError, NumericalError
@@ -34,6 +35,7 @@ from pgm.variables import Discrete, Variable
 ZERO = frozen(np.zeros(()))
 
 
+@public
 class Table(FramedTable, Shown, NoArray, Immutable):
     r"""A discrete factor: a non-negative table times the exponential of a log-scale.
 

@@ -7,7 +7,7 @@ from typing import ClassVar, TypeVar
 
 from pgm.display import Shown
 from pgm.errors import EvidenceError
-from pgm.factors.scope import listed
+from pgm.factors.scope import listed, namesake
 from pgm.inference.posterior import require_variable
 from pgm.variables import Variable
 
@@ -28,7 +28,10 @@ class EachSensor(Shown, Mapping[Variable, Value]):
         return self._found[variable]
 
     def _absent(self, variable: Variable) -> str:
-        return f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
+        return (
+            f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
+            f"{namesake(variable, self)}"
+        )
 
     def __contains__(self, variable: object) -> bool:
         return variable in self._found

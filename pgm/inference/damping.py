@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pgm.arguments import public
 from pgm.boundary import is_number
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.inference.argument_checks import require_count
 
 
+@public
 @dataclass(frozen=True)
 class LevenbergMarquardt(InCode):
     """Steps that never raise the cost: full ones where they lower it, else held back.

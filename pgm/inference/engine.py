@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
+from pgm.arguments import public
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import titled
@@ -17,6 +18,7 @@ from pgm.inference.associations import by_density
 from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.convergence import told
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.run import run as run_grid
@@ -50,7 +52,10 @@ def online_points(
     schedule: Any = None,
     lag: int | None = None,
 ) -> OnlineGrid | OnlineParticles:
-    """The online filter of such beliefs, where nothing is asked for that it has no use of."""
+    """The online filter of grid or particle beliefs.
+
+    A setting that means nothing to such a filter is refused.
+    """
     require_points(belief, model)
     asked = None if schedule == ONCE else schedule
     require_no_others(belief, lineariser, schedule=asked, lag=lag)
@@ -153,6 +158,7 @@ class _Options(TypedDict, total=False):
     lineariser: Lineariser
     start: Start | None
     progress: Progress
+    impossible: str
 
 
 @overload
@@ -206,6 +212,7 @@ def infer(
 ) -> ParticlePosterior: ...
 
 
+@public
 def infer(
     graph: ClusterGraph,
     evidence: Evidence,
@@ -218,6 +225,7 @@ def infer(
     memory: float | None = None,
     belief: PointMasses | None = None,
     progress: Progress = False,
+    impossible: str = "raise",
 ) -> Posterior | GridPosterior | ParticlePosterior:
     """Send the messages of a schedule on a cluster graph.
 
@@ -269,12 +277,24 @@ def infer(
         Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
         function, ``progress(done, total)``, called at the start of each stage and after each of its
         items: steps, linearisations, rounds, runs or parts. An error that it raises ends the call.
+    impossible : str
+        Of a discrete network without time and a graph without loops, what is done where evidence
+        has probability zero: ``"raise"``, or ``"allow"``, where such runs, as of `records` of
+        which some contradict the tables, have a log-evidence of −∞ and beliefs of NaN, and the
+        others theirs.
 
     Returns
     -------
     Posterior
         A `ChainPosterior` of a dynamic network, of tables a `StatePosterior`; a `KeptPosterior`
         with ``keep``, a `GridPosterior` or `ParticlePosterior` with ``belief``.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If a schedule that iterates ends before it settles, in any run.
+    PrecisionWarning
+        If rounding leaves fewer than six digits of a mean.
 
     Raises
     ------
@@ -299,6 +319,37 @@ def infer(
          mean ± deviation
       a     1.000 ± 0.707
     """
+    posterior: Posterior | GridPosterior | ParticlePosterior = send(
+        graph,
+        evidence,
+        schedule=schedule,
+        lineariser=lineariser,
+        start=start,
+        keep=keep,
+        executor=executor,
+        memory=memory,
+        belief=belief,
+        progress=progress,
+        impossible=impossible,
+    )
+    return told(posterior, schedule)
+
+
+def send(
+    graph: ClusterGraph,
+    evidence: Evidence,
+    *,
+    schedule: Schedule | None = None,
+    lineariser: Lineariser = TAYLOR,
+    start: Start | None = None,
+    keep: Keep | None = None,
+    executor: Executor | None = None,
+    memory: float | None = None,
+    belief: PointMasses | None = None,
+    progress: Progress = False,
+    impossible: str = "raise",
+) -> Any:
+    """The posterior of `infer`, without a word on whether iterations have settled."""
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
             f"infer takes a cluster graph (pgm.compile(network, ...)), not {titled(graph)}"
@@ -312,6 +363,11 @@ def infer(
     if schedule is not None and (type(schedule) is Loopy or not isinstance(schedule, Schedule)):
         raise ModelError(
             f"{schedule!r} is no schedule; give one like pgm.Smoothing() or pgm.Flooding()"
+        )
+    if impossible != "raise" and (isinstance(graph, DynamicGraph) or not graph.network.discrete):
+        raise GraphError(
+            "impossible= is for the runs of discrete networks without time, not for "
+            f"{titled(graph)}"
         )
     if isinstance(graph, DynamicGraph):
         if memory is not None:
@@ -357,7 +413,7 @@ def infer(
         if start is not None:
             raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
         with reporting(progress):
-            return discrete.run(graph, evidence, schedule, memory)
+            return discrete.run(graph, evidence, schedule, memory, impossible)
     if memory is not None:
         raise GraphError(CONTINUOUS)
     with reporting(progress):

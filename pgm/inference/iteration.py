@@ -23,16 +23,24 @@ class Point(NamedTuple):
     """A point of linearisation: mean (steps, runs, n) and cov (steps, runs, n, n).
 
     `joint` (steps − 1, runs, m, m) are covariances of pairs, where a CPD needs more than states.
+    `proper` is `cov` along all directions that are known, where variances of components are
+    infinite.
     """
 
     mean: Array
     cov: Array
     joint: Array | None = None
+    proper: Array | None = None
+
+    @property
+    def known_cov(self) -> Array:
+        """The covariance, finite, of all that measurements have read."""
+        return self.cov if self.proper is None else self.proper
 
     @property
     def std(self) -> Array:
-        """Standard deviations, (steps, runs, n)."""
-        return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=-2, axis2=-1), 0.0))
+        """Standard deviations of all that is known, (steps, runs, n)."""
+        return np.sqrt(np.maximum(np.diagonal(self.known_cov, axis1=-2, axis2=-1), 0.0))
 
     def start(self, states: Index) -> tuple[Array, Array]:
         """Moments of the states at step 0, (1, runs, ...)."""
@@ -167,7 +175,7 @@ def iterate(
         problem.linearise(point, active)
         solution = problem.solve()
         found = solution.point
-        residual = moments.marginal_error(found.mean, point.mean, found.std)
+        residual = moments.moved(found.mean, point.mean, found.std)
         residuals.append(np.where(active, residual, residuals[-1]) if residuals else residual)
         converged = converged | ((residual <= schedule.tolerance) & problem.settled())
         point = control.step(point, found, active)
@@ -186,13 +194,13 @@ class _Control:
         self.weight = np.full(runs, first)
 
     def feasible(self, first: Point, found: Point) -> Point:
-        """The first point, with means that have a cost where steps are controlled by theirs."""
+        """The starting point; control by cost moves its means to where the cost is finite."""
         if not isinstance(self.damping, LevenbergMarquardt):
             return first
         return first._replace(mean=self.problem.feasible(first.mean, found))
 
     def step(self, point: Point, found: Point, active: Mask) -> Point:
-        """The point after this one, from which its linearisation has led to what was found."""
+        """The next linearisation point, between the present point and its solution."""
         if isinstance(self.damping, LevenbergMarquardt):
             return found._replace(mean=self._accepted(self.damping, point, found, active))
         return point.mixed(found, self.damping) if self.damping else found
@@ -206,7 +214,9 @@ class _Control:
     def _accepted(
         self, rule: LevenbergMarquardt, point: Point, found: Point, active: Mask
     ) -> Array:
-        """Means whose cost is no higher than the point's; those of the point where none is found.
+        """Means whose cost is no higher than the point's.
+
+        Where no step finds such means, the point's own stay.
 
         A Gauss–Newton step that raises the cost is tried again with the weight of an anchor at the
         point, of which each try takes `factor` times as much (Levenberg, 1944; Marquardt, 1963). A

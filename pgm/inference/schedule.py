@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -12,7 +13,12 @@ from pgm.inference.damping import Damping, require_damping
 from pgm.inference.gates import Gate, as_gate
 from pgm.inference.status import FILTERED, SMOOTHED, Kind
 
+# Deviations by which a mean still moves at a fixed point: nothing that an estimate could show, and
+# within reach of float64 and of ten linearisations of most recordings.
+TOLERANCE = 1e-6
 
+
+@public
 @dataclass(frozen=True)
 class Filtering(InCode):
     """Forward messages alone: each belief knows the measurements up to its step.
@@ -54,7 +60,7 @@ class Filtering(InCode):
     """
 
     iterations: int = 1
-    tolerance: float = 1e-9
+    tolerance: float = TOLERANCE
     damping: Damping = 0.0
     gate: Gate = None
 
@@ -74,6 +80,7 @@ _LINEARISATIONS = "iterations, which count linearisations,"
 ONCE = Filtering()
 
 
+@public
 @dataclass(frozen=True)
 class Calibration(InCode):
     """Both passes over a tree: towards the root and back, so that each belief knows all evidence.
@@ -104,13 +111,14 @@ class Calibration(InCode):
     """
 
     iterations: int = 1
-    tolerance: float = 1e-9
+    tolerance: float = TOLERANCE
 
     def __post_init__(self) -> None:
         require_count(self, _LINEARISATIONS, self.iterations)
         require_tolerance(self, self.tolerance)
 
 
+@public
 @dataclass(frozen=True)
 class Smoothing(Calibration):
     """Forward and backward messages, the calibration of a chain: all measurements are known.
@@ -161,6 +169,7 @@ class Smoothing(Calibration):
         return Filtering(gate=self.gate)
 
 
+@public
 @dataclass(frozen=True)
 class FixedLag(InCode):
     r"""Forward messages, and backward ones over a lag: each belief knows the measurements up to it.
@@ -195,7 +204,7 @@ class FixedLag(InCode):
     Examples
     --------
     >>> FixedLag(5)
-    FixedLag(lag=5, iterations=1, tolerance=1e-09, damping=0.0, gate=None)
+    FixedLag(lag=5, iterations=1, tolerance=1e-06, damping=0.0, gate=None)
 
     References
     ----------
@@ -206,7 +215,7 @@ class FixedLag(InCode):
 
     lag: int
     iterations: int = 1
-    tolerance: float = 1e-9
+    tolerance: float = TOLERANCE
     damping: Damping = 0.0
     gate: Gate = None
 
@@ -246,12 +255,12 @@ class FixedLag(InCode):
 class Loopy(InCode):
     """Base of the schedules for any graph, a tree or not."""
 
+    iterations: int = 1000
     tolerance: float = 1e-10
     damping: float = 0.0
-    max_iterations: int = 1000
 
     def __post_init__(self) -> None:
-        require_count(self, "max_iterations", self.max_iterations)
+        require_count(self, "iterations", self.iterations)
         require_tolerance(self, self.tolerance)
         if not is_number(self.damping) or not 0.0 <= self.damping < 1.0:
             raise ModelError(
@@ -260,6 +269,7 @@ class Loopy(InCode):
             )
 
 
+@public
 @dataclass(frozen=True)
 class Flooding(Loopy):
     """All messages at once, each from those of the iteration before, until none changes.
@@ -270,13 +280,13 @@ class Flooding(Loopy):
 
     Parameters
     ----------
+    iterations : int
+        Rounds of messages at the most; a round sends as many messages as the graph has.
     tolerance : float
         A run has converged when no message changes by more than this: in standard deviations of
         the belief it makes, or in probability.
     damping : float
         The share of the old message that is kept, in [0, 1): a new one is the geometric mean.
-    max_iterations : int
-        Iterations at the most; one sends as many messages as the graph has.
 
     Examples
     --------
@@ -292,6 +302,7 @@ class Flooding(Loopy):
     """
 
 
+@public
 @dataclass(frozen=True)
 class Sequential(Loopy):
     """Cluster after cluster, forth and back, each message from the latest ones.
@@ -307,6 +318,7 @@ class Sequential(Loopy):
     """
 
 
+@public
 @dataclass(frozen=True)
 class Residual(Loopy):
     """Always the message that would change most.

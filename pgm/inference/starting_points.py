@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import EvidenceError
-from pgm.factors.scope import listed
+from pgm.factors.scope import listed, namesake
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
@@ -23,7 +23,8 @@ def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
     for variable in start:
         if variable not in hidden:
             raise EvidenceError(
-                f"start has {variable!r}, which is not hidden; it takes {listed(hidden)}",
+                f"start has {variable!r}, which is not hidden; it takes {listed(hidden)}"
+                f"{namesake(variable, hidden)}",
                 variable=variable,
             )
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.display import InCode, Shown, Summary, few, number
-from pgm.errors import ModelError, PrecisionWarning
+from pgm.errors import ModelError, PrecisionWarning, levels_to_user
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 
 
+@public
 @dataclass(frozen=True)
 class Kind(InCode):
     r"""The kind of a chain's beliefs: each knows the measurements up to a lag after its step.
@@ -74,6 +75,17 @@ PREDICTED, FILTERED, SMOOTHED = Kind(-1), Kind(0), Kind(math.inf)
 ENOUGH_DIGITS = 6.0
 # Residuals that are shown.
 FEW = 8
+# Why digits are few, and what helps.
+FAR_APART = (
+    "some deviations of the model are too far apart for float64; scale them, give what is not "
+    "known at all cov=np.inf in the prior of a chain, or read a repeated or redundant measurement "
+    "once"
+)
+CLOSE_POINTS = (
+    "sigma points of a small alpha lie so close together that values of a function far from zero "
+    "differ in few digits; use a larger alpha, pgm.Unscented() or pgm.Cubature(), or count "
+    "coordinates from a place nearby"
+)
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
@@ -81,18 +93,6 @@ def digits(error: Array, lead: tuple[int, ...]) -> Array:
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)
     return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))
-
-
-def _levels_to_user() -> int:
-    """The number of calls up to a user's own line, for a warning to point at."""
-    frame, levels = sys._getframe(1), 1
-    while frame.f_back is not None:
-        name = frame.f_globals.get("__name__", "")
-        # contextlib and NumPy's errstate stand in decorators.
-        if not name.startswith(("pgm.", "numpy.")) and name != "contextlib":
-            break
-        frame, levels = frame.f_back, levels + 1
-    return levels
 
 
 class Status(Shown, Immutable):
@@ -175,23 +175,20 @@ class Status(Shown, Immutable):
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
         return cls(count + 1, record, converged.reshape(lead))
 
-    def with_digits(self, digits: Array) -> Status:
-        """The same status with digits (*runs) as measured; a warning where a run has too few."""
+    def with_digits(self, digits: Array, cause: str = FAR_APART) -> Status:
+        """The same status with the measured digits (*runs); a run with too few warns."""
         least = float(digits.min(initial=np.inf))
         if least < ENOUGH_DIGITS:
             runs = int((digits < ENOUGH_DIGITS).sum())
             message = (
                 f"rounding leaves {max(least, 0.0):.1f} decimal digits of a mean, counted from its "
-                f"standard deviation, in {runs} of {digits.size} runs (status.digits): some "
-                "deviations of the model are too far apart for float64; scale them, give what is "
-                "not known at all cov=np.inf in the prior of a chain, or read a repeated or "
-                "redundant measurement once"
+                f"standard deviation, in {runs} of {digits.size} runs (status.digits): {cause}"
             )
-            warnings.warn(message, PrecisionWarning, stacklevel=_levels_to_user())
+            warnings.warn(message, PrecisionWarning, stacklevel=levels_to_user())
         return self._with(digits=digits)
 
     def with_compilation(self, words: str) -> Status:
-        """The same status with the account of its sweeps."""
+        """The same status with an account of which sweeps ran in machine code, or why not."""
         return self._with(compilation=words)
 
     def _with(self, **changes: Any) -> Status:

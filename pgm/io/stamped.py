@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_mapping
 from pgm.display import Shown, Summary, as_numbers, brief, count, table
 from pgm.errors import EvidenceError
@@ -29,6 +30,7 @@ UNITS = (("nanoseconds", 1e9), ("microseconds", 1e6), ("milliseconds", 1e3))
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
+@public
 @dataclass(frozen=True, eq=False, repr=False)
 class Stamped(Shown):
     """Rows of a log with their stamps; made by `stamped`.
@@ -66,6 +68,7 @@ class Stamped(Shown):
         return Summary(self._title, [table(columns, digits=15)])
 
 
+@public
 def stamped(
     stamps: npt.ArrayLike,
     values: npt.ArrayLike,
@@ -166,7 +169,7 @@ def as_table(
     variable: Variable,
     hint: str = "",
 ) -> Array:
-    """A copy of one row of values for each stamp, (rows, columns)."""
+    """A copy of values with one row for each stamp, (rows, columns)."""
     array = as_floats(
         value, what, EvidenceError, labels=columns, missing=True, variable=variable
     ).copy()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import is_number
 from pgm.display import TITLE, Listing, Shown, Summary
 from pgm.errors import EvidenceError
@@ -76,6 +77,7 @@ class Timeline(Shown, Immutable):
         return Summary(self._title, [Listing(("", ""), rows, names=2, cell=TITLE)])
 
 
+@public
 def timeline(
     times: npt.ArrayLike | None = None,
     *,

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
@@ -114,6 +115,7 @@ UNIT = 1e-3
 ROUNDING = 1e-14
 
 
+@public
 def write_tum(
     path: Source,
     belief: Any,
@@ -212,6 +214,7 @@ def write_tum(
         write_covariances(covariance, stamps, names, cov)
 
 
+@public
 def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIMIT) -> Poses:
     r"""Read a trajectory in the format of TUM, and its covariances.
 

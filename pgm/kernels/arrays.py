@@ -17,6 +17,8 @@ Kind = TypeVar("Kind", bound=np.generic)
 Index = slice | Integers
 
 LOG_2PI = float(np.log(2.0 * np.pi))
+# Of a mean, relatively: by no more do two solutions of one model differ, of long chains either.
+LAST_PLACES = 32.0 * float(np.finfo(np.float64).eps)
 # From this many matrices on, going along rows of runs beats one product a matrix.
 _MANY = 32
 _FAR = _MANY * np.dtype(np.float64).itemsize
@@ -242,7 +244,7 @@ def independent(cov: Array, seen: Mask) -> Array:
 
 
 def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kind]:
-    """Some runs of an array that has all of them along an axis, or one for all."""
+    """Some runs of an array along its axis of runs; an array with one run for all stays whole."""
     return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]
 
 

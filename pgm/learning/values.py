@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, is_number
 from pgm.display import InCode, Listing, Shown, Summary, few, number
 from pgm.errors import ModelError
@@ -22,6 +23,7 @@ from pgm.variables import Variable
 KINDS = ("full", "diagonal", "scaled")
 
 
+@public
 @dataclass(frozen=True)
 class Covariance(InCode):
     """The noise covariance of a CPD.
@@ -53,6 +55,7 @@ class Covariance(InCode):
             raise ModelError(f"{self!r}: lower and upper are numbers, 0 <= lower <= upper")
 
 
+@public
 @dataclass(frozen=True)
 class Coefficients(InCode):
     """The matrices of a `LinearGaussianCPD`.
@@ -79,6 +82,7 @@ class Coefficients(InCode):
             )
 
 
+@public
 @dataclass(frozen=True)
 class Offset(InCode):
     """The offset of a `LinearGaussianCPD`, or the mean of a `GaussianCPD`.
@@ -97,6 +101,7 @@ class Offset(InCode):
     free: npt.ArrayLike = True
 
 
+@public
 @dataclass(frozen=True)
 class Parameter(InCode):
     """A constant that functions of CPDs take as a parent: a scale, an offset, a lever arm.
@@ -129,6 +134,7 @@ class Parameter(InCode):
             raise ModelError(f"{self!r}: start is finite, and lower <= start <= upper")
 
 
+@public
 @dataclass(frozen=True)
 class Table(InCode):
     """The table of a `TableCPD`.

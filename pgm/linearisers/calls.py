@@ -11,7 +11,9 @@ import numpy as np
 
 from pgm.boundary import as_floats
 from pgm.errors import ModelError, PgmError
+from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers
+from pgm.linearisers import advice
 from pgm.variables import Variable
 
 # What to do about a shape that was not due.
@@ -19,6 +21,10 @@ STACKED = (
     "it is called with arrays that have leading axes, so index components as a[..., i] and stack "
     "results along the last axis"
 )
+
+
+# Errors that arguments of another width, or in another order, may raise.
+_OF_ARGUMENTS = TypeError, IndexError, ValueError
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,23 +47,50 @@ class Call:
         function: Callable[..., Any],
         arguments: Sequence[Array],
         due: tuple[int, ...],
-        advice: str = STACKED,
+        remedy: str = STACKED,
     ) -> Array:
-        """The function's value as an array of the shape that is due; else an error with advice."""
+        """The function's value as an array of the shape that is due, or an error and a remedy."""
         try:
             value = function(*arguments)
         except Exception as error:
-            raise self.failure(function, arguments, error) from error
-        return self.array(function, arguments, value, due, advice)
+            raise self.failure(function, arguments, error, due) from error
+        return self.array(function, arguments, value, due, remedy)
 
     def failure(
-        self, function: Callable[..., Any], arguments: Sequence[Array], error: Exception
+        self,
+        function: Callable[..., Any],
+        arguments: Sequence[Array],
+        error: Exception,
+        due: tuple[int, ...] | None = None,
     ) -> PgmError:
-        """The error of a call that has raised another one."""
+        """The error of a call that has raised another one; `due` is the shape of a value."""
         axes = f" on a trial call with arrays of leading axes {self.lead}"
         when = axes if self.first_run is None else ""
-        fault = f"failed{when}: {type(error).__name__}: {error}"
+        fault = f"failed{when}: {self.reason(function, arguments, error, due)}"
         return self.error(fault, self._first(function, arguments))
+
+    def reason(
+        self,
+        function: Callable[..., Any],
+        arguments: Sequence[Array],
+        error: Exception,
+        due: tuple[int, ...] | None,
+    ) -> str:
+        """The error that a function has raised, in words, and what may be done about it."""
+        told = f"{type(error).__name__}: {error}"
+        if not isinstance(error, _OF_ARGUMENTS):
+            return told
+        parents = self._parents(arguments)
+        if due is not None and (other := advice.other_order(function, arguments, parents, due)):
+            return told + other
+        return f"{told}{advice.mistake(error)}{advice.order(parents)}"
+
+    def _parents(self, arguments: Sequence[Array]) -> Scope:
+        """The variables whose values the arguments are; none where there are others beside."""
+        parents: Scope = () if self.cpd is None else self.cpd.given
+        if self.what == "noise":
+            parents = self.cpd.noise_given
+        return parents if len(parents) == len(arguments) else ()
 
     def array(
         self,
@@ -65,7 +98,7 @@ class Call:
         arguments: Sequence[Array],
         value: Any,
         due: tuple[int, ...],
-        advice: str = STACKED,
+        remedy: str = STACKED,
     ) -> Array:
         """A value that a call has returned, as an array of the shape that is due."""
         try:
@@ -74,7 +107,9 @@ class Call:
             fault = str(error).removeprefix("it ")
             raise self.error(fault, self._first(function, arguments)) from error.__cause__
         if array.shape != due:
-            raise self.error(f"returned shape {array.shape} where {due} was due; {advice}")
+            other = advice.other_order(function, arguments, self._parents(arguments), due)
+            told = other or f"; {remedy}"
+            raise self.error(f"returned shape {array.shape} where {due} was due{told}")
         return array
 
     def _first(

@@ -177,7 +177,7 @@ class BoundFunction(NamedTuple):
             role, function = "derivative", derivative
             slope = function(*arguments)
         except Exception as error:
-            raise self._told(role, x).failure(function, arguments, error) from error
+            raise self._told(role, x).failure(function, arguments, error, None) from error
         due, steep = (*shape, template.height), (*shape, template.height, template.size)
         if not (type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due):
             value = self._told("function", x).array(template.function, arguments, value, due)
@@ -319,7 +319,7 @@ class BoundFunction(NamedTuple):
         try:
             value = function(*arguments)
         except Exception as error:
-            raise self._told(role, x).failure(function, arguments, error) from error
+            raise self._told(role, x).failure(function, arguments, error, due) from error
         if type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due:
             return value
         return self._told(role, x).array(function, arguments, value, due)

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers, frozen
@@ -16,6 +17,7 @@ from pgm.linearisers.points import Points
 from pgm.linearisers.regression import StatisticalRegression
 
 
+@public
 @dataclass(frozen=True)
 class Unscented(StatisticalRegression):
     """The scaled unscented rule: the centre and 2n points at ±√(n + λ) along the root's columns.
@@ -128,6 +130,7 @@ def _cross(n: int, square: float) -> Array:
 MOST_POINTS = 10**6
 
 
+@public
 @dataclass(frozen=True)
 class GaussHermite(StatisticalRegression):
     """The Gauss–Hermite product rule: orderⁿ points, exact to degree 2·order − 1 in each component.

@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers
@@ -28,7 +29,10 @@ _BITS = 53
 
 
 def uniform(seed: int, name: str, step: int | Integers, size: int, fresh: bool) -> Array:
-    """Numbers in [0, 1), (*axes of step, size); equal steps share theirs unless `fresh`."""
+    """Uniform numbers in [0, 1), (*axes of step, size).
+
+    Equal steps have equal numbers unless `fresh`.
+    """
     key = [int(seed), zlib.crc32(name.encode())]
     stretch = -(-size // 4)  # Philox makes four numbers a count
 
@@ -98,7 +102,7 @@ def _sobol(samples: int, dimension: int) -> Words:
 
 @dataclass(frozen=True)
 class SampledRule(StatisticalRegression):
-    """Random points for N(0, I), all of one weight, keyed by seed, CPD and step.
+    """Random points for N(0, I) with equal weights, keyed by seed, CPD and step.
 
     At least 2n + 2 of them; a subclass gives `_sample`.
     """
@@ -141,6 +145,20 @@ class SampledRule(StatisticalRegression):
     def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
         """The points, (*axes of step, N, n)."""
 
+    def cancellation(self, dimension: int) -> float:
+        """One: the weights are equal, and values are rounded as any; as of `StatisticalRegression`.
+
+        Parameters
+        ----------
+        dimension : int
+            Number of components, n.
+
+        Returns
+        -------
+        float
+        """
+        return 1.0
+
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
         """The sample, (*axes of step, N, n); as of `StatisticalRegression`."""
         if self.samples < 2 * dimension + 2:
@@ -154,6 +172,7 @@ class SampledRule(StatisticalRegression):
         return Points(sample, weights, weights, False)
 
 
+@public
 @dataclass(frozen=True)
 class MonteCarlo(SampledRule):
     """Random points, weights 1/N, regressed with the sample's own mean and covariance.
@@ -213,6 +232,7 @@ class MonteCarlo(SampledRule):
         return np.concatenate([half, -half], axis=-2) if self.antithetic else half
 
 
+@public
 @dataclass(frozen=True)
 class QuasiMonteCarlo(SampledRule):
     """Scrambled Sobol points through the normal quantile, regressed as a Monte Carlo sample.

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -15,6 +16,7 @@ from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.maps.cells import as_finite
 
 
+@public
 class FeatureMap(InCode, Immutable):
     """Landmarks at known positions, each with a name where it can be told by its signature.
 
@@ -80,7 +82,7 @@ class FeatureMap(InCode, Immutable):
         return np.stack([self.positions.min(axis=0), self.positions.max(axis=0)])
 
     def at(self, names: str | Iterable[str]) -> Array:
-        """The positions [m] of landmarks by name: (d,) of one, (n, d) of several.
+        """The positions [m] of landmarks by name: (d,) for one, (n, d) for several.
 
         Raises
         ------

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import expit, logit
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_number, is_whole
 from pgm.errors import ModelError
 from pgm.kernels import rays, rigid
@@ -26,6 +27,7 @@ class _Beams(NamedTuple):
     hits: Mask
 
 
+@public
 def log_odds_map(
     poses: npt.ArrayLike,
     scans: npt.ArrayLike,
@@ -165,7 +167,7 @@ def _traced(
 
 
 def _counted(beams: _Beams, height: int, width: int) -> Array:
-    """By cell, how many beams end in it, and how many pass through, (2, height, width)."""
+    """For each cell, how many beams end in it and how many pass through, (2, height, width)."""
     entered = np.zeros(height * width)
     for first in range(0, beams.begins.shape[1], _BLOCK):
         place = slice(first, first + _BLOCK)

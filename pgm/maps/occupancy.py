@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, label
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, is_whole
 from pgm.display import InCode
 from pgm.errors import FileError, ModelError
@@ -23,6 +24,7 @@ from pgm.resources import require_memory
 from pgm.variables import Variable
 
 
+@public
 class OccupancyMap(InCode, CellGrid):
     r"""A grid of cells with the probability that each is occupied; an immutable value.
 
@@ -147,6 +149,7 @@ class OccupancyMap(InCode, CellGrid):
         except ModelError as error:
             raise FileError(f"{path}: {error}", path=str(path)) from error
 
+    @public
     def write(self, path: str | PathLike[str], *, image: str = ".pgm") -> None:
         """Write the map as YAML and image, which ROS's map_server and `read` take (trinary).
 
@@ -186,7 +189,7 @@ class OccupancyMap(InCode, CellGrid):
 
     @cached_property
     def distances(self) -> Array:
-        """The distance from each cell's centre to that of the nearest obstacle [m].
+        """The distance [m] from each cell's centre to the nearest obstacle's centre.
 
         Raises
         ------
@@ -197,6 +200,7 @@ class OccupancyMap(InCode, CellGrid):
         found: Array = distance_transform_edt(~self.obstacles, sampling=self.resolution)
         return frozen(found)
 
+    @public
     def poses(self, spacing: float, headings: int, mask: npt.ArrayLike | None = None) -> Array:
         """A coarse grid of poses: places in free cells, each with all headings.
 
@@ -235,7 +239,7 @@ class OccupancyMap(InCode, CellGrid):
         return found.reshape(-1, 3)
 
     def connected(self, point: npt.ArrayLike) -> Mask:
-        """The mask (rows, columns) of free cells connected with a point's along edges of such.
+        """The mask (rows, columns) of free cells that a path over shared edges joins to a point.
 
         Around a mapped building much is free that a robot cannot get to; this mask tells.
 
@@ -256,6 +260,7 @@ class OccupancyMap(InCode, CellGrid):
         parts, _ = label(self.free)
         return np.asarray(parts == parts[cell.rows, cell.columns])
 
+    @public
     def uniform(self, pose: Variable, mask: npt.ArrayLike | None = None) -> UniformPose:
         """The prior of a pose that may be anywhere in free cells, at any heading.
 
@@ -273,6 +278,7 @@ class OccupancyMap(InCode, CellGrid):
         """
         return UniformPose(pose, self, mask)
 
+    @public
     def cast(
         self,
         poses: npt.ArrayLike,

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
+from pgm.arguments import public
 from pgm.cpds.base import Known, Values
 from pgm.errors import ModelError
 from pgm.kernels import rays, rigid
@@ -16,6 +17,7 @@ from pgm.maps.scans import ScanCPD
 from pgm.variables import Variable
 
 
+@public
 class LikelihoodField(ScanCPD):
     r"""A scan given a pose, by the distances from its beams' ends to obstacles.
 
@@ -156,8 +158,9 @@ class LikelihoodField(ScanCPD):
 _FLAT = 1e6
 
 
+@public
 class BeamModel(ScanCPD):
-    r"""A scan given a pose, each range by that which the map lets expect.
+    r"""The beam model of a scan: each range given the range expected by ray casting in the map.
 
     With the expected range :math:`z^*` of a beam, its range has the density
 

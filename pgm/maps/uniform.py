@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.cpds import CPD
 from pgm.cpds.base import Known, Values
 from pgm.errors import ModelError
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from pgm.maps.occupancy import OccupancyMap
 
 
+@public
 class UniformPose(CPD):
     r"""The prior of a pose that may be anywhere in the free cells of a map, at any heading.
 

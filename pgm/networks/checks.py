@@ -150,15 +150,27 @@ def check_templates(cpds: Iterable[CPD]) -> None:
 
 
 def check_states(
-    prior: Iterable[CPD], transition: Iterable[CPD], states: set[Variable], hidden: set[Variable]
+    prior: Iterable[CPD],
+    transition: Iterable[CPD],
+    observation: Iterable[CPD],
+    states: set[Variable],
+    hidden: set[Variable],
 ) -> None:
     """Refuse a state that lacks its prior or its transition."""
+    moved = {cpd.child: cpd for cpd in observation}
     for cpd in prior:
         if cpd.child not in hidden:
+            still = "an identity" if cpd.discrete else "cov=0"
+            advice = f"add a CPD of it given {cpd.child.previous!r} ({still} for a static unknown)"
+            if cpd.child in moved:
+                advice = (
+                    f"{moved[cpd.child]!r} stands in observation=, which is for sensors: a motion "
+                    "belongs in transition="
+                )
+            elif cpd.parents:
+                advice += "; if it is a sensor's measurement, its CPD belongs in observation= alone"
             raise ModelError(
-                f"state {cpd.child!r} has a prior but no transition; add a CPD of it given "
-                f"{cpd.child.previous!r} ({'an identity' if cpd.discrete else 'cov=0'} for a "
-                "static unknown)",
+                f"state {cpd.child!r} has a prior but no transition; {advice}",
                 variable=cpd.child,
                 cpd=cpd,
             )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_generator, as_mapping, is_whole
 from pgm.cpds import CPD, TableCPD
 from pgm.display import Drawn, Listing, Summary
@@ -29,6 +30,7 @@ _COPY = 100
 FACTORS = 84
 
 
+@public
 class DynamicBayesianNetwork(Drawn, Immutable):
     """A prior over the states, a transition from each slice to the next, and sensors.
 
@@ -111,7 +113,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         states = {cpd.child for cpd in prior}
         hidden = {cpd.child for cpd in transition}
         sensors = tuple(cpd.child for cpd in observation)
-        checks.check_states(prior, transition, states, hidden)
+        checks.check_states(prior, transition, observation, states, hidden)
         checks.check_parents(prior, transition, observation, states, hidden, set(sensors))
         checks.runs(everything)
         transition = checks.in_order(transition, lambda cpd: cpd.given)
@@ -156,6 +158,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         """The axes of runs of the model itself, where a `GaussianCPD` differs by run."""
         return checks.runs(self.cpds)
 
+    @public
     def sample(
         self,
         inputs: Evidence | None = None,
@@ -193,8 +196,9 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         """
         return draw_steps(self, as_mapping(inputs, "inputs"), steps, runs, as_generator(rng))
 
+    @public
     def unroll(self, steps: int) -> BayesianNetwork:
-        """The network without time whose variables are those of the slices 0..steps.
+        """The static network over the variables of slices 0..steps.
 
             p(x[0..T], z[0..T] | u) = p(x[0]) Π p(x[t] | x[t−1], u[t]) Π p(z[t] | x[t])
 
@@ -220,6 +224,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
             placed += [TableCPD(p, table=np.full(p.size, 1.0 / p.size)) for p in inputs]
         return BayesianNetwork(placed)
 
+    @public
     def to_networkx(self, steps: int = 1) -> nx.DiGraph:
         """The network unrolled to slices 0..steps, for pictures and questions of structure.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_generator, as_mapping
 from pgm.cpds import CPD
 from pgm.cpds.base import Values
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 FEW = 12
 
 
+@public
 class BayesianNetwork(Drawn, Immutable):
     """A joint density as a product of CPDs, one for each variable.
 
@@ -137,6 +139,7 @@ class BayesianNetwork(Drawn, Immutable):
         by_child = {**self._by_child, **{cpd.child: cpd for cpd in new}}
         return BayesianNetwork(by_child.values())
 
+    @public
     def sample(
         self,
         n: int | tuple[int, ...] | None = None,
@@ -186,13 +189,14 @@ class BayesianNetwork(Drawn, Immutable):
         graph.add_edges_from((parent, cpd.child) for cpd in self.cpds for parent in cpd.parents)
         return graph
 
+    @public
     def d_separated(
         self,
         a: Variable | Iterable[Variable],
         b: Variable | Iterable[Variable],
         given: Variable | Iterable[Variable] = (),
     ) -> bool:
-        """Whether the graph alone makes some variables independent of others, given a third set.
+        """Whether the graph implies that two sets are independent given a third (d-separation).
 
         No trail between the two is active: each has an arrow out of a given variable
         (``→ g →``, ``← g →``) or a collision (``→ c ←``) without a given variable at or below it.

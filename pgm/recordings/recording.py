@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_mapping, is_number
 from pgm.display import TITLE, Listing, NoArray, Shown, Summary
 from pgm.errors import EvidenceError
@@ -32,6 +33,7 @@ _PARTS = ("name", "odometry", "velocities", "sightings", "landmarks", "landmark_
 _MORE = ("imu", "fixes", "scans", "mounts", "dropped")
 
 
+@public
 class Recording(Shown, NoArray, Immutable):
     """A recorded drive in the plane: streams of rows, each with its own stamps.
 
@@ -164,6 +166,7 @@ class Recording(Shown, NoArray, Immutable):
         """The times at which rows of the motion begin and end [s]."""
         return self._motion().axis
 
+    @public
     def stamps(self, *sensors: str, tolerance: float = 0.0) -> Array:
         """The stamps of the motion, and of sensors within its time; all sensors and fixes without.
 
@@ -200,6 +203,7 @@ class Recording(Shown, NoArray, Immutable):
             changes["velocities"] = motion.cut_velocities(self.velocities, first, last)
         return self.replace(**changes)
 
+    @public
     def resampled(
         self, times: npt.ArrayLike | None = None, *, period: float | None = None
     ) -> Recording:
@@ -235,6 +239,7 @@ class Recording(Shown, NoArray, Immutable):
         """The recording `resampled` at `stamps`."""
         return self.resampled(self.stamps())
 
+    @public
     def dead_reckoning(
         self, start: npt.ArrayLike | None = None, times: npt.ArrayLike | None = None
     ) -> Stream:
@@ -263,6 +268,7 @@ class Recording(Shown, NoArray, Immutable):
             raise EvidenceError(f"start= is (east, north, heading), not {start!r}")
         return Stream(axis, twists.path(pose, spans.between(axis)), POSE)
 
+    @public
     def truth_at(self, times: npt.ArrayLike, *, longest: float | None = None) -> Stream:
         """The truth at given times (m,), between its own on a line; headings are not wrapped.
 
@@ -273,7 +279,7 @@ class Recording(Shown, NoArray, Immutable):
         return reference.at(self.truth, times, longest)
 
     def located(self) -> Recording:
-        """The recording without sightings whose subject has no place; `dropped` tells of them."""
+        """The recording without sightings of unlocated subjects; `dropped` lists them."""
         told, seen = list(self.dropped), {}
         for name, stream in self.sightings.items():
             lost = handing.without_place(stream, self.landmarks)
@@ -282,6 +288,7 @@ class Recording(Shown, NoArray, Immutable):
                 told.append(Dropped(name, NO_PLACE, np.flatnonzero(lost)))
         return self.replace(sightings=seen, dropped=told)
 
+    @public
     def calibrated(
         self, sensor: str, scale: float = 1.0, offset: float = 0.0, *, component: str = "range"
     ) -> Recording:
@@ -301,6 +308,7 @@ class Recording(Shown, NoArray, Immutable):
         mended = stream.replace(values=values, variances=variances)
         return self.replace(sightings={**self.sightings, sensor: mended})
 
+    @public
     def timeline(
         self,
         times: npt.ArrayLike | None = None,

@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, is_number
 from pgm.display import NoArray, Shown, count
 from pgm.errors import EvidenceError
@@ -15,8 +16,9 @@ from pgm.io.stamped import as_stamps, clock
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 
 
+@public
 class Scans(Shown, NoArray, Immutable):
-    """Scans of one laser: a range for each of its rays.
+    """Scans of one laser: one range a ray, at each stamp.
 
     Parameters
     ----------

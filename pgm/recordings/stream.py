@@ -1,4 +1,4 @@
-"""Stamped rows of one sensor, odometer or reference, by the names of their components."""
+"""Stamped rows of one sensor, odometer or reference, with named components."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_number, is_unordered
 from pgm.display import NoArray, Shown, Summary, count, table
 from pgm.errors import EvidenceError
@@ -24,6 +25,7 @@ _ANGLES = {"heading": degrees.seem_degrees, "bearing": degrees.beyond_a_turn}
 _SUBJECTS = {int: np.dtype(int), str: np.dtype(np.str_), type(None): np.dtype(object)}
 
 
+@public
 class Stream(Shown, NoArray, Immutable):
     """Rows with their stamps; values are read by component, ``stream["range"]``.
 

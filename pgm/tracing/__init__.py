@@ -1,4 +1,4 @@
-"""Users' functions as graphs of scalar operations, and what comes of them."""
+"""Users' functions traced to graphs of scalar operations, for derivatives and compilation."""
 
 from pgm.tracing.judging import Answers, Judge, beside, judged
 from pgm.tracing.program import Program

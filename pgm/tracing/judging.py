@@ -74,7 +74,7 @@ class _Points(NamedTuple):
 
 
 class Answers:
-    """The answers of one trace in one call.
+    """The values and slopes that one trace gave in one call.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ class Answers:
             self._hold(flat, told, due)
 
     def _compare(self, flat: Array, told: Array) -> None:
-        """Call the function at points, and find a fault where a value is not the trace's."""
+        """Call the user's function at some points; a value unlike the trace's is a fault."""
         due, self.used = self._function(flat), True
         if due is None or due.shape != told.shape:
             self.fault = "its function fails on a batch of the points at which its trace was used"
@@ -290,7 +290,7 @@ class Answers:
         return points.at(np.unique([0, count - 1, *pairs, *(pairs + 1)]))
 
     def _hold_slopes(self, points: _Points) -> None:
-        """Find a fault where a slope is not that of differences, nor of the trace close by.
+        """A slope unlike the function's differences, or the trace's nearby slopes, is a fault.
 
         An entry (i, j) is wrong where it moves a prediction by too many of its deviations: of
         |J − D| σⱼ against Σ (D σ)² and the noise. But D, by differences, is believed only where two

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.compile import DynamicGraph
 from pgm.errors import GraphError
 from pgm.inference import (
@@ -30,6 +31,7 @@ from pgm.viewer.scripts import script
 Viewable = Posterior | GridPosterior | ParticlePosterior
 
 
+@public
 def view(
     posterior: Viewable,
     path: str | PathLike[str],
@@ -81,6 +83,7 @@ def view(
     return target
 
 
+@public
 def html(posterior: Viewable) -> str:
     """The page of a posterior in a frame, for notebooks: small, and says so where it is cut."""
     whole = assembled(*_content(posterior, None, None, CELL))

@@ -129,7 +129,7 @@ def test_strong_coupling_ends_convergence_where_theory_says(done):
 
 def test_variances_err_to_either_side_and_means_do_not(done):
     gaussian = done[1]["coupling"]["gaussian"]
-    half = {"damped": pgm.Flooding(damping=0.5, max_iterations=cases.LIMITS["gaussian"])}
+    half = {"damped": pgm.Flooding(damping=0.5, iterations=cases.LIMITS["gaussian"])}
     two, three = (
         sweep(make, cases.PRECISIONS[-1:], half)["damped"][0]
         for make in (gaussian_ring, partial(gaussian_ring, span=3))

@@ -214,7 +214,7 @@ def test_what_was_not_kept_says_so():
     assert repr(kept).splitlines()[0] == "Posterior(smoothed, kept [x], steps 0..8, runs (23,))"
     with pytest.raises(pgm.EvidenceError, match=r"u was not kept; ask for it, keep=\[x, u\]"):
         kept[u]
-    with pytest.raises(pgm.EvidenceError, match="m is observed"):
+    with pytest.raises(pgm.EvidenceError, match="m is an input"):
         kept[m]
     with pytest.raises(pgm.EvidenceError, match="asked for by variable"):
         kept["x"]

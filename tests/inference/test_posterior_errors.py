@@ -153,7 +153,7 @@ SCHEDULES = [
 ASKED = [
     asked("an observed variable", lambda: SMOOTHED[z], "z", ".innovations[z]", variable=z),
     asked("one reading", lambda: SMOOTHED[z.at(2)], ".innovations", variable=z.at(2)),
-    asked("an input", lambda: SMOOTHED[u], "u", "observed", variable=u),
+    asked("an input", lambda: SMOOTHED[u], "u", "an input", "evidence", variable=u),
     asked("a stranger", lambda: SMOOTHED[a], "a", "hidden", "x", variable=a),
     asked("the step before", lambda: SMOOTHED[x.previous], "x[t-1]", variable=x.previous),
     asked(

@@ -21,7 +21,7 @@ ODD = ["a", None, 1j, True, [0.5], (), np.array([0.1, 0.2])]
     [
         *((kind, "damping", "damping is the share") for kind in LOOPY),
         *((kind, "tolerance", "a tolerance must be 0 or more") for kind in (*LOOPY, *TREES)),
-        *((kind, "max_iterations", "max_iterations must be a whole number") for kind in LOOPY),
+        *((kind, "iterations", "iterations must be a whole number") for kind in LOOPY),
         *((kind, "iterations", "iterations, which count") for kind in TREES),
     ],
 )
@@ -77,11 +77,19 @@ def test_a_schedule_without_an_order_is_none():
 
 
 def test_numpys_numbers_are_numbers():
-    assert pgm.Flooding(np.float32(0.5), np.float64(0.25), np.int64(7)) == pgm.Flooding(
-        0.5, 0.25, 7
+    assert pgm.Flooding(np.int64(7), np.float32(0.5), np.float64(0.25)) == pgm.Flooding(
+        7, 0.5, 0.25
     )
-    assert pgm.Flooding(tolerance=0, damping=0) == pgm.Flooding(0.0, 0.0)
+    assert pgm.Flooding(tolerance=0, damping=0) == pgm.Flooding(1000, 0.0, 0.0)
     assert pgm.Calibration(tolerance=np.inf).tolerance == np.inf
+
+
+def test_all_schedules_take_the_same_numbers_in_the_same_order():
+    for kind in (*LOOPY, *TREES):
+        made = kind(3, 1e-5)
+        assert (made.iterations, made.tolerance) == (3, 1e-5)
+    for kind in (*LOOPY, pgm.Filtering, pgm.Smoothing):
+        assert kind(3, 1e-5, 0.5).damping == 0.5
 
 
 WAYS = {

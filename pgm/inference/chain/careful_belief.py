@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pgm.inference.chain.diffuse import Diffuse
 from pgm.inference.chain.vector import Measured
 from pgm.kernels import extended, semidefinite
 from pgm.kernels.arrays import (
@@ -116,7 +117,7 @@ class Belief(NamedTuple):
 
 
 def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
-    """Arrays (runs, ...), nested in tuples, for runs on other axes, to which theirs broadcast."""
+    """Arrays (runs, ...), nested in tuples, broadcast from the axes `before` of runs to `after`."""
     if isinstance(value, np.ndarray):
         own = value.shape[1:]
         return np.broadcast_to(value.reshape(*before, *own), (*after, *own)).reshape(-1, *own)
@@ -126,7 +127,10 @@ def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
 
 
 def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
-    """[m D] with zeros in D where all that is left of what was summed up may be rounding."""
+    """The columns [m D], with zeros where entries of D are only rounding.
+
+    An entry of D is only rounding if it is far smaller than the summands that cancelled.
+    """
     if columns.shape[-1] == 1:
         return columns
     size = sum(np.abs(part.hi if isinstance(part, Twofold) else part) for part in summed)
@@ -148,11 +152,15 @@ def rounded(matrix: Array, cov: Array, noise: Array | None = None) -> Array:
 
 
 def through(matrix: Array, bound: Array) -> Array:
-    """A bound, as a covariance, of F e from that of e; what cancels is not taken for certain."""
+    """The bound F B Fᵀ on the error of F e, from the covariance-like bound B of e.
+
+    A product that cancels keeps its size.
+    """
     return sandwich(matrix, bound) + diagonal(_LAST_DIGIT * _summed(matrix, bound))
 
 
 def _summed(matrix: Array, cov: Array) -> Array:
+    """Σ_jk |F_ij| |P_jk| |F_ik|, (..., d): the size of the summands of each variance of F P Fᵀ."""
     size = np.abs(matrix)
     found: Array = ((size @ np.abs(cov)) * size).sum(axis=-1)
     return found
@@ -234,17 +242,22 @@ def solved(whole: Twofold) -> Solved:
 
 def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
     """Mean and covariance; the variance of a component of which nothing is known is infinite."""
+    mean, spread = rounded_belief(belief, unknown)
+    return mean, spread.shown
+
+
+def rounded_belief(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
+    """The mean (runs, n) and covariance P + D M⁺ Dᵀ, rounded to float64.
+
+    Beside them stand the directions D O that are still unknown.
+    """
     mean, cov = (belief.columns @ unknown.weights).hi[..., 0], belief.cov
-    if not unknown.open.shape[-1]:
-        return mean, semidefinite.semidefinite(cov.hi, 1.0 / CLEAR)
-    total = semidefinite.semidefinite((cov + unknown.between(belief, belief)).hi, 1.0 / CLEAR)
+    if unknown.open.shape[-1]:
+        cov = cov + unknown.between(belief, belief)
     slope = belief.columns.hi[..., 1:]
-    reach, size = np.abs(slope @ unknown.open), np.abs(slope) @ np.abs(unknown.open)
-    lost = np.any(reach > NEGLIGIBLE * size, axis=-1)
-    if lost.any():
-        total = np.where(lost[..., None] | lost[..., None, :], 0.0, total)
-        np.einsum("...ii->...i", total)[lost] = np.inf
-    return mean, total
+    found, size = slope @ unknown.open, np.abs(slope) @ np.abs(unknown.open)
+    open_ = np.where(np.abs(found) > NEGLIGIBLE * size, found, 0.0)
+    return mean, Diffuse(semidefinite.semidefinite(cov.hi, 1.0 / CLEAR), open_, size)
 
 
 class Component(NamedTuple):
@@ -349,4 +362,5 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
+    """An array with the runs as first axis, (runs, ...); an array of one run gets that axis."""
     return array[None] if array.ndim == own else components_last(array, own)

@@ -16,6 +16,7 @@ from pgm.inference.chain import gate
 from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.compiled.sweep import Swept
 from pgm.inference.chain.cost import require_cost
+from pgm.inference.chain.diffuse import Diffuse
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments, Room
@@ -44,7 +45,8 @@ class Forward:
 
     Controls at step 0 are zero. `log_density` is of each step's measurements given those before.
     `closest` is that of the `Watch`, or zero where nothing has watched; `far` whether a mean may be
-    10⁸ deviations from zero, or nothing has looked.
+    10⁸ deviations from zero, or nothing has looked. `diffuse` has the covariances before
+    measurements by what is open in them, where a flat prior leaves anything open.
     """
 
     predicted_mean: Array
@@ -54,6 +56,7 @@ class Forward:
     log_density: Array
     closest: float = 0.0
     far: bool = True
+    diffuse: Diffuse | None = None
 
     @classmethod
     def empty(cls, plan: ChainPlan) -> Forward:
@@ -126,6 +129,7 @@ class Watch:
         self._step += 1
 
     def _see(self, share: float) -> None:
+        """Lower the running minimum to a share of variance."""
         self.closest = min(self.closest, share)
 
 
@@ -140,12 +144,18 @@ class _Record:
         self._room: Room | None = None
 
     def room(self, step: int) -> Room:
+        """The arrays (n, [runs]) and (n, n, [runs]) that the update of a step may write into."""
         self._room = self.mean[step], self.cov[step]
         return self._room
 
     def keep(
         self, step: int, predicted: Moments, known: Moments, log_density: Array | float
     ) -> None:
+        """Store the beliefs of a step.
+
+        If predictions are not kept, the watch looks at both covariances, as they are not there
+        later.
+        """
         if self._room is None or known.mean is not self._room[0]:
             self.mean[step], self.cov[step] = known.mean, known.cov
         self.log_density[step] = log_density
@@ -196,6 +206,7 @@ class _Record:
 
 
 def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
+    """Arrays (steps, runs, ...) of the plan in a sweep's order, (steps, ..., runs)."""
     if not plan.batch:
         return array[:, 0]
     return array.transpose(0, *range(2, 2 + own), 1)

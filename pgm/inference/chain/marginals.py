@@ -11,7 +11,7 @@ from pgm.compile import SliceLayout
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
-from pgm.factors.scope import Scope, as_scope, positions
+from pgm.factors.scope import Scope, as_scope, namesake, positions
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import Kind
@@ -79,16 +79,16 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
     template = require_variable(variable).template
     if template in layout.model.inputs:
         raise EvidenceError(
-            f"{variable!r} is observed: its value is its evidence", variable=variable
+            f"{variable!r} is an input, which no CPD explains: it has the values that are given "
+            f"for it as evidence, and no belief; beliefs are over {list(layout.slice)}",
+            variable=variable,
         )
     if template in layout.model.sensors:
-        where = "its value is its evidence"
-        if not layout.model.discrete:
-            where = f"see posterior.innovations[{variable.name}]"
-        raise EvidenceError(f"{variable!r} is observed; {where}", variable=variable)
+        raise EvidenceError(_of_measurement(layout, variable), variable=variable)
     if variable.lag or template not in layout.slice:
         raise EvidenceError(
-            f"{variable!r} is not among the hidden variables, {list(layout.slice)}",
+            f"{variable!r} is not among the hidden variables, {list(layout.slice)}"
+            f"{namesake(variable, layout.model.variables)}",
             variable=variable,
         )
     first = 0 if template in layout.states else 1
@@ -99,6 +99,19 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
             step=variable.step,
         )
     return template, first
+
+
+def _of_measurement(layout: SliceLayout, variable: Variable) -> str:
+    """Why there is no marginal of a sensor's measurement, taken or not, and what there is."""
+    name, residuals = variable.template.name, ""
+    if not layout.model.discrete:
+        residuals = f"; how far readings were from what was expected: posterior.innovations[{name}]"
+    return (
+        f"{variable!r} is a sensor's measurement, and beliefs are over the hidden variables "
+        f"{list(layout.slice)} alone{residuals}. For the distribution of a reading that nobody "
+        f"took, put a copy of its CPD, for a variable of another name, into transition=: that "
+        "variable is hidden, and has a belief at steps 1..T"
+    )
 
 
 def require_at_steps(layout: SliceLayout, variables: Sequence[Variable], last: int) -> Scope:

@@ -21,8 +21,34 @@ ADVICE = (
 )
 
 
-def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> None:
-    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞."""
+# What else can be done where others of several runs are possible.
+OF_RUNS = '; impossible="allow" gives such runs a log-evidence of −∞ and beliefs of NaN'
+
+
+class ImpossibleEvidence(EvidenceError):
+    """Evidence of probability zero; `lost` says in which runs, (runs,)."""
+
+    def __init__(
+        self,
+        message: str,
+        lost: Mask,
+        lead: tuple[int, ...],
+        *,
+        variable: Discrete,
+        cluster: int | None = None,
+    ) -> None:
+        run = int(lost.argmax()) if lead else None
+        super().__init__(message, variable=variable, cluster=cluster, run=run)
+        self.lost = np.atleast_1d(lost)
+
+
+def require_possible(
+    plan: TreePlan, evidence: BoundStates, log_tops: Array, of_runs: str = ""
+) -> None:
+    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞.
+
+    of_runs: What else can be done where there are several runs.
+    """
     # One sum finds out, whatever is infinite.
     if math.isfinite(np.add.reduce(log_tops, None)):
         return
@@ -34,10 +60,12 @@ def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> 
     alone = some_runs(evidence, slice(first, first + 1))
     cluster, involved = _contradiction(plan, alone, root)
     where = in_run(runs.reshape(evidence.lead))
-    raise EvidenceError(
+    raise ImpossibleEvidence(
         f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
         f"for all states of cluster {cluster.index} over {names(cluster.scope)} are impossible "
-        f"given it. {ADVICE}",
+        f"given it. {ADVICE}{of_runs if evidence.lead else ''}",
+        runs,
+        evidence.lead,
         variable=involved[0],
         cluster=cluster.index,
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import LEFT_OUT, Listing, Shown, Summary, few, titled
@@ -18,6 +19,7 @@ from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
+from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.discrete.impossible import require_possible
@@ -93,7 +95,8 @@ class MostProbable(Shown, Immutable):
         if not isinstance(variable, Discrete) or variable not in self.assignment:
             require_variable(variable)
             raise EvidenceError(
-                f"{variable!r} is not in the network; its variables are {list(self.assignment)}",
+                f"{variable!r} is not in the network; its variables are {list(self.assignment)}"
+                f"{namesake(variable, self.assignment)}",
                 variable=variable,
             )
         found = self.assignment[variable]
@@ -136,6 +139,7 @@ class MostProbable(Shown, Immutable):
         return Summary(self._title, parts + [f"... {left} more"] * (left > 0))
 
 
+@public
 def most_probable(
     graph: ClusterGraph,
     evidence: Evidence,

@@ -11,8 +11,9 @@ from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
 from pgm.factors.axes import States, discrete, sizes
-from pgm.factors.scope import Scope, as_scope, names
+from pgm.factors.scope import Scope, as_scope, names, namesake
 from pgm.inference import limits
+from pgm.inference.discrete.allowed import AllowedBeliefs
 from pgm.inference.discrete.entered_evidence import axes_left, entered, put_in
 from pgm.inference.discrete.first_beliefs import FirstBeliefs
 from pgm.inference.discrete.joints import holder, joint
@@ -45,7 +46,7 @@ class DiscretePosterior(Posterior):
 
     graph: ClusterGraph
     status: Status
-    _beliefs: TreeBeliefs | FirstBeliefs | LoopyBeliefs
+    _beliefs: TreeBeliefs | AllowedBeliefs | FirstBeliefs | LoopyBeliefs
 
     def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
         """The marginal of a variable that is not observed in all runs, (*runs, size)."""
@@ -58,7 +59,8 @@ class DiscretePosterior(Posterior):
         if variable not in self.graph.network._places or not isinstance(variable, Discrete):
             raise EvidenceError(
                 f"{variable!r} is not in the network; its variables are "
-                f"{list(self.graph.network.variables)}",
+                f"{list(self.graph.network.variables)}"
+                f"{namesake(variable, self.graph.network.variables)}",
                 variable=variable,
             )
         if self._is_observed(variable):

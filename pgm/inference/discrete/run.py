@@ -7,10 +7,10 @@ from pgm.display import titled
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
+from pgm.inference.discrete.allowed import ALLOW, RAISE, allows, beliefs_of
 from pgm.inference.discrete.first_beliefs import FirstBeliefs
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs, TableMessages
 from pgm.inference.discrete.posterior import DiscretePosterior
-from pgm.inference.discrete.tree_beliefs import TreeBeliefs
 from pgm.inference.limits import Room
 from pgm.inference.loopy import run_loopy
 from pgm.inference.schedule import Loopy, Schedule
@@ -22,10 +22,17 @@ def run(
     evidence: Evidence,
     schedule: Schedule | None,
     memory: float | None = None,
+    impossible: str = RAISE,
 ) -> DiscretePosterior:
     """Send the messages of a schedule; see `pgm.infer`."""
     bound = bind_discrete(graph.network._places.keys(), evidence)
+    allow = allows(impossible)
     if isinstance(schedule, Loopy):
+        if allow:
+            raise GraphError(
+                f'impossible="{ALLOW}" is for graphs without loops: on {titled(graph)} messages '
+                "that go round need not find out that evidence is impossible"
+            )
         if memory is not None:
             raise GraphError(
                 f"memory= is for graphs without loops: on {titled(graph)} all runs go round "
@@ -36,12 +43,16 @@ def run(
         return DiscretePosterior(graph, status, LoopyBeliefs.of(messages))
     room = Room.of(memory, graph)
     first = None if bound.lead else FirstBeliefs.of(graph, bound, room)
-    return of_tree(graph, bound, room) if first is None else DiscretePosterior(graph, ONCE, first)
+    if first is not None:
+        return DiscretePosterior(graph, ONCE, first)
+    return of_tree(graph, bound, room, allow=allow)
 
 
-def of_tree(graph: ClusterGraph, bound: BoundStates, room: Room) -> DiscretePosterior:
+def of_tree(
+    graph: ClusterGraph, bound: BoundStates, room: Room, *, allow: bool = False
+) -> DiscretePosterior:
     """The posterior of a graph without loops, of evidence that is bound."""
-    beliefs = TreeBeliefs.of(graph, bound, room)
+    beliefs = beliefs_of(graph, bound, room, allow=allow)
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.impossible import require_possible
+from pgm.inference.discrete.impossible import OF_RUNS, require_possible
 from pgm.inference.discrete.run_pieces import Distinct, pieces, tree_pieces
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.discrete.tree_messages import TreeMessages
@@ -58,7 +58,7 @@ class TreeBeliefs:
             del done  # before the next ones are made
         log_tops = tops.whole
         if distinct.which is None or not np.isfinite(log_tops).all():
-            require_possible(plan, evidence, distinct.spread(log_tops))
+            require_possible(plan, evidence, distinct.spread(log_tops), OF_RUNS)
         if keep:
             return cls(plan, storage, evidence, room, distinct, kept, None, log_tops)
         return cls(plan, storage, evidence, room, distinct, None, marginals.whole, log_tops)

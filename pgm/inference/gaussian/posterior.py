@@ -11,13 +11,14 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import Scope, as_scope, names
+from pgm.factors.scope import Scope, as_scope, names, namesake
 from pgm.inference.gaussian.beliefs import Calibrated, runs_first
 from pgm.inference.gaussian.joints import joint_moments
 from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.gaussian.tree import TreePlan
+from pgm.inference.gaussian.walks import spectral_radius
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
@@ -59,7 +60,9 @@ class GaussianPosterior(Posterior):
             return layout.places[variable]
         if variable in layout.observed:
             raise EvidenceError(
-                f"{variable!r} is observed: its value is its evidence", variable=variable
+                f"{variable!r} is observed: its value is its evidence, and a component that is "
+                "NaN there is left out of the network; for a belief about it give it no evidence",
+                variable=variable,
             )
         if variable in layout.absent:
             raise EvidenceError(
@@ -69,7 +72,7 @@ class GaussianPosterior(Posterior):
             )
         raise EvidenceError(
             f"{variable!r} is not in the network; its variables without evidence are "
-            f"{list(layout.hidden)}",
+            f"{list(layout.hidden)}{namesake(variable, layout.hidden)}",
             variable=variable,
         )
 
@@ -120,7 +123,7 @@ class GaussianPosterior(Posterior):
 
     @cached_property
     def _messages(self) -> RowMessages:
-        """All messages; those of a tree are sent when one is first asked for."""
+        """All messages; a tree's are computed on first request."""
         if self._sent is not None:
             return self._sent
         buffer = Buffer.make(self._plan.rounds, self._model)
@@ -214,6 +217,23 @@ class GaussianPosterior(Posterior):
         if model.exact:
             return "exact"
         return "laplace" if model.taylor and bool(self.status.converged.all()) else "linearised"
+
+    @quiet()
+    def _why_unsettled(self) -> str:
+        """Whether the network is walk-summable, of the run that is furthest from settled."""
+        if self._sent is None or not len(self.status.residuals):
+            return ""
+        last = np.where(self.status.converged, -1.0, self.status.residuals[-1])
+        radius = spectral_radius(self._sent, int(last.argmax()))
+        if radius is None:
+            return ""
+        about = "the spectral radius of |R|, R = I - D^(-1/2) J D^(-1/2) of its information J,"
+        if radius >= 1.0:
+            return (
+                f"The network is not walk-summable: {about} is {radius:.3g}, and from 1 on "
+                "messages round loops may diverge. "
+            )
+        return f"The network is walk-summable ({about} is {radius:.4g}): the nearer 1, the slower. "
 
     @property
     def _title(self) -> str:

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.boundary import as_generator, as_lengths, is_whole
 from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
@@ -87,6 +88,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
     def _over(self, places: tuple[int, ...]) -> Self:
         raise NotImplementedError
 
+    @public
     def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
         """Draws of the point masses, (*size, ..., n).
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -21,6 +22,7 @@ Figure = str | Callable[[Any], Any]
 _ADVICE = "give (lo, hi, cells), or of an angle the number of cells of its circle"
 
 
+@public
 class Grid(InCode, Immutable):
     r"""Beliefs as probabilities of the cells of a grid: the posterior as it is, of any shape.
 
@@ -105,6 +107,7 @@ class Grid(InCode, Immutable):
         require_count(self, "doublings", doublings)
         self._set(tolerance=float(tolerance), doublings=int(doublings))
 
+    @public
     def finer(self, times: int = 2) -> Grid:
         """The same grid with so many times the cells along each axis: 2 halves all widths.
 

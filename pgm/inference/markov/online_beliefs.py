@@ -12,6 +12,7 @@ from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors import Table
 from pgm.factors.axes import discrete
+from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
 from pgm.inference.markov.chain import TINY, BackwardChain, smallest
 from pgm.inference.markov.plan import SlicePlan, TableSlices
@@ -117,7 +118,8 @@ class OnlineStates(Shown, NoArray, Immutable):
         hidden = plan.slice if self.step else plan.states
         if template not in hidden or variable.step not in (None, self.step):
             raise EvidenceError(
-                f"the belief at step {self.step} is over {list(hidden)}, not {variable!r}",
+                f"the belief at step {self.step} is over {list(hidden)}, not {variable!r}"
+                f"{namesake(variable, hidden)}",
                 variable=variable,
                 step=self.step,
             )
@@ -157,7 +159,10 @@ class OnlineStates(Shown, NoArray, Immutable):
 
 
 class _Window:
-    """The steps of a lag, to go back along; forward they have been gone."""
+    """The last steps of an online filter with lag: backward messages from the newest step to the first.
+
+    The filter has passed forward over them already.
+    """
 
     def __init__(self, passed: Sequence[Passed], last: Held, lead: tuple[int, ...]) -> None:
         every = [*(each.held for each in passed), last]

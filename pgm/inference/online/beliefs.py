@@ -14,9 +14,10 @@ from pgm.compile import SliceLayout
 from pgm.display import NoArray, Shown, Summary, titled
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.factors import Gaussian
+from pgm.factors.scope import namesake
 from pgm.immutable import Immutable, set_writeable
 from pgm.inference.associations import NONE, Found
-from pgm.inference.chain import certificate
+from pgm.inference.chain import certificate, close_points
 from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.plan import ChainPlan
@@ -27,7 +28,7 @@ from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
 from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.inference.schedule import Filtering, FixedLag
-from pgm.inference.status import Kind, Status, digits
+from pgm.inference.status import CLOSE_POINTS, Kind, Status, digits
 from pgm.inference.summaries import at_a_step
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, Integers, Mask, block, symmetric
@@ -57,6 +58,7 @@ class _Later:
         self.name = name
 
     def __get__(self, belief: OnlineBelief | None, owner: type) -> Any:
+        """Make a belief's attributes from its packed core when the first of them is read."""
         core = None if belief is None else belief._core
         if belief is None or core is None:
             raise AttributeError(self.name)
@@ -176,7 +178,8 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         known = layout.slice if self.step else layout.states
         if template not in known or variable.step not in (None, self.step):
             raise EvidenceError(
-                f"the belief at step {self.step} is over {list(known)}, not {variable!r}",
+                f"the belief at step {self.step} is over {list(known)}, not {variable!r}"
+                f"{namesake(variable, known)}",
                 variable=variable,
                 step=self.step,
             )
@@ -188,14 +191,14 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
 
     def told(self, associations: Found, gate: Asked | None) -> OnlineBelief:
-        """The same belief, with what sightings were taken for."""
+        """The same belief with the candidates of its sightings; its watch reads them too."""
         found = copy(self)
         watch = None if self.watch is None else self.watch.told(associations, gate)
         found._set(associations=MappingProxyType(dict(associations)), watch=watch)
         return found
 
     def judged(self, gated: tuple[Decided, ...], watch: Watch | None) -> OnlineBelief:
-        """The same belief, with what gates decided at its last update, and whether it is lost."""
+        """The same belief with the gates' decisions at its last update, and its watch."""
         found = object.__new__(type(self))  # as `copy`, in a fifth of the time
         found.__dict__.update(self.__dict__, _gated=gated, watch=watch)
         put_core(found, None)
@@ -273,6 +276,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return f"OnlineBelief({self.kind}, step {self.step}, over {list(self.layout.slice)})"
 
     def _summary(self) -> Summary:
+        """A step's moments in a few lines, after rejections and lost runs."""
         known = self.layout.slice if self.step else self.layout.states
         found = at_a_step(self._title, self, known, self.lead)
         told = [f"{v!r}: {those._title}" for v, those in self.rejected.items()]
@@ -346,6 +350,17 @@ def is_plain(belief: OnlineBelief) -> bool:
 def is_moderate(found: Moments, before: Moments) -> bool:
     """Whether float64 has digits enough for a belief, after an earlier one."""
     return gaussian.is_moderate(found.mean, found.cov, before.cov, _REGULAR, certificate.FAR)
+
+
+def told(
+    status: Status, plan: ChainPlan, before: Moments, after: Moments, left: Array | None
+) -> Status:
+    """The status of a step, with the digits that sigma points close together leave; see `error`.
+
+    `left` are those that the belief had before.
+    """
+    lost = close_points.of_step(plan, before, after, left)
+    return status if lost is None else status.with_digits(digits(lost, plan.lead), CLOSE_POINTS)
 
 
 def refuse(step: int) -> NoReturn:

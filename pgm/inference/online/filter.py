@@ -8,6 +8,7 @@ from typing import Any, Self, overload
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.compile import compile
 from pgm.compile.machine import COMPILED, GATE, Choice, as_choice
 from pgm.cpds import NonlinearGaussianCPD
@@ -21,6 +22,7 @@ from pgm.inference.chain.gate import prepare as prepare_gates
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
+from pgm.inference.convergence import tell_online
 from pgm.inference.engine import PointMasses, online_points
 from pgm.inference.gates import Gate
 from pgm.inference.grid.online import OnlineGrid
@@ -39,6 +41,7 @@ from pgm.inference.online.beliefs import (
     nothing_to_iterate,
     refuse,
     require_own,
+    told,
 )
 from pgm.inference.online.compiled import CompiledSteps
 from pgm.inference.online.judged import Watch, of_update, of_window
@@ -61,6 +64,7 @@ _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged 
 _quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
 
+@public
 class OnlineFilter(InCode, Immutable):
     """A filter for one step at a time; immutable, and so are its beliefs.
 
@@ -172,10 +176,12 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _graph(self) -> Any:
+        """The cluster graph of one step."""
         return compile(self.model, 1)
 
     @cached_property
     def _filtering(self) -> Filtering:
+        """The schedule of one update: a fixed lag's filter, or the schedule itself."""
         schedule = self.schedule
         if isinstance(schedule, FixedLag):
             return schedule.first if schedule.lag else schedule.filtering
@@ -183,6 +189,10 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _behind(self) -> Trail | Sliding | None:
+        """The steps kept behind the belief: a trail of linear passes, or a sliding window.
+
+        None without lag.
+        """
         schedule = self.schedule
         if not isinstance(schedule, FixedLag):
             return None
@@ -192,10 +202,12 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _motions(self) -> Layouts:
+        """Plans of predictions, kept by shape and filled with new inputs."""
         return Layouts(self._ahead, ONCE)
 
     @cached_property
     def _sensors(self) -> Layouts:
+        """Plans of updates, kept by shape and filled with new readings."""
         return Layouts(self._seen, self._filtering)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -239,7 +251,7 @@ class OnlineFilter(InCode, Immutable):
         return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
 
     def renewed(self) -> OnlineFilter:
-        """The same filter, which reads its functions anew, with what they refer to.
+        """The same filter, with users' functions read anew together with what they refer to.
 
         A belief of this filter goes on with it.
 
@@ -257,20 +269,26 @@ class OnlineFilter(InCode, Immutable):
         return found
 
     def initial(self) -> OnlineBelief:
-        """The prior, at step 0; runs are those of the model."""
+        """The prior belief, at step 0, with the model's leading axes of runs."""
         return self._initial() if self._steps is None else self._first
 
     @cached_property
     def _first(self) -> OnlineBelief:
+        """The prior in the compiled steps' packed form."""
         assert self._steps is not None
         return self._steps.adopted(self._initial())
 
     @_quiet
     def _initial(self) -> OnlineBelief:
+        """The prior belief; watched filters begin their test of being lost here."""
         found = self._prior()
         return found if not self.watch else found.judged((), Watch.start(found.lead))
 
     def _prior(self) -> OnlineBelief:
+        """The prior at step 0.
+
+        It is carried in pairs of float64 where float64 has too few digits.
+        """
         lead = self.model.lead
         if isinstance(self._behind, Sliding):
             return slid(self._windows, 0, self._behind, np.zeros(lead))
@@ -311,6 +329,11 @@ class OnlineFilter(InCode, Immutable):
         return later if belief.watch is None else later.judged((), belief.watch.on(belief.step))
 
     def _later(self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None) -> OnlineBelief:
+        """The belief predicted one step ahead, in float64 where it has digits enough.
+
+        Otherwise pairs of float64 carry it; a sliding window takes the step in as one more of its
+        own.
+        """
         require_own(belief, self.model, self.schedule, self._behind)
         if type(inputs) is not dict:
             given = {} if inputs is None else inputs
@@ -318,7 +341,10 @@ class OnlineFilter(InCode, Immutable):
         step, behind = belief.step + 1, belief.behind
         if isinstance(behind, Sliding):
             bound = step_evidence.inputs(self.model, belief, inputs)
+            unread = behind.window is None  # of a step without readings the window is settled here
             behind = behind.on(self._windows, bound.transition, bound.lead)
+            if unread and behind.before is not None:
+                tell_online(behind.before.converged, self.schedule)
             return slid(
                 self._windows, step, behind, np.broadcast_to(belief.log_evidence, bound.lead)
             )
@@ -336,6 +362,7 @@ class OnlineFilter(InCode, Immutable):
     def _predicted(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
+        """Predict in float64, m ← F m + b, P ← F P Fᵀ + Q; None where that loses digits."""
         step, behind = belief.step + 1, belief.behind
         laid = None if belief.lead else self._motions.motion(belief, inputs)
         if laid is None:
@@ -362,9 +389,11 @@ class OnlineFilter(InCode, Immutable):
             status = nothing_to_iterate(plan.lead)
         if isinstance(behind, Trail):
             behind = behind.on(Passed(plan, known, found))
+        status = told(status, plan, known, found, belief.status.digits)
         return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
+        """The plan of one transition with its inputs."""
         return self._plan(step_evidence.inputs(self.model, belief, inputs), belief.step)
 
     @_quiet
@@ -390,6 +419,11 @@ class OnlineFilter(InCode, Immutable):
             As of `predict`.
         NumericalError
             If a measurement contradicts an exact model, or a number does not exist.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If two or more iterations were asked for and end before they settle.
         """
         require_own(belief, self.model, self.schedule, self._behind)
         if type(readings) is not dict:
@@ -403,6 +437,7 @@ class OnlineFilter(InCode, Immutable):
             bound = step_evidence.readings(self.model, belief, readings)
             behind = behind.read(self._windows, bound.readings, bound.lead)
             made = slid(self._windows, belief.step, behind, belief.log_evidence)
+            tell_online(made.status.converged, self.schedule)
             return made.judged(*of_window(belief.watch, behind.settled(self._windows)))
         if is_plain(belief):
             ordinary = self._updated(belief, readings)
@@ -414,6 +449,7 @@ class OnlineFilter(InCode, Immutable):
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
+        tell_online(status.converged, self._filtering)
         behind = None if behind is None else behind._replace(imprecise=True)
         made = careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
         return made.judged(*of_update(belief.watch, parts, Moments.of(plan, *known.moments)))
@@ -421,6 +457,10 @@ class OnlineFilter(InCode, Immutable):
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
+        """Update in float64 with a step's readings; None where that loses digits.
+
+        The log-evidence grows by ln p(z_t | earlier measurements).
+        """
         laid = None if belief.lead else self._sensors.sensors(belief, readings)
         if laid is None:
             chain = MomentChain(self._seen(belief, readings), self._filtering, keep=False)
@@ -442,18 +482,22 @@ class OnlineFilter(InCode, Immutable):
             log_evidence = np.array(belief.log_evidence.item() + float(log_density))
         if chain.residuals or plan.lead or plan.robust:
             status = Status.of(chain.residuals, chain.converged, plan.lead)
+            tell_online(status.converged, self._filtering)
         else:
             status = _DONE if plan.linear else _LINEARISED
+        status = told(status, plan, known, found, belief.status.digits)
         made = belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
         judges = chain.gate is not None or belief.watch is not None
         return made.judged(*of_update(belief.watch, parts, known)) if judges else made
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
+        """The plan of one step's measurements."""
         plan = self._plan(step_evidence.readings(self.model, belief, readings), belief.step)
         require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
         return plan
 
     def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
+        """The plan of a window's steps, from step `first` on."""
         plan = self._plan(bound, first, prior=prior)
         assert isinstance(self.schedule, FixedLag)
         require_cost(self.schedule.smoothing, plan.families)
@@ -461,4 +505,5 @@ class OnlineFilter(InCode, Immutable):
         return plan
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
+        """A chain's plan for bound evidence, whose rows begin at a step."""
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)

@@ -8,6 +8,7 @@ from math import prod
 import numpy as np
 
 from pgm.cpds import AffineCPD
+from pgm.inference.chain.close_points import families, largest
 from pgm.inference.chain.compiled.sweep import Chain
 from pgm.inference.chain.compiled.table import Integers64, Uncompiled
 from pgm.inference.chain.plan import ChainPlan
@@ -24,7 +25,7 @@ TRIALS = 5
 
 
 class Layout:
-    """A plan of one step, of a transition or of measurements, for values in arrays of these shapes.
+    """A plan of one step, its values in arrays of fixed shapes that later steps fill anew.
 
     `step` is its table, which holds while the layout is kept; None where it is not for a kernel,
     and `why`.
@@ -62,8 +63,11 @@ class Layout:
             self.why = str(error)
 
     def _table(self, plan: ChainPlan) -> Integers64:
+        """Addresses and shapes of the step's arrays, as integers that machine code reads."""
         from pgm.kernels.compiled import sweeps as s
 
+        if largest(families(plan)):
+            raise Uncompiled("its sigma points lie close together, and lost digits are to be told")
         chain, layout = Chain(plan), plan.layout
         for family in plan.families:
             family.judge = self.judge

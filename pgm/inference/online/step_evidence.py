@@ -1,4 +1,4 @@
-"""Evidence of one step online, checked and laid out.
+"""The evidence of one online step: its values checked and bound to the model's CPDs.
 
 For one robot a layout, a plan of the step, is made once for each kind of input. Batches of robots,
 missing measurements and values of odd shapes have none: their plans are made anew at each step.
@@ -18,6 +18,7 @@ from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sig
 from pgm.evidence.rows import as_rows, as_weights, rows_of
 from pgm.evidence.values import Soft, soft
 from pgm.factors.axes import as_indices
+from pgm.factors.scope import listed, namesake
 from pgm.immutable import set_writeable
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
@@ -67,8 +68,8 @@ def inputs(
     for variable in values:
         if variable not in needed or variable not in model.inputs:
             raise EvidenceError(
-                f"predict takes inputs of the transition, not {variable!r}; measurements go to "
-                "update",
+                f"predict takes inputs of the transition, [{listed(model.inputs)}], not "
+                f"{variable!r}{namesake(variable, model.inputs)}; measurements go to update",
                 variable=variable,
                 step=belief.step + 1,
             )

@@ -1,4 +1,4 @@
-"""Beliefs of particles, and what is asked of them."""
+"""Particle beliefs and the figures read from them: means, quantiles, histograms."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.arguments import public
 from pgm.display import Summary, axes
 from pgm.errors import ModelError
 from pgm.factors.scope import listed, places_of
@@ -114,6 +115,7 @@ class ParticleBelief(PointMassBelief):
         each = [self._parts[k] for k in places]
         return ParticleBelief(each, self._clouds, self._runs, self.steps)
 
+    @public
     def histogram(
         self,
         *components: str,

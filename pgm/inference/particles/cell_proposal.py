@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, is_number
 from pgm.display import InCode
 from pgm.errors import EvidenceError, ModelError
@@ -25,6 +26,7 @@ from pgm.variables import Variable
 _TOUCHING = 1.0 - 1e-6
 
 
+@public
 class CellProposal(InCode, Immutable):
     r"""Draws of a state from the likelihood of a step's measurements, over cells.
 

@@ -74,7 +74,7 @@ class Drawing:
         return cls(found)
 
     def chosen(self, which: Mask) -> Drawing:
-        """The generators for a part of them."""
+        """The same drawing for some of the particles."""
         found, first = [], 0
         for place, rng in self.pieces:
             count = int(which[place].sum())
@@ -225,7 +225,7 @@ class GaussianLaw(Law):
         try:
             value = function(*arguments)
         except Exception as error:
-            raise call.error(f"failed: {type(error).__name__}: {error}") from error
+            raise call.error(f"failed: {call.reason(function, arguments, error, due)}") from error
         if isinstance(value, np.ndarray) and value.dtype == self.dtype and value.shape == due:
             return value
         return call.array(function, arguments, value, due)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -21,8 +22,9 @@ if TYPE_CHECKING:
     from pgm.inference.particles.model import ParticleModel
 
 
+@public
 class KLDSampling(InCode, Immutable):
-    r"""As many particles as keep their divergence from the belief they are drawn of small.
+    r"""As many particles as bound the KL divergence from the belief that they are drawn from.
 
     Particles are drawn anew, in batches that double their number, until there are enough for the k
     bins that they occupy,
@@ -151,8 +153,9 @@ class KLDSampling(InCode, Immutable):
         )
 
 
+@public
 class LikelihoodSampling(InCode, Immutable):
-    r"""As many particles as explain a step's measurements together.
+    r"""Draw particles until their likelihoods of a step's measurements sum to a threshold.
 
     Particles are drawn and moved, in batches that double their number, until
 

@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.display import Shown
-from pgm.errors import ParticleWarning
+from pgm.errors import ParticleWarning, levels_to_user
 from pgm.immutable import Immutable
-from pgm.inference.status import _levels_to_user
 from pgm.kernels.arrays import Array, Integers, Mask
 
 # The effective number of particles below which the user is warned, and by how much rounding may
@@ -91,12 +90,12 @@ class ParticleStatus(Shown, Immutable):
 
     @property
     def few(self) -> bool:
-        """Whether the weights of a step are worth fewer than ten particles."""
+        """Whether the effective sample size of a step is less than ten, (Σ w)² / Σ w² < 10."""
         return bool(self._few.any())
 
     @property
     def _few(self) -> Mask:
-        """Where the weights are worth fewer than ten particles, and than there are."""
+        """Steps whose effective sample size is below ten, and below the number of particles."""
         found: Mask = self.effective < np.minimum(FEW, self.number) * (1.0 - _ROUNDING)
         return found
 
@@ -120,7 +119,7 @@ class ParticleStatus(Shown, Immutable):
                 f"{int(np.prod(self.effective.shape[:-1]))} runs below {FEW:g}: give more "
                 "particles, or the sensor more noise"
             )
-            warnings.warn(message, ParticleWarning, stacklevel=_levels_to_user())
+            warnings.warn(message, ParticleWarning, stacklevel=levels_to_user())
         if self.impossible:
             where = self.ignored | self.restarted
             place = np.unravel_index(int(where.argmax()), where.shape)
@@ -129,7 +128,7 @@ class ParticleStatus(Shown, Immutable):
                 f"{int(where.sum())} steps in all (status.ignored, status.restarted): beliefs go "
                 "on as they were asked to, and the log-evidence is minus infinity"
             )
-            warnings.warn(message, ParticleWarning, stacklevel=_levels_to_user())
+            warnings.warn(message, ParticleWarning, stacklevel=levels_to_user())
 
     @property
     def _title(self) -> str:

@@ -1,9 +1,10 @@
-"""The particles that a user asks for: how many, drawn from what, and drawn anew when."""
+"""A user's choice of particles: their number, proposal and resampling."""
 
 from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
@@ -16,6 +17,7 @@ from pgm.kernels.resampling import RESAMPLERS
 from pgm.linearisers import Lineariser
 
 
+@public
 class Injection(InCode, Immutable):
     r"""A share of particles drawn afresh, when measurements are explained worse than they used to.
 
@@ -117,6 +119,7 @@ RAISE, IGNORE, RESTART = "raise", "ignore", "restart"
 METROPOLIS, FULL = "metropolis", "full"
 
 
+@public
 class Particles(InCode, Immutable):
     r"""Beliefs as weighted draws: the posterior as it is, of any shape.
 

@@ -8,13 +8,12 @@ from types import MappingProxyType
 import numpy as np
 
 from pgm.cpds import TableCPD
-from pgm.errors import EvidenceError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States
 from pgm.factors.scope import in_run, listed, names
 from pgm.inference.discrete.entered_evidence import one_hot
-from pgm.inference.discrete.impossible import ADVICE
+from pgm.inference.discrete.impossible import ADVICE, OF_RUNS, ImpossibleEvidence
 from pgm.inference.discrete.run_pieces import some_runs
 from pgm.inference.query.plan import EliminationPlan, Step
 from pgm.kernels.arrays import Array
@@ -23,7 +22,7 @@ from pgm.variables import Discrete
 
 
 def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
-    """The probabilities of what is asked, (sizes..., runs or 1); NaN where evidence is impossible.
+    """The joint of the asked variables, (sizes..., runs or 1); NaN where evidence is impossible.
 
     With logarithms, where a number would be lost to underflow.
     """
@@ -79,7 +78,7 @@ class Tables:
         self._count += 1
 
     def _take(self, factor: int) -> tuple[Sequence[int], Array]:
-        """A table and its variables; what a step made is used once, and not kept."""
+        """A factor's table and variables; an intermediate product is dropped once it is taken."""
         plan = self.plan
         first = len(plan.scopes)
         if factor >= first:
@@ -134,15 +133,19 @@ class Tables:
 
 def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
     """Refuse evidence of probability zero, where probabilities (sizes..., runs or 1) are NaN."""
-    lost = np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1)))
+    lost = np.asarray(np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1))))
     if not lost.any():
         return
     first = int(lost.argmax())
     involved, scope = _contradiction(plan, first)
     where = in_run(lost.reshape(plan.requisite.evidence.lead))
-    raise EvidenceError(
+    lead = plan.requisite.evidence.lead
+    raise ImpossibleEvidence(
         f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
-        f"for all states of ({listed(scope)}) are impossible given it. {ADVICE}",
+        f"for all states of ({listed(scope)}) are impossible given it. {ADVICE}"
+        f"{OF_RUNS if lead else ''}",
+        lost,
+        lead,
         variable=involved[0],
     )
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
@@ -20,6 +21,7 @@ from pgm.factors import Table
 from pgm.factors.axes import States, as_states, sizes
 from pgm.factors.scope import names, unknown_name
 from pgm.inference import limits
+from pgm.inference.discrete.allowed import RAISE, allows
 from pgm.inference.discrete.run import of_tree
 from pgm.inference.discrete.run_pieces import pieces
 from pgm.inference.query.elimination import NOTHING, eliminate, require_possible
@@ -35,10 +37,13 @@ from pgm.variables import Variable
 ENTRY, PASS, VARIABLE = 3, 10_000, 2_000
 
 
+@public
 def query(
     network: BayesianNetwork | ClusterGraph,
     variables: Variable | Iterable[Variable],
     evidence: Evidence = NOTHING,
+    *,
+    impossible: str = RAISE,
 ) -> Table:
     r"""Find the joint probabilities of some variables of a discrete network given evidence.
 
@@ -61,6 +66,9 @@ def query(
     evidence : mapping of Discrete, optional
         As for `infer`; leading axes are runs. Evidence that is separated from the variables by
         other evidence is checked for its form alone, not for being possible.
+    impossible : str
+        What is done where evidence has probability zero: ``"raise"``, or ``"allow"``, where such
+        runs have probabilities of NaN, and the others theirs.
 
     Returns
     -------
@@ -102,7 +110,7 @@ def query(
         entries = math.prod(sizes(scope))
         limits.require_runs(entries, bound.runs, f"the joint over {names(scope)}")
     requisite = Requisite.of(asked, scope, bound)
-    values = _answer(graph, requisite, scope)
+    values = _answer(graph, requisite, scope, allow=allows(impossible))
     lead, shape = requisite.evidence.lead, sizes(scope)
     values = np.moveaxis(values, -1, 0).reshape(lead + shape)
     return Table._make(scope, np.broadcast_to(values, bound.lead + shape))
@@ -151,7 +159,9 @@ def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -
     return scope
 
 
-def _answer(graph: ClusterGraph | None, requisite: Requisite, scope: States) -> Array:
+def _answer(
+    graph: ClusterGraph | None, requisite: Requisite, scope: States, *, allow: bool
+) -> Array:
     """The probabilities of variables, (sizes..., runs or 1), by whichever way takes less."""
     if not requisite.hidden:
         return np.ones((*sizes(scope), 1))
@@ -163,23 +173,24 @@ def _answer(graph: ClusterGraph | None, requisite: Requisite, scope: States) -> 
     if graph is not None and (plan is None or tree <= least + plan.cost * runs):
         # Variables that are far apart in the tree may need larger tables there.
         with suppress(GraphError):
-            return _read(graph, requisite.evidence, scope)
-    return _eliminated(plan or EliminationPlan.of(requisite, scope), scope)
+            return _read(graph, requisite.evidence, scope, allow=allow)
+    return _eliminated(plan or EliminationPlan.of(requisite, scope), scope, allow=allow)
 
 
-def _eliminated(plan: EliminationPlan, scope: States) -> Array:
+def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
     """The joint of some variables, (sizes..., runs or 1), by summing the others out."""
     plan.require_size()
     some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
     parts = [eliminate(plan, piece) for piece in some]
     values = np.concatenate(parts, axis=-1)
-    require_possible(plan, values)
+    if not allow:
+        require_possible(plan, values)
     asked = plan.order[len(plan.order) - values.ndim + 1 :]
     axes = [asked.index(v) for v in scope if v in asked]
     return values.transpose(*axes, -1).reshape((*sizes(scope), -1))
 
 
-def _read(graph: ClusterGraph, evidence: BoundStates, scope: States) -> Array:
+def _read(graph: ClusterGraph, evidence: BoundStates, scope: States, *, allow: bool) -> Array:
     """The joint of some variables, (sizes..., runs or 1), from the posterior of a tree."""
-    values = of_tree(graph, evidence, limits.Room.of(None, graph)).joint(*scope).values
+    values = of_tree(graph, evidence, limits.Room.of(None, graph), allow=allow).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)

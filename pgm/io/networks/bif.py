@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.io import sources
 from pgm.io.networks.assembly import Assembly, Family
 from pgm.io.networks.cursor import END, MARK, Cursor, shown
@@ -20,6 +21,7 @@ from pgm.networks import BayesianNetwork
 Names = tuple[list[str], list[str]]
 
 
+@public
 def read_bif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> BayesianNetwork:
     r"""The network of a BIF file.
 

@@ -1,4 +1,4 @@
-"""Networks from and to those of pgmpy."""
+"""Conversion of networks from and to pgmpy."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.cpds import TableCPD
 from pgm.errors import ModelError
 from pgm.io.networks.writers import tables
@@ -15,6 +16,7 @@ from pgm.resources import optional
 from pgm.variables import Discrete, Variable
 
 
+@public
 def from_pgmpy(network: Any) -> BayesianNetwork | DynamicBayesianNetwork:
     """The network that a pgmpy network declares.
 
@@ -89,7 +91,7 @@ class _Family:
     table: Array
 
     def moved(self, step: int) -> "_Family":
-        """The same CPD in the other slice, of parents of its own slice."""
+        """The same CPD in the other time slice, if its parents stand in its own slice."""
         return _Family(
             (self.child[0], step),
             [(name, step) for name, _ in self.given],
@@ -180,6 +182,7 @@ def _both(
     return first, second
 
 
+@public
 def to_pgmpy(network: BayesianNetwork) -> Any:
     """A network as pgmpy's own class, with its names, states and doubles.
 

@@ -8,6 +8,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.errors import FileError, ModelError
 from pgm.io import sources
 from pgm.io.networks.assembly import AXES, Assembly
@@ -23,6 +24,7 @@ MOST = 2**31 - 1
 COMMENT = re.compile("#[^\r\n]*+")
 
 
+@public
 def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> BayesianNetwork:
     """The network of a UAI file of the type BAYES.
 
@@ -112,6 +114,7 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     return assembly.network()
 
 
+@public
 def read_uai_evidence(
     source: Source, network: BayesianNetwork, *, limit: int = LIMIT
 ) -> dict[Discrete, int]:

@@ -5,6 +5,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator
 
+from pgm.arguments import public
 from pgm.cpds import TableCPD
 from pgm.errors import ModelError
 from pgm.io import sources
@@ -54,6 +55,7 @@ def _rows(cpd: TableCPD) -> Iterator[Iterable[str]]:
     return (map(repr, row) for row in cpd.table.reshape(-1, cpd.child.size).tolist())
 
 
+@public
 def write_bif(network: BayesianNetwork, target: Source) -> None:
     r"""Write a network of tables as BIF, which `read_bif` reads back to the same network.
 
@@ -122,6 +124,7 @@ def _named(name: str) -> str:
     return json.dumps(name, ensure_ascii=not name.isprintable())
 
 
+@public
 def write_xmlbif(network: BayesianNetwork, target: Source) -> None:
     """Write a network of tables as XMLBIF 0.3, which `read_xmlbif` reads back to the same network.
 

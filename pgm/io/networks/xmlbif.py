@@ -10,6 +10,7 @@ from xml.sax.handler import ContentHandler
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.errors import FileError
 from pgm.io import sources
 from pgm.io.networks.assembly import Assembly
@@ -30,6 +31,7 @@ INSIDE = {
 DEEP = 64
 
 
+@public
 def read_xmlbif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> BayesianNetwork:
     """The network of an XMLBIF file, version 0.3.
 

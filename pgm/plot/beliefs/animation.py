@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
+from pgm.arguments import public
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Table
@@ -20,6 +21,7 @@ from pgm.plot.beliefs.stacks import chances
 from pgm.plot.moving.movies import movie_writer, write_movie
 
 
+@public
 def animate_beliefs(
     belief: GridBelief | Table,
     path: str | PathLike[str],

@@ -12,6 +12,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.patches import Rectangle
 from matplotlib.textpath import text_to_path
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.errors import ModelError
 from pgm.factors import Table
@@ -30,6 +31,7 @@ _RULED = 600
 _LETTERS, _SMALLEST, _FULL = 8.3, 5.5, 0.9
 
 
+@public
 def belief_map(
     belief: Table,
     *,
@@ -177,6 +179,7 @@ _FAINT = 0.02
 _MAP: Colormap = LinearSegmentedColormap.from_list("belief", ["white", PALETTE[0]])
 
 
+@public
 def grid_map(
     belief: GridBelief,
     *,
@@ -303,6 +306,7 @@ _UNKNOWN = "#D5E3EE"
 _GREYS = colormaps["Greys"].with_extremes(bad=_UNKNOWN)
 
 
+@public
 def occupancy_map(map: OccupancyMap, *, ax: Axes | None = None, **style: Any) -> Axes:
     """Draw an occupancy grid: white is free, black occupied, and pale blue not known.
 

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.errors import ModelError
 from pgm.inference import ParticleBelief
@@ -19,6 +20,7 @@ _AREA, _LARGEST = 7.0, 25.0
 _TICK = 0.09  # inches
 
 
+@public
 def particles(
     belief: ParticleBelief,
     *,

@@ -12,6 +12,7 @@ from matplotlib.colors import to_hex, to_rgba
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
+from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple
 from pgm.display import titled
 from pgm.errors import ModelError
@@ -41,6 +42,7 @@ _BROAD, _NARROW = 3.2, 1.8
 _PATH, _TRUTH = "path of a belief", "path of the truth"
 
 
+@public
 def ellipses(
     gaussian: Gaussian | ParticleBelief,
     *,
@@ -154,6 +156,7 @@ def name_plane(ax: Axes, belief: Gaussian, pair: tuple[str, str], unit: Unit) ->
     name_axes(ax, *(with_unit(one, unit_of(one, unit, angles, angle=angles[one])) for one in pair))
 
 
+@public
 def trajectory(
     belief: Gaussian | ParticleBelief,
     *,

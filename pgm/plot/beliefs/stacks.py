@@ -11,6 +11,7 @@ from matplotlib.axis import Axis
 from matplotlib.colors import to_rgba
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+from pgm.arguments import public
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Table
@@ -29,6 +30,7 @@ _FULL = 0.86
 _SCALE = "row of "
 
 
+@public
 def beliefs_over_time(
     belief: Table,
     *,

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Rectangle
 
+from pgm.arguments import public
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.cluster import Edge
 from pgm.errors import GraphError
@@ -48,6 +49,7 @@ _BLANK = Size(7.0, 7.0)
 _AWAY, _APART = 6.0, 3.0
 
 
+@public
 def cluster_graph(
     graph: ClusterGraph,
     *,

@@ -6,6 +6,7 @@ from typing import cast
 
 import networkx as nx
 
+from pgm.arguments import public
 from pgm.clustergraph import ClusterGraph
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
@@ -20,6 +21,7 @@ from pgm.variables import Variable
 _WIDE = 3
 
 
+@public
 def dot(
     drawn: Network | ClusterGraph,
     *,

@@ -13,8 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from matplotlib.path import Path
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.errors import EvidenceError, ModelError, PgmError
+from pgm.factors.scope import unknown_name
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.networks.static import density
@@ -30,6 +32,7 @@ _SMALLEST = 15.0
 _FILL = {True: OBSERVED, False: "white"}
 
 
+@public
 def network(
     model: Network,
     *,
@@ -179,7 +182,7 @@ def named(evidence: Iterable[Variable], known: Iterable[Variable]) -> frozenset[
     for variable in found:
         if variable not in known:
             raise EvidenceError(
-                f"evidence names {variable!r}, which the network does not have",
+                f"evidence names {variable!r}, {unknown_name(variable, known)}",
                 variable=variable if isinstance(variable, Variable) else None,
             )
     return frozenset(found)
@@ -205,6 +208,7 @@ def last(steps: int, what: str, error: type[PgmError]) -> int:
 _DASHES = (0.0, (4.0, 3.0))
 
 
+@public
 def markov_network(
     model: BayesianNetwork | DynamicBayesianNetwork | Iterable[Any],
     *,

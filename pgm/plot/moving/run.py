@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple, is_whole
 from pgm.compile import BalancedGraph
 from pgm.errors import ModelError
@@ -35,6 +36,7 @@ _STRIP = 0.19  # of the height, for the clusters
 _ENTRY, _ROW = 1.3, 0.2  # the width of an entry of the legend, and its height
 
 
+@public
 def animate(
     posterior: ChainPosterior | ParticlePosterior,
     path: str | PathLike[str],

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.ticker import FixedLocator, NullLocator
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.comparison import Comparison, Row
 from pgm.consistency import Ranked, Ranking
@@ -32,6 +33,7 @@ _STATISTICS: dict[str, tuple[Callable[[Row], Array], str]] = {
 _NEEDS = {"kl": "an oracle=", "nees": "a truth="}
 
 
+@public
 def comparison(
     found: Comparison,
     *,
@@ -147,6 +149,7 @@ _SCALE = matplotlib.colormaps["PuOr_r"].with_extremes(bad=OBSERVED)
 _TICKS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 
 
+@public
 def ranking(
     found: Ranking,
     *,

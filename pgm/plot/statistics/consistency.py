@@ -10,6 +10,7 @@ from matplotlib.container import StemContainer
 from matplotlib.ticker import MaxNLocator
 
 from pgm import consistency
+from pgm.arguments import public
 from pgm.consistency import Average
 from pgm.display import titled
 from pgm.errors import ModelError
@@ -35,6 +36,7 @@ _WITHIN = 0.6
 _ALIKE = 0.2
 
 
+@public
 def nees(
     belief: Gaussian,
     truth: npt.ArrayLike,
@@ -95,6 +97,7 @@ def nees(
     return ax
 
 
+@public
 def nis(
     innovations: Innovations,
     *,
@@ -165,6 +168,7 @@ def _draw(
     line(ax, across, value, look, label, dots=bool((spacing > 1).any()))
 
 
+@public
 def coverage(
     belief: Gaussian,
     truth: npt.ArrayLike,
@@ -219,6 +223,7 @@ def coverage(
     return ax
 
 
+@public
 def whiteness(
     innovations: Innovations,
     *,

@@ -1,4 +1,4 @@
-"""Errors over time: of one run against its own deviations, of many runs, and divergences."""
+"""Errors over time: one run against its deviations, many runs, and divergences."""
 
 from collections.abc import Iterable, Sequence
 
@@ -8,6 +8,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from pgm import consistency
+from pgm.arguments import public
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
@@ -29,6 +30,7 @@ from pgm.plot.colours import INK, look_of
 from pgm.plot.components import component_places, one_run, truth_columns
 
 
+@public
 def errors(
     belief: Gaussian,
     truth: npt.ArrayLike,
@@ -160,6 +162,7 @@ def _axes(axes: Axes | Iterable[Axes] | None, count: int) -> tuple[Axes, ...]:
     return found
 
 
+@public
 def rmse(
     belief: Gaussian,
     truth: npt.ArrayLike,
@@ -233,6 +236,7 @@ def rmse(
     return ax
 
 
+@public
 def kl(
     p: Gaussian,
     q: Gaussian,

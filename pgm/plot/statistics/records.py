@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.ticker import MaxNLocator
 
+from pgm.arguments import public
 from pgm.errors import ModelError
 from pgm.inference import Kind, Status
 from pgm.kernels.arrays import Array
@@ -20,6 +21,7 @@ _LINES = 8
 _TINY = 1e-16
 
 
+@public
 def convergence(
     status: Status,
     *,

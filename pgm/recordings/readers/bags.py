@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import as_tuple
 from pgm.errors import EvidenceError, FileError
 from pgm.factors.scope import listed
@@ -42,6 +43,7 @@ CHOICES = {
 MANY = ("sightings", "scans")
 
 
+@public
 def read_bag(
     path: str | os.PathLike[str], topics: Mapping[str, str] | Sequence[str] | None = None
 ) -> Recording:

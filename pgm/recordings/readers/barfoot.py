@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.io.dropped import Dropped
 from pgm.io.sources import Origin, Source
 from pgm.kernels.arrays import Array
@@ -18,6 +19,7 @@ VARIANCES = ("r_var", "b_var", "v_var", "om_var")
 VALID, OFFSET = "true_valid", "d"
 
 
+@public
 def read_barfoot(path: Source) -> Recording:
     """Read the localisation data of a course of T. D. Barfoot (AER1513, University of Toronto).
 

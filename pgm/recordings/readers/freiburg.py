@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.io import sources
 from pgm.recordings.readers import files
 from pgm.recordings.recording import Recording
@@ -15,6 +16,7 @@ from pgm.recordings.stream import Stream
 SENSOR, WORLD = "sensor_data.dat", "world.dat"
 
 
+@public
 def read_freiburg(folder: str | os.PathLike[str], *, skip: Sequence[str] = ()) -> Recording:
     r"""Read the recording of an exercise of the University of Freiburg.
 

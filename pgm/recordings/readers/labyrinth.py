@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.io import sources
 from pgm.io.sources import Content, Source
 from pgm.kernels.arrays import Array
@@ -23,6 +24,7 @@ _POINT = "point2 t x y xx xy yx yy"
 _KINDS = {due.split()[0]: due for due in (_RANGE, _WHEELS, _POINT)}
 
 
+@public
 def read_labyrinth(
     source: Source,
     truth: Source | None = None,

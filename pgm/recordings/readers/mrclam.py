@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.errors import EvidenceError
 from pgm.io import sources
@@ -18,6 +19,7 @@ from pgm.recordings.recording import POSE, Recording
 from pgm.recordings.stream import Stream
 
 
+@public
 def read_mrclam(folder: str | os.PathLike[str], robot: int = 1) -> Recording:
     """Read one robot's drive of UTIAS MRCLAM (Leung, Halpern, Barfoot and Liu, 2011).
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.io.sources import Source
 from pgm.kernels.arrays import Array
 from pgm.recordings.readers import files
@@ -15,6 +16,7 @@ from pgm.recordings.stream import Stream
 COLUMNS = {"GT": 4, "DR": 3, "TD": 4, "TL": 3}
 
 
+@public
 def read_plaza(path: Source) -> Recording:
     """Read a Plaza recording, a ``.mat`` file of Djugash, Hamner and Roth (2009).
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.errors import FileError
 from pgm.factors.arrays import covariance_fault
 from pgm.io.dropped import Dropped
@@ -59,6 +60,7 @@ class _Found:
     tilted: list[int] = field(default_factory=list)
 
 
+@public
 def read_pose_graph(
     path: Source, *, planar: bool = False, isam: bool = False, skip: Sequence[str] = ()
 ) -> PoseGraph:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from itertools import combinations
 
 import numpy as np
@@ -172,8 +173,10 @@ NETWORKS = {
 
 
 def flooded(graph, iterations):
-    schedule = pgm.Flooding(max_iterations=iterations, tolerance=0.0)
-    return pgm.infer(graph, {}, schedule=schedule).status.by_edge
+    schedule = pgm.Flooding(iterations=iterations, tolerance=0.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pgm.ConvergenceWarning)  # pictures of messages on their way
+        return pgm.infer(graph, {}, schedule=schedule).status.by_edge
 
 
 def _bethe(parents):

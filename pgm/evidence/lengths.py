@@ -1,0 +1,172 @@
+"""The number of steps, T, that evidence tells, and what to do where it tells another, or none."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from pgm.boundary import as_wholes, is_whole
+from pgm.cpds import CPD
+from pgm.errors import EvidenceError, EvidenceWarning, levels_to_user
+from pgm.evidence.rows import Rows, due
+from pgm.evidence.values import Evidence, Sightings
+from pgm.variables import Discrete, Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Lengths:
+    """The plain arrays of evidence, (..., T, d) each, among which T must be one number.
+
+    arrays: By variable; of a discrete one the last axis is added.
+    sensors: The variables that are measured; all others are inputs.
+    evidence: As the user gave it.
+    """
+
+    arrays: Mapping[Variable, Rows]
+    sensors: Collection[Variable]
+    evidence: Evidence
+
+    def steps(self, asked: int | None, unexplained: tuple[Variable, CPD] | None) -> int:
+        """The number of steps, T.
+
+        asked: T, where the caller knows it.
+        unexplained: An input of the transition without evidence, and its CPD.
+        """
+        if asked is not None and (not is_whole(asked) or asked < 0):
+            raise EvidenceError(f"steps must be a whole number, 0 or more, not {asked!r}")
+        lengths = {variable: array.shape[-2] for variable, array in self.arrays.items()}
+        if asked is not None:
+            for variable, length in lengths.items():
+                if length != asked:
+                    raise self._other_than_asked(variable, int(asked))
+            return int(asked)
+        if not lengths:
+            raise self._untold(unexplained)
+        if len(set(lengths.values())) > 1:
+            raise self._disagreement(lengths)
+        return int(next(iter(lengths.values())))
+
+    def warn_of_columns(self, steps: int) -> None:
+        """Warn where T is 1 and there are many runs: that is how a list of columns is read."""
+        if steps != 1:
+            return
+        for variable in self.arrays:
+            if count := self._runs(variable):
+                message = (
+                    f"evidence for {variable!r} is of {count} runs with one step each, by its "
+                    f"shape {self._shape(variable)}; {self._reshaped(variable, count)}. Where "
+                    "runs are meant, say so by steps=1"
+                )
+                warnings.warn(message, EvidenceWarning, stacklevel=levels_to_user())
+                return
+
+    def _other_than_asked(self, variable: Variable, steps: int) -> EvidenceError:
+        length = self.arrays[variable].shape[-2]
+        return EvidenceError(
+            f"evidence for {variable!r} has {_rows(length)}, of steps {_span(length)}, where "
+            f"steps {_span(steps)} are asked for; {self._advice(variable, steps)}",
+            variable=variable,
+        )
+
+    def _disagreement(self, lengths: Mapping[Variable, int]) -> EvidenceError:
+        one, *rest = lengths
+        other = next(variable for variable in rest if lengths[variable] != lengths[one])
+        short, long = sorted((one, other), key=lengths.__getitem__)
+        # Of a control and a sensor, one that is a row longer counts a step that the other does not.
+        longer = lengths[long] == lengths[short] + 1 and self._measured(one) != self._measured(
+            other
+        )
+        off, due_length = (long, lengths[short]) if longer else (short, lengths[long])
+        return EvidenceError(
+            f"plain arrays must agree about the number of steps: {one!r} has "
+            f"{_rows(lengths[one])}, {other!r} has {_rows(lengths[other])}. For {due_length} "
+            f"steps, {self._advice(off, due_length)}",
+            variable=off,
+        )
+
+    def _untold(self, unexplained: tuple[Variable, CPD] | None) -> EvidenceError:
+        if unexplained is not None:
+            variable, cpd = unexplained
+            return EvidenceError(
+                f"no evidence for {variable!r}, a parent in {cpd!r} that no CPD explains, and no "
+                f"plain array tells the number of steps; give {variable!r} its values, "
+                f"{due(variable)}, which tell it, or a pgm.constant and steps=, the last step, T",
+                variable=variable,
+                cpd=cpd,
+            )
+        last = self._last_sighting()
+        seen = "" if last is None else f": {last}, where the last sighting is, or a later one"
+        return EvidenceError(
+            "no plain array tells the number of steps; give steps=, the last step, T" + seen
+        )
+
+    def _last_sighting(self) -> int | None:
+        given = [v.step for v in self.evidence.values() if isinstance(v, Sightings)]
+        steps = [as_wholes(step, "step", EvidenceError) for step in given if step is not None]
+        return max((int(step.max()) for step in steps if step.size), default=None)
+
+    def _advice(self, variable: Variable, steps: int) -> str:
+        """Advice for an array without a row for each of the steps 1..T."""
+        length = self.arrays[variable].shape[-2]
+        if self._runs(variable) == steps and length == 1:
+            return self._reshaped(variable, steps)
+        row = "" if isinstance(variable, Discrete) else ", :"
+        if self._measured(variable):
+            stood = f"values, step=np.arange(1, {length + 1})"
+            if length < steps:
+                blank = "−1" if isinstance(variable, Discrete) else "NaN"
+                return (
+                    f"give it {_rows(steps - length)} more, of {blank}, where nothing was "
+                    f"measured, or say when its own were: pgm.sightings({stood})"
+                )
+            if length == steps + 1:
+                return (
+                    f"give pgm.sightings(values, step=np.arange({length})) if step 0 was measured, "
+                    f"too, since a plain array of {variable!r} begins at step 1; else leave a row "
+                    f"of it out, values[..., :{steps}{row}]"
+                )
+            return f"leave the others out, values[..., :{steps}{row}], or give steps={length}"
+        if length == 1:
+            return f"give pgm.constant(value) where {variable!r} is equal at all of them"
+        if length == steps + 1:
+            return (
+                f"leave a row of {variable!r} out: row k of an input is of step k + 1, and drives "
+                "step k to step k + 1. Where yours is stamped with the step that it leads from, "
+                f"leave out the last, values[..., :-1{row}]; with that which it leads to, the "
+                f"first, values[..., 1:{row}]"
+            )
+        if length < steps:
+            return f"give {variable!r} {_rows(steps - length)} more: an input must be known"
+        return f"leave the others out, values[..., :{steps}{row}], or give steps={length}"
+
+    def _reshaped(self, variable: Variable, count: int) -> str:
+        width = self.arrays[variable].shape[-1]
+        due_shape = "-1" if self._is_of_states(variable) else f"(-1, {width})"
+        return f"{count} steps of one run are np.reshape(values, {due_shape})"
+
+    def _runs(self, variable: Variable) -> int:
+        """The number of runs of an array with one step; 0 where it has several, or one run."""
+        shape = self.arrays[variable].shape
+        count = math.prod(shape[:-2])
+        return count if shape[-2] == 1 and count > 1 else 0
+
+    def _shape(self, variable: Variable) -> tuple[int, ...]:
+        """The shape that the user gave: states have no axis of components."""
+        shape = self.arrays[variable].shape
+        return shape[:-1] if self._is_of_states(variable) else shape
+
+    def _is_of_states(self, variable: Variable) -> bool:
+        return isinstance(variable, Discrete) and self.arrays[variable].dtype.kind != "f"
+
+    def _measured(self, variable: Variable) -> bool:
+        return variable in self.sensors
+
+
+def _rows(count: int) -> str:
+    return f"{count} row{'s' * (count != 1)}"
+
+
+def _span(steps: int) -> str:
+    return "1..0 (none)" if not steps else f"1..{steps}" if steps > 1 else "1"
