@@ -100,7 +100,8 @@ def check(seed, compiled):
         model.change()
 
 
-@pytest.mark.parametrize("seed", range(36))
+# The first ones have slopes that go wrong where all values are alike.
+@pytest.mark.parametrize("seed", [37, 98, 173, 229, *range(30)])
 def test_drawn_functions(seed):
     check(seed, False)
 
@@ -138,7 +139,7 @@ def online(seed, compiled):
         robot = robot.renewed()
 
 
-@pytest.mark.parametrize("seed", range(100, 112))
+@pytest.mark.parametrize("seed", range(100, 108))
 def test_drawn_functions_online(seed):
     online(seed, False)
 
