@@ -1,4 +1,4 @@
-"""Checks of what users give: numbers, arrays of them, sequences; in words where they are none."""
+"""Checks of users' numbers, arrays and sequences, with messages in words."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def as_floats(
     verb: str = "be",
     **about: Any,
 ) -> Array:
-    """An array of floats of what a user gives, which may be the user's own; truth is one.
+    """A user's value as an array of floats, not copied if it is one; truth values count as 0 and 1.
 
     `what` is the subject of the message, and `verb` what it must do: be numbers, or return them.
     `labels` name the entries along the last axis: a structured array or data frame is taken by
@@ -124,7 +124,7 @@ def as_floats(
 
 
 def as_wholes(value: Any, what: str, error: type[PgmError] = ModelError, **about: Any) -> Integers:
-    """An array of whole numbers of what a user gives; an empty one may be of any numbers."""
+    """A user's value as an array of integers; an empty array may have any type of number."""
     try:
         numbers = _read(value, (), False)
     except _Unfit as fault:
@@ -178,7 +178,7 @@ def _read(value: Any, labels: Sequence[str], missing: bool) -> Array:
 
 
 def _leaves(rows: Sequence[Any], depth: int = 0) -> set[type]:
-    """The types of what stands in nested lists and tuples."""
+    """The types of the elements of nested lists and tuples."""
     if depth > _DEEPEST:
         raise _Unfit(f"lists nested deeper than {_DEEPEST}")
     found = set(map(type, rows))

@@ -39,11 +39,11 @@ class ModelError(PgmError, ValueError):
 
 
 class GraphError(PgmError, ValueError):
-    """A cluster graph that is not valid or has not what it is asked for; a `ValueError` too."""
+    """A cluster graph is not valid, or lacks what is asked of it; also a `ValueError`."""
 
 
 class FileError(PgmError, ValueError):
-    """A file that cannot be read as what it should be; a `ValueError` too.
+    """A file cannot be read in the format expected; also a `ValueError`.
 
     Its attributes are `path`, where the file has a name, and `line`, counted from 1.
     """
@@ -71,7 +71,7 @@ class ArrayError(PgmError, TypeError):
 
 
 class ExecutorError(PgmError, RuntimeError):
-    """An executor that takes no work, or loses what it was handed; a `RuntimeError` too.
+    """An executor refuses work, or loses a result; also a `RuntimeError`.
 
     Its attribute `runs` has those that were lost: of each row the first and the one after it.
     """
@@ -94,7 +94,7 @@ class ConvergenceWarning(UserWarning):
 
 
 class GridWarning(UserWarning):
-    """A grid's answer that is not what the model says; the status says by how much."""
+    """A grid's answer differs from the model's; the status says by how much."""
 
 
 class ParticleWarning(UserWarning):

@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 @contextmanager
 def reporting(progress: Progress) -> Iterator[None]:
-    """Report the progress of what is done within: True for bars, or ``progress(done, total)``."""
+    """Report progress within this block: True for bars, or ``progress(done, total)``."""
     if not isinstance(progress, bool) and (isinstance(progress, type) or not callable(progress)):
         raise ModelError(
             "progress= is True, for a bar, or a function that is called with the numbers done and "
@@ -59,7 +59,7 @@ _Stage = tuple[Callable[[int], object], Callable[[], object]]
 
 
 class _Report:
-    """The report of a call, of one loop at a time."""
+    """The progress report of one call, one loop at a time."""
 
     def __init__(self, begin: Callable[[str, int], _Stage]) -> None:
         self.begin, self.busy = begin, False

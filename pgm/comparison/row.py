@@ -1,4 +1,4 @@
-"""A row of a comparison: one run's beliefs of one state, judged."""
+"""One row of a comparison: one run's beliefs of one state, with their scores."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ FAILURES = (LinearisationError, NumericalError)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Row(Shown):
-    """The beliefs of one state by one lineariser under one schedule, judged.
+    """The beliefs of one state by one lineariser under one schedule, with their scores.
 
     What was not asked for, or could not be found, is NaN. Means over steps leave out the steps
     where a covariance of some run is singular or infinite, of the belief or of the oracle.
@@ -205,13 +205,13 @@ def proper(belief: Gaussian) -> Mask:
 
 
 def mean_of_known(values: Array) -> float:
-    """The mean of what is not NaN; NaN of nothing."""
+    """The mean of the entries that are not NaN; NaN if there are none."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else np.nan
 
 
 def _rmse(belief: Gaussian, truth: Array) -> dict[str, float]:
-    """The root mean square error of each component; NaN of one whose truth is never known."""
+    """The root mean square error of each component; NaN where its truth is never known."""
     errors = np.moveaxis(consistency.error(belief, truth), -1, 0)
     return {
         label: float(np.sqrt(mean_of_known(error**2)))

@@ -1,4 +1,4 @@
-"""Cluster graphs of dynamic networks, templates for any number of steps, and slices' vectors."""
+"""Cluster graphs of dynamic networks: one template a step, for any number of steps."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ class DynamicGraph(ClusterGraph, ABC):
         """Between two clusters that are joined, lower index first."""
 
     def families(self) -> Iterator[Scope]:
-        """Of the prior at step 0, the transition at 1..T, the sensors where their parents are."""
+        """For each cluster, its CPDs: the prior at step 0, the transition at 1..T, and sensors."""
         model = self.model
         for step in range(self.steps + 1):
             for cpd in (*(model.transition if step else model.prior), *model.observation):
@@ -277,7 +277,7 @@ class SliceGraph(DynamicGraph):
 
     @property
     def compilation(self) -> Compilation:
-        """Of each CPD, whether sweeps in machine code know it, or why not."""
+        """For each CPD, whether sweeps in machine code support it, or why not."""
         layout, model = self.layout, self.model
         scopes = [(model.prior, layout.states), (model.transition, layout.pair)]
         scopes.append((model.observation, layout.slice))

@@ -84,7 +84,7 @@ def as_choice(compiled: Any, what: str) -> Choice:
 
 
 class Compilation(Told[CPD]):
-    """Of each CPD of a dynamic network ``"compiled"``, or why sweeps do not compile it.
+    """For each CPD of a dynamic network ``"compiled"``, or why sweeps do not compile it.
 
     A chain is swept in machine code where all of its CPDs can be. `Taylor`, `Unscented`, `Cubature`
     and `GaussHermite` are compiled. Of a schedule `under` tells, before there is a call; after it

@@ -1,4 +1,4 @@
-"""Are innovations white? A filter has not used what it could still predict."""
+"""Whiteness of innovations: a filter with correlated innovations leaves information unused."""
 
 from dataclasses import dataclass
 

@@ -51,7 +51,7 @@ class Average(Shown):
 
     @property
     def expected(self) -> Array:
-        """The mean that a right belief has: degrees of freedom of one, averaged."""
+        """The mean under a consistent belief: its degrees of freedom, averaged."""
         return _quotient(self.dof, self.count)
 
     @property
@@ -87,7 +87,7 @@ class Average(Shown):
         return Summary(self._title, [f"{inside} of {known} inside their band", listing])
 
     def per_dof(self) -> Average:
-        """The same, divided by what is expected, so that 1 is right whatever the degrees."""
+        """The averages divided by their expected values, so that a consistent filter has 1."""
         value, low, high = (
             _quotient(part * self.count, self.dof) for part in (self.value, self.low, self.high)
         )

@@ -18,7 +18,7 @@ from pgm.kernels.arrays import Array, Integers
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OverTime(Shown):
-    """A size, at each step, of several runs; NaN at steps where that of none is known.
+    """A statistic of several runs at each step; NaN at steps where no run has it.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ def _steps_of(values: Array, steps: Integers | None) -> Integers:
 
 
 def _over_runs(values: Array, steps: Integers, percentiles: tuple[float, float]) -> OverTime:
-    """Of sizes (*runs, T+1), those of NaN left out."""
+    """The mean and percentiles over runs of a statistic (*runs, T+1), NaN left out."""
     pair = as_floats(percentiles, "a percentile")
     if pair.shape != (2,) or not 0.0 <= pair[0] < pair[1] <= 100.0:
         raise ModelError(f"percentiles are a lower and an upper one in percent, not {percentiles}")

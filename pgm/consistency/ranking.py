@@ -25,7 +25,7 @@ _WIDER = 2.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ranked(Shown):
-    """The innovations of one sensor, or of one group of its sightings, against their covariances.
+    """The NIS of one sensor, or of one labelled group of its sightings.
 
     Attributes
     ----------
@@ -230,7 +230,10 @@ _Steps = tuple[Integers, Array, Integers]
 
 
 def _by_step(innovations: Innovations) -> _Steps:
-    """The NIS of steps: of sightings taken in by their joint covariance, of rejected ones each."""
+    """NIS of each step, from the joint covariance of the accepted sightings.
+
+    A rejected sighting adds its own νᵀS⁻¹ν.
+    """
     nis, dof = np.nan_to_num(innovations.nis), innovations.dof
     if innovations.rejected.any():
         own = _by_sighting(innovations, innovations.rejected)
@@ -243,7 +246,7 @@ def _by_step(innovations: Innovations) -> _Steps:
 
 
 def _by_sighting(innovations: Innovations, chosen: Mask) -> _Steps:
-    """The NIS of steps, from the covariance of each sighting of those chosen, (..., M)."""
+    """NIS of each step, Σ νᵀS⁻¹ν over the chosen sightings with their own S, (..., M)."""
     taken = ~np.isnan(innovations.residual) & chosen[..., None]
     residual = np.where(taken, innovations.residual, 0.0)
     white = solving.whiten(roots.root(independent(innovations.cov, taken)), residual)

@@ -165,7 +165,7 @@ class CPD(Shown, Immutable):
 
     @property
     def parents(self) -> Scope:
-        """All parents: those of the mean, then those of the noise alone."""
+        """All parents: first the mean's, then the parents of the noise alone."""
         noise = self.noise_given
         return self.given + tuple(v for v in noise if v not in self.given) if noise else self.given
 

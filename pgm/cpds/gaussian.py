@@ -1,4 +1,4 @@
-"""Gaussian CPDs, whose mean is affine in the parents, or any function of them."""
+"""Gaussian CPDs p(y | x) = N(f(x), R), with an affine f or any function."""
 
 from __future__ import annotations
 
@@ -310,7 +310,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
 
     @property
     def derivatives(self) -> Derivatives:
-        """How the derivative by each parent is found: given, traced or numerical, and why."""
+        """How the Jacobian by each parent is found (given, traced or numerical), and why."""
         return Derivatives(self)
 
     def source(self) -> str:

@@ -1,4 +1,4 @@
-"""CPDs that are mixtures of others, or of one at several values of a parent."""
+"""Mixtures of CPDs, and CPDs mixed over several values of a parent."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ROUNDING = 1e-9
 
 @public
 class MixtureCPD(CPD):
-    r"""A weighted sum of densities of one child: one of some CPDs holds, by chance.
+    r"""A weighted sum of densities of one child, p(y | x) = Σ_k w_k p_k(y | x).
 
     .. math:: p(y \mid x) = \sum_k w_k \, p_k(y \mid x)
 
@@ -179,7 +179,7 @@ def chosen(weights: Array, shape: tuple[int, ...], rng: np.random.Generator) -> 
 
 
 def log_mixed(weights: Array, terms: Iterable[Array]) -> Array:
-    """The log-density ln Σ_k w_k e^{t_k} of log-densities t_k; −∞ where all of them are."""
+    """ln Σ_k w_k e^{t_k} of log-densities t_k; −∞ where all t_k are −∞."""
     stacked = np.stack([np.log(w) + t for w, t in zip(weights, terms, strict=True)])
     found: Array = np.logaddexp.reduce(stacked, axis=0)
     return found
@@ -284,7 +284,7 @@ C = TypeVar("C", bound=CPD)
 
 
 def by_run(cpd: C, lead: tuple[int, ...]) -> C:
-    """A CPD whose own axes of runs, if it has any, are all those of the evidence."""
+    """A CPD with its axes of runs, if any, broadcast to the evidence's."""
     if isinstance(cpd, GaussianCPD) and cpd._lead():
         assert isinstance(cpd.cov, np.ndarray)
         size = cpd.child.dimension

@@ -164,7 +164,7 @@ class StudentT(RobustNoise):
         return _log_rise(0.5 * self.dof, 0.5 * size) - 0.5 * size * log(pi * self.dof)
 
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
-        """Draws of unit scale."""
+        """Draws at unit scale: a Gaussian draw divided by √(χ²_ν / ν)."""
         gamma = rng.chisquare(self.dof, white.shape[:-1]) / self.dof
         return white / np.sqrt(gamma)[..., None]
 
@@ -219,7 +219,7 @@ class Cauchy(RobustNoise):
         return _log_rise(half, 0.5 * size) - 0.5 * size * log(pi * self.scale**2)
 
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
-        """Draws of unit scale."""
+        """Draws at unit scale: a Gaussian draw divided by the root of a χ² over the scale²."""
         gamma = rng.chisquare(self.scale**2 - white.shape[-1], white.shape[:-1])
         return white * (self.scale / np.sqrt(gamma))[..., None]
 

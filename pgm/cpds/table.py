@@ -199,7 +199,7 @@ class TableCPD(CPD):
 
     @property
     def parents(self) -> Scope:
-        """All parents: those of the table's axes, then the inputs of its function."""
+        """All parents: first the table's axes, then the inputs of its function."""
         return (*self.given, *self.inputs)
 
     @cached_property

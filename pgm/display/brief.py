@@ -1,4 +1,4 @@
-"""Values as text of one line: numbers with as many digits as they are worth, arrays by shape."""
+"""One-line text of values: numbers rounded to their accuracy, arrays by shape."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def vector(values: npt.NDArray[Any]) -> str:
 
 
 def as_numbers(values: Any) -> npt.NDArray[Any] | None:
-    """Values as an array of numbers, if they are such; None of others."""
+    """Values as an array of numbers; None if they are not numbers."""
     if isinstance(values, list | tuple | range):
         try:
             values = np.asarray(values)

@@ -1,4 +1,4 @@
-"""Means, deviations and matrices by component: of one belief, and of many over runs and steps."""
+"""Tables of means and deviations by component, for one belief or over runs and steps."""
 
 from __future__ import annotations
 

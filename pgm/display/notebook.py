@@ -1,4 +1,4 @@
-"""Values that a notebook shows as pictures and pages, which layers above theirs make.
+"""Rich display in notebooks; the pictures are made by `pgm.plot` and `pgm.viewer`.
 
 A network is declared below the modules that draw it, and these load matplotlib. `pgm/__init__`,
 which knows every layer, hands in what loads them; nothing is loaded before a notebook asks.

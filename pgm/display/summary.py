@@ -72,7 +72,7 @@ class Listing:
 
 @dataclass(frozen=True)
 class Summary:
-    """A value in a few lines, the first of them its title."""
+    """A value's text of a few lines, the first of them a title."""
 
     title: str
     parts: Sequence[str | Listing] = ()

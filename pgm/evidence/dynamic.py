@@ -38,7 +38,9 @@ Kind = TypeVar("Kind", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """All measurements of one sensor, sorted by `step`, (M,), of rows `order` of the evidence.
+    """All measurements of one sensor, sorted by `step`, (M,).
+
+    Row k comes from row ``order[k]`` of the user's evidence.
 
     `values` are (M, runs or 1, d), zero where not `taken`; of a discrete sensor the index of its
     state, d = 1, or weights of its states. `inputs` are values of observed parents, likewise;

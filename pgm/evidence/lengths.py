@@ -108,7 +108,7 @@ class Lengths:
         return max((int(step.max()) for step in steps if step.size), default=None)
 
     def _advice(self, variable: Variable, steps: int) -> str:
-        """What to do about an array that has not a row for each of the steps 1..T."""
+        """Advice for an array without a row for each of the steps 1..T."""
         length = self.arrays[variable].shape[-2]
         if self._runs(variable) == steps and length == 1:
             return self._reshaped(variable, steps)

@@ -31,7 +31,7 @@ class HasVariables(Protocol):
 
     @property
     def variables(self) -> Scope:
-        """Its variables."""
+        """The variables of the records."""
         ...
 
 
@@ -231,7 +231,7 @@ def _column(name: str, values: Any) -> Column:
 
 
 def _array(cells: list[Any]) -> npt.NDArray[Any]:
-    """A list's cells; what stands among numbers and is none stays what it is."""
+    """A list's cells as an array; a cell among numbers that is not a number keeps its type."""
     if {str, bool, np.bool_, type(None)}.isdisjoint(map(type, cells)):
         with suppress(ValueError):  # rows of unequal length
             found = np.asarray(cells)
@@ -261,7 +261,7 @@ def as_states(variable: Discrete, column: Column) -> Integers:
 
 
 def _indices(variable: Discrete, cells: npt.NDArray[Any]) -> Integers:
-    """The index of each cell's state; `STRANGER` of what is none."""
+    """The index of each cell's state; `STRANGER` for a cell that names no state."""
     indices: Integers
     kind = cells.dtype.kind
     if kind in "iuf":

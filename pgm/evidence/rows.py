@@ -122,7 +122,7 @@ def _refuse(
 def as_steps(
     variable: Variable, step: Any, count: int | None, last: int, runs: int = 1
 ) -> Integers:
-    """The steps of sightings, (M,), in 0..last; there are `count` of them in each of some runs."""
+    """The steps of sightings, (M,), in 0..last; each run has `count` of them."""
     if step is None:
         raise EvidenceError(
             f"sightings of {variable!r} have no steps; give step=, one for each measurement",
@@ -253,7 +253,7 @@ def _require_known(variable: Discrete, rows: Rows, step: Integers | None) -> Row
 
 
 def _taken_states(rows: Rows) -> Mask | None:
-    """The mask of what was measured, of the rows' shape; None for all."""
+    """The mask of measured states, of the rows' shape; None if all were measured."""
     if rows.dtype.kind == "f":
         return None
     missing = rows == MISSING
@@ -293,7 +293,7 @@ def complete(variable: Variable, rows: Rows, step: Integers | None = None) -> Ro
 
 
 def taken_of(variable: Variable, rows: Rows, step: Integers, threads: int) -> Mask | None:
-    """The mask of what was measured, (..., rows, d); None for all."""
+    """The mask of components that were measured, (..., rows, d); None where every one was."""
     if isinstance(variable, Discrete):
         return _taken_states(rows)
     return taken_readings(variable, rows, step, threads)

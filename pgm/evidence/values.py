@@ -42,7 +42,7 @@ class Soft(InCode):
 
 
 class Sightings(Shown, Immutable):
-    """Measurements of one sensor at any steps; made by `sightings`."""
+    """Measurements of one sensor at any steps, as `sightings` makes them."""
 
     __slots__ = ("given", "step", "values")
 
@@ -131,7 +131,7 @@ def sightings(
     step: npt.ArrayLike | None = None,
     given: Mapping[Variable, npt.ArrayLike | Constant] | None = None,
 ) -> Sightings:
-    """Any number of measurements of one sensor at any steps, none included.
+    """Measurements of one sensor at any steps, any number of them at one step.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def unknown(
     gate: float | None = None,
     association: str = LIKELIHOOD,
 ) -> Unknown:
-    r"""Sightings whose parent is not known: one of some candidates, or none of them.
+    r"""A sighting's parent that is not known: one of some candidates, or none.
 
     ``pgm.sightings(values, step=..., given={m: pgm.unknown(landmarks)})``. The density of each
     sighting z is, of a robot at x,

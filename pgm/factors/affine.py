@@ -1,4 +1,4 @@
-"""Affine Gaussian conditionals: what a lineariser makes of a CPD."""
+"""Affine Gaussian conditionals p(y | x) = N(F x + b, Q), the result of linearising a CPD."""
 
 from __future__ import annotations
 

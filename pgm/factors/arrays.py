@@ -133,7 +133,7 @@ def as_steps(scope: Scope, steps: npt.ArrayLike, lead: tuple[int, ...]) -> Integ
 
 
 def require_broadcast(own: tuple[int, ...], lead: tuple[int, ...], what: str) -> None:
-    """Refuse leading axes that do not broadcast to those of some factors."""
+    """Refuse leading axes that do not broadcast to the factors' leading axes."""
     try:
         np.broadcast_shapes(own, lead)
     except ValueError:

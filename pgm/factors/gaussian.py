@@ -206,7 +206,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
 
     @classmethod
     def _sealed(cls, scope: Scope, mean: Array, cov: Array) -> Gaussian:
-        """Of arrays that are read-only."""
+        """A Gaussian of arrays that are already checked and read-only; nothing is copied."""
         gaussian: Gaussian = _new(_Unlocked)
         gaussian.scope, gaussian.mean, gaussian.cov, gaussian.steps = scope, mean, cov, None
         gaussian.__class__ = cls
@@ -222,7 +222,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
 
     @property
     def components(self) -> tuple[str, ...]:
-        """The names of the components, with that of the variable where variables share one."""
+        """Names of components, preceded by their variable's where several variables share them."""
         return distinct_labels(self.scope)
 
     @property

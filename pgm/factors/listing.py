@@ -88,7 +88,7 @@ def _entries(values: Array, log_scale: Array) -> tuple[Array, str]:
 
 
 def states_of(table: Any, run: tuple[int, ...] = ()) -> str:
-    """The first states of the only variable of a table, of one of its runs."""
+    """The first few states of a table of one variable, for one of its runs."""
     return _row(table.scope, table.values[run], table.log_scale[run])
 
 
@@ -102,7 +102,7 @@ def _row(scope: States, values: Array, log_scale: Array) -> str:
 
 
 def canonical_summary(title: str, scope: Scope, K: Array, h: Array, g: Array) -> Summary:
-    """A canonical form's constant, vector and matrix; of several forms those of the first."""
+    """A canonical form's g, h and K as text; of several forms, the first."""
     if not g.size:
         return Summary(title)
     first = (0,) * g.ndim
@@ -121,7 +121,7 @@ class Moments(Protocol):
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Their names."""
+        """The names of the components."""
 
     @property
     def mean(self) -> Array:

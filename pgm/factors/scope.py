@@ -45,7 +45,7 @@ def as_scope(
 
 
 def one_name_each(variables: Iterable[Variable]) -> None:
-    """Refuse two different variables of one name; copies of one at several steps are none."""
+    """Refuse different variables of one name; copies of a variable at other steps are allowed."""
     seen: dict[str, Variable] = {}
     for variable in variables:
         first = seen.setdefault(variable.name, variable)
@@ -117,7 +117,7 @@ def labels(scope: Iterable[Variable]) -> tuple[str, ...]:
 
 
 def distinct_labels(scope: Iterable[Variable]) -> tuple[str, ...]:
-    """The names of the components, with that of the variable where variables share one."""
+    """Names of components, preceded by their variable's where several variables share them."""
     scope = tuple(scope)
     count = Counter(labels(scope))
     return tuple(
@@ -228,11 +228,11 @@ class Component(Protocol):
 
     @property
     def component(self) -> int:
-        """Its place in the variable."""
+        """The component's index within its variable."""
 
     @property
     def label(self) -> str:
-        """Its name, with that of the variable where variables share it."""
+        """The component's name, preceded by its variable's where several variables share it."""
 
 
 def places_of(each: Sequence[Component], asked: Sequence[str], what: str) -> tuple[int, ...]:
@@ -266,7 +266,7 @@ def whole_variables(each: Sequence[Component]) -> Scope:
 
 
 def in_row(bad: Mask | np.bool_) -> str:
-    """The place of the first bad one of rows, whose axis is the last, behind those of runs."""
+    """The index of the first bad row along the last axis; the axes before it are runs."""
     *runs, row = map(int, np.argwhere(bad)[0]) if np.ndim(bad) else (None,)
     if row is None:
         return ""

@@ -1,4 +1,4 @@
-"""Inference: schedules of messages, and what they leave."""
+"""Inference: message schedules and the posteriors that they produce."""
 
 from pgm.inference.associations import Associations
 from pgm.inference.audit import Audit, audit

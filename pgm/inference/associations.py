@@ -1,4 +1,4 @@
-"""The associations of sightings with candidates, as users see them."""
+"""Data association: the results that say which candidate each sighting was taken for."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def is_open(bound: BoundEvidence) -> bool:
 
 
 def by_density(bound: BoundEvidence) -> BoundEvidence:
-    """The same evidence, its open sightings those of sensors that are given by their density."""
+    """The same evidence, with its open sightings entered through their sensor's density."""
 
     def closed(reading: Reading) -> Reading:
         if reading.unknown is None:

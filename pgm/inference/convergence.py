@@ -34,7 +34,7 @@ def is_iterated(schedule: Schedule | None) -> bool:
 
 
 def told(posterior: P, schedule: Schedule | None) -> P:
-    """The same posterior, with a `ConvergenceWarning` if its iterations did not settle."""
+    """The same posterior. A `ConvergenceWarning` is raised if its iterations did not settle."""
     status = getattr(posterior, "status", None)
     # Grids and particles have a status, and warnings, of their own.
     if not isinstance(status, Status) or schedule is None or not is_iterated(schedule):
@@ -58,8 +58,8 @@ def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
     if is_iterated(schedule) and not converged.all():
         message = (
             f"a step of the online filter had not settled after its {schedule.iterations} "
-            f"linearisations (tolerance {schedule.tolerance:g}); how far from it, "
-            f"belief.status.residuals says. {_otherwise(schedule)}, or more iterations"
+            f"linearisations (tolerance {schedule.tolerance:g}); belief.status.residuals says how "
+            f"far from it. Give more iterations, or {_otherwise(schedule)}"
         )
         warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())
 
@@ -89,7 +89,7 @@ def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
 
 
 def _has_hubs(posterior: Posterior) -> bool:
-    """Whether clusters of one variable join the others, as `Bethe` makes them."""
+    """Whether single-variable clusters join the others, as in a Bethe graph."""
     graph = posterior.graph
     return any(
         len(cluster.scope) == 1 and len(graph.neighbours(k)) > 1

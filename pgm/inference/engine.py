@@ -52,7 +52,10 @@ def online_points(
     schedule: Any = None,
     lag: int | None = None,
 ) -> OnlineGrid | OnlineParticles:
-    """The online filter of such beliefs, where nothing is asked for that it has no use of."""
+    """The online filter of grid or particle beliefs.
+
+    A setting that means nothing to such a filter is refused.
+    """
     require_points(belief, model)
     asked = None if schedule == ONCE else schedule
     require_no_others(belief, lineariser, schedule=asked, lag=lag)

@@ -11,7 +11,7 @@ from pgm.variables import Variable
 
 
 class Gates(Immutable, Mapping[Variable, float]):
-    """A gate for each of some sensors; the others have none."""
+    """A gate for each of some sensors; every other sensor has none."""
 
     _gates: dict[Variable, float]
 

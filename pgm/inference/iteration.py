@@ -194,13 +194,13 @@ class _Control:
         self.weight = np.full(runs, first)
 
     def feasible(self, first: Point, found: Point) -> Point:
-        """The first point, with means that have a cost where steps are controlled by theirs."""
+        """The starting point; control by cost moves its means to where the cost is finite."""
         if not isinstance(self.damping, LevenbergMarquardt):
             return first
         return first._replace(mean=self.problem.feasible(first.mean, found))
 
     def step(self, point: Point, found: Point, active: Mask) -> Point:
-        """The point after this one, from which its linearisation has led to what was found."""
+        """The next linearisation point, between the present point and its solution."""
         if isinstance(self.damping, LevenbergMarquardt):
             return found._replace(mean=self._accepted(self.damping, point, found, active))
         return point.mixed(found, self.damping) if self.damping else found
@@ -214,7 +214,9 @@ class _Control:
     def _accepted(
         self, rule: LevenbergMarquardt, point: Point, found: Point, active: Mask
     ) -> Array:
-        """Means whose cost is no higher than the point's; those of the point where none is found.
+        """Means whose cost is no higher than the point's.
+
+        Where no step finds such means, the point's own stay.
 
         A Gauss–Newton step that raises the cost is tried again with the weight of an anchor at the
         point, of which each try takes `factor` times as much (Levenberg, 1944; Marquardt, 1963). A

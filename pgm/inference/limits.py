@@ -1,4 +1,4 @@
-"""Limits of the tables and covariances of a graph, and of what is read from them."""
+"""Memory limits for tables and covariances of a graph, and for results read from them."""
 
 from __future__ import annotations
 

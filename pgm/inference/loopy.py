@@ -73,7 +73,7 @@ class Messages(Protocol[Round]):
         """Whether no change can grow beyond one, so that messages wander but never diverge."""
 
     def round(self, messages: Sequence[int]) -> Round:
-        """Lay out the computation of some messages, in batches of one shape."""
+        """Lay out the computation of some messages, in batches of equal shape."""
 
     def propose(self, round: Round) -> Array:
         """How much each message asked for would change, (messages, runs)."""
@@ -170,6 +170,7 @@ class _Growth:
 
 
 def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array]:
+    """The larger of both messages' changes on each edge if all were sent now, (*lead)."""
     directed = messages.directed
     change = messages.propose(messages.round(range(len(directed))))
     edges = zip(directed.source[::2].tolist(), directed.target[::2].tolist(), strict=True)
@@ -178,10 +179,12 @@ def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array
 
 
 def _flooding(messages: Messages[Any]) -> Step:
+    """A round: all messages at once, from the messages of the round before."""
     return _in_turn(messages, [range(len(messages.directed))])
 
 
 def _sequential(messages: Messages[Any]) -> Step:
+    """A round: clusters in order send to later ones, then in reverse order to earlier ones."""
     target = messages.directed.target
     there, back = [], []
     for cluster, outgoing in enumerate(messages.directed.outgoing):
@@ -193,6 +196,10 @@ def _sequential(messages: Messages[Any]) -> Step:
 
 
 def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
+    """A round that sends groups of messages in turn.
+
+    A group reads the messages of the groups before it.
+    """
     rounds = [(list(turn), messages.round(turn)) for turn in turns]
 
     def step(active: Mask, lost: Mask) -> Array:
@@ -206,6 +213,10 @@ def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
 
 
 def _residual(messages: Messages[Any]) -> Step:
+    """A round: as many messages as there are, each time the one that would change most (Elidan, 2006).
+
+    After each, only the messages that depend on it are computed anew.
+    """
     directed = messages.directed
     everything = messages.round(range(len(directed)))
     single = [messages.round([m]) for m in range(len(directed))]

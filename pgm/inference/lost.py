@@ -1,4 +1,4 @@
-r"""Whether a belief is lost: a sequential test of its innovations, and of what a gate rejects.
+"""Whether a belief is lost: a sequential test of innovations and of gate rejections.
 
 Against innovations of κ times the variance, a step of NIS ~ χ²(d) weighs, in logarithms of odds,
 
@@ -104,7 +104,7 @@ class PageTest(NamedTuple):
         return cls(np.zeros((2, runs)), both, np.zeros(runs, dtype=bool), *[nothing] * 3)
 
     def over(self, runs: int) -> PageTest:
-        """The same for so many runs, where it is of one."""
+        """This record for several runs, copied where it has one."""
         wide: list[Any] = [np.broadcast_to(part, (*part.shape[:-1], runs)) for part in self]
         return PageTest(*wide)
 

@@ -21,7 +21,7 @@ from pgm.variables import Variable
 
 
 class At(NamedTuple):
-    """A CPD at one step, its evidence bound: components first, and a batch of one run or of many.
+    """A CPD at one step with its evidence bound; component axes first, then the batch of runs.
 
     `function` is to be linearised; None where the CPD is affine, or as it was linearised before:
     then `matrix` is F (d, n, *batch) and `offset` b (d, *batch), with a batch of one for all runs.
@@ -36,7 +36,7 @@ class At(NamedTuple):
     last: int
 
     def bound(self, step: int, inputs: Sequence[Array | None]) -> At:
-        """The same with other evidence, of one run."""
+        """The same CPD with other values of its observed parents, of one run."""
         function = self.function
         assert function is not None
         template, _, lead, _, group, joint, source = function

@@ -176,7 +176,7 @@ class Status(Shown, Immutable):
         return cls(count + 1, record, converged.reshape(lead))
 
     def with_digits(self, digits: Array, cause: str = FAR_APART) -> Status:
-        """The same status with digits (*runs) as measured; a warning where a run has too few."""
+        """The same status with the measured digits (*runs); a run with too few warns."""
         least = float(digits.min(initial=np.inf))
         if least < ENOUGH_DIGITS:
             runs = int((digits < ENOUGH_DIGITS).sum())
@@ -188,7 +188,7 @@ class Status(Shown, Immutable):
         return self._with(digits=digits)
 
     def with_compilation(self, words: str) -> Status:
-        """The same status with the account of its sweeps."""
+        """The same status with an account of which sweeps ran in machine code, or why not."""
         return self._with(compilation=words)
 
     def _with(self, **changes: Any) -> Status:

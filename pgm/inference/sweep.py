@@ -23,7 +23,7 @@ class Onwards(Protocol[B]):
         """The belief over the slice at step 0, before its measurements."""
 
     def predict(self, step: int, belief: B) -> B:
-        """The belief over the slice of a step, from that of the step before."""
+        """The belief over a step's slice, predicted from the slice before."""
 
     def take(self, step: int, belief: B) -> tuple[B, Array | float]:
         """The belief given the measurements of its step, and their log-density, (*runs)."""
@@ -40,7 +40,7 @@ class Backwards(Protocol[B]):
     """A reversed chain: the model of the past given the future, for the same evidence."""
 
     def back(self, step: int, belief: B) -> B:
-        """The belief over the slice of a step given all evidence, from that of the step after."""
+        """The belief over a step's slice given all evidence, from the slice after."""
 
 
 def forward(family: Onwards[B], steps: int, record: Record[B]) -> None:

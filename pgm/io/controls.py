@@ -28,7 +28,7 @@ DT = "dt"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ControlReport(Shown):
-    """The fate of each row of one control; arrays are in the order of the log.
+    """What became of each row of one control's log, in the log's order.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@ BACKWARDS = "stamped before the row above, put in order"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dropped(Shown):
-    """Rows of one stream with one fate.
+    """Rows of one stream that were dropped for one reason.
 
     Attributes
     ----------

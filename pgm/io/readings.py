@@ -41,7 +41,7 @@ UNTIMED = (NOT_TAKEN, COPY)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReadingReport(Shown):
-    """The fate of each measurement of one sensor; arrays are in the order of the log.
+    """What became of each measurement of one sensor's log, in the log's order.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class ReadingReport(Shown):
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """A sensor's rows, or those of a list of logs one after the other, checked."""
+    """The checked rows of a sensor's log; a list of logs is concatenated."""
 
     stamps: Array
     values: Array
@@ -286,7 +286,7 @@ def _reasons(
 
 
 def _repeated(keys: Array, kept: Mask) -> Mask:
-    """The mask of rows kept whose keys equal those of an earlier one kept."""
+    """The mask of kept rows whose key equals an earlier kept row's."""
     rows = np.flatnonzero(kept)
     result = kept.copy()
     result[rows[np.unique(keys[rows], axis=0, return_index=True)[1]]] = False

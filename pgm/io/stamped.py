@@ -169,7 +169,7 @@ def as_table(
     variable: Variable,
     hint: str = "",
 ) -> Array:
-    """A copy of one row of values for each stamp, (rows, columns)."""
+    """A copy of values with one row for each stamp, (rows, columns)."""
     array = as_floats(
         value, what, EvidenceError, labels=columns, missing=True, variable=variable
     ).copy()

@@ -154,7 +154,7 @@ def inflation(cov: Array) -> Array:
 
 
 def least_left(before: Array, after: Array) -> float:
-    """The smallest share that is left of a variance, (n, n, runs); those of zero do not count."""
+    """The smallest ratio of variance after to before, over (n, n, runs); zeros do not count."""
     was, left = (np.einsum("iir->ir", cov) for cov in (before, after))
     counts = (left != 0.0) & (was > 0.0)
     return float((left[counts] / was[counts]).min(initial=1.0))

@@ -244,7 +244,7 @@ def independent(cov: Array, seen: Mask) -> Array:
 
 
 def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kind]:
-    """Some runs of an array that has all of them along an axis, or one for all."""
+    """Some runs of an array along its axis of runs; an array with one run for all stays whole."""
     return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]
 
 

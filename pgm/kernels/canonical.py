@@ -207,6 +207,6 @@ def combine(
 
 
 def shift(precision: Array, h: Array, g: Array, by: Array) -> Canonical:
-    """The form over x = y + by of one over y."""
+    """The canonical form over x = y + by, from the form over y."""
     moved = apply(precision, by)
     return precision, h + moved, g - inner(h, by) - 0.5 * inner(moved, by)

@@ -42,7 +42,10 @@ def _lapack() -> ModuleType:
 
 
 def deviations(cov: Array) -> Array:
-    """Standard deviations, (n, *batch); zero where rounding has left a variance below zero."""
+    """Standard deviations, (n, *batch).
+
+    A variance that rounding has left negative counts as zero.
+    """
     found: Array = np.sqrt(np.maximum(np.einsum("ii...->i...", cov), 0.0))
     return found
 
@@ -217,7 +220,7 @@ def update(
 def update_one(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
 ) -> tuple[Array, Array, float] | None:
-    """The `update` of one Gaussian: moments and log-density; None if it is not regular."""
+    """`update` for one Gaussian: moments and log-density; None if S is not regular."""
     written = updating(len(mean), len(residual), NEARLY_SINGULAR)
     if written is not None:
         return written(mean, cov, matrix, residual, noise)

@@ -161,7 +161,7 @@ class Span(NamedTuple):
 
 
 def reached(low: int, high: int, cells: int, periodic: bool) -> Span:
-    """The cells of an axis from `low` up to, but not including, `high`; one of them at least."""
+    """The cells of an axis from `low` up to, but without, `high`; at least one."""
     if periodic:
         return Span(0, cells) if high - low >= cells else Span(low % cells, high - low)
     low, high = min(max(low, 0), cells - 1), max(min(high, cells), 1)

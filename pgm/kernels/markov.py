@@ -31,7 +31,7 @@ def masses(rows: Array) -> Array:
 def forward(
     applies: Iterable[Apply], weights: Array, belief: Array, rows: Array, every: int = EVERY
 ) -> Masses:
-    """Fill rows with forward messages; their masses, and those of the rows each was made from.
+    """Fill rows with forward messages; returns their masses, and the masses of the rows before.
 
     `weights` are p(z_t | x_t) up to a factor, like `rows` (steps, states, [runs]); `belief` is that
     at the step before, of sum one. Messages are scaled `every` so many steps.

@@ -102,7 +102,7 @@ def _advance(rays: Array, step: Array) -> None:
 
 
 def _between(low: Array, place: Array, edge: Array) -> Array:
-    """The cells of places, from `low` on and below `edge`, whatever rounding makes of them."""
+    """Cell indices of places, clipped to `low` ≤ cell < `edge` against rounding."""
     cells = np.floor(place, out=place)
     np.maximum(cells, low, out=cells)
     np.minimum(cells, edge - 1.0, out=cells)
@@ -110,7 +110,7 @@ def _between(low: Array, place: Array, edge: Array) -> Array:
 
 
 def entered(points: Array, ends: Array, width: int) -> Integers:
-    """The cells that segments enter, those of their beginnings too, as flat indices.
+    """Flat indices of the cells that segments enter, their first cells included.
 
     All crossings of lines of the grid are found at once, each leading into one cell. Points and
     ends are (2, n), x and y in cells, none negative, of a grid so wide.

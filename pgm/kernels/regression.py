@@ -75,7 +75,7 @@ def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
 
 
 def range_inverse(lower: Array, std: Array) -> tuple[Array, Array]:
-    """A pseudo-inverse of a root, in deviations, and the projector onto what it does not reach."""
+    """A root's pseudo-inverse L⁺, scaled by deviations, and the projector I − L L⁺."""
     unit = np.where(std > 0.0, std, 1.0)
     inverse = np.linalg.pinv(lower / unit[..., None], rcond=1e-10) / unit[..., None, :]
     return inverse, np.eye(lower.shape[-1]) - lower @ inverse

@@ -41,7 +41,7 @@ def stratified(weights: Array, count: int, rng: np.random.Generator) -> Integers
 
 
 def residual(weights: Array, count: int, rng: np.random.Generator) -> Integers:
-    """⌊count · w⌋ of each, the rest drawn from what is left, independently (Liu & Chen 1998)."""
+    """⌊count · w⌋ copies of each particle, the rest drawn independently (Liu & Chen 1998)."""
     expected = count * (weights / weights.sum(dtype=np.float64))
     # Whole numbers that rounding left a little short are whole: else equal weights, which are to be
     # drawn once each, would all be left to chance.

@@ -8,7 +8,7 @@ from pgm.kernels.arrays import Array
 
 
 def mounted(poses: Array, mount: Array) -> Array:
-    """The poses (..., 3) of what is mounted on bodies, at a pose (3,) in their frame."""
+    """Poses (..., 3) of a sensor mounted on bodies, from its pose (3,) in the body frame."""
     return _stacked(turned(mount[:2], poses[..., 2]) + poses[..., :2], poses[..., 2] + mount[2])
 
 

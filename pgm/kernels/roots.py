@@ -103,7 +103,7 @@ def smallest_pivot(lower: Array) -> float:
 
 
 def is_regular(cov: Array, least: float) -> bool:
-    """Whether no component of some variance is determined to `least` by those before it."""
+    """Whether each component keeps over `least` of its variance given the earlier ones."""
     pivots = np.diagonal(root(cov), axis1=-2, axis2=-1)
     variance = variances(cov)
     return bool(((pivots * pivots > least * variance) | (variance == 0.0)).all())

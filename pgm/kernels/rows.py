@@ -174,7 +174,9 @@ def _eliminate_exact(
 def _independent(
     exact: Array, right: Array, size: Array
 ) -> tuple[Array, Array, Array, Mask, float]:
-    """Relations as orthonormal rows, ln of what that takes off, where they contradict, and doubt.
+    """Orthonormal rows of noise-free relations.
+
+    With them: ln of the scale removed, contradictions, and rows in doubt.
 
     A relation that the others imply is left out. Right sides come of numbers of a size, (..., N).
     """

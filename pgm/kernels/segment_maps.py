@@ -44,7 +44,7 @@ class Map(NamedTuple):
 
 
 def after(first: Map, then: Map) -> Map:
-    """The second map of what the first makes."""
+    """The composition of two maps: `then` applied to the result of `first`."""
     return Map(multiply(then.matrix, first.matrix), apply(then.matrix, first.offset) + then.offset)
 
 

@@ -27,7 +27,7 @@ class Semiring:
     linear: bool
 
     def divisor(self, values: Array) -> Array:
-        """The values, with one for zero: 0/0 becomes 0 where the dividend is zero too."""
+        """The values with 1 for 0, so that the message quotient 0/0 becomes 0."""
         safe: Array = np.where(values == self.zero, self.one, values)
         return safe
 

@@ -93,7 +93,10 @@ def whiten(lower: Array, residual: Array) -> Array:
 
 
 def log_determinant(lower: Array) -> Array:
-    """The value ln |L Lᵀ| over the components that are not determined, (...)."""
+    """ln |L Lᵀ| over the components with positive variance, (...).
+
+    A zero on the diagonal stands for a component that is known exactly, and is left out.
+    """
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
     fixed = pivots == 0.0
     if fixed.any():

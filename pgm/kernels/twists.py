@@ -57,7 +57,7 @@ def between(poses: Array) -> Array:
 
 
 def inverse(motions: Array) -> tuple[Array, Array]:
-    """The motions (n, 3) back, and their derivatives by those there, (n, 3, 3)."""
+    """The inverse motions (n, 3), and their Jacobians by the motions, (n, 3, 3)."""
     ahead, left = turned(-motions[:, :2], -motions[:, 2]).T
     slope = np.zeros((len(motions), 3, 3))
     slope[:, 0, 0] = slope[:, 1, 1] = -np.cos(motions[:, 2])

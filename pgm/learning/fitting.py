@@ -27,7 +27,7 @@ _TOLD = 1e-14
 
 
 class QuasiNewton:
-    r"""Steps that begin as those of EM, and learn the log-evidence's curvature as they go.
+    """Quasi-Newton maximisation: EM's step first, then curvature learnt from gradients.
 
     With the gradient g of the log-evidence ℓ, which by Fisher's identity is that of the expected
     log-density at the same point, and the EM step e(θ) = M(θ) − θ, the step is

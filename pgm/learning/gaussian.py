@@ -63,7 +63,7 @@ def _left(own: Array, change: Array, cross: Array, gram: Array) -> Array:
 
 
 class GaussianStep:
-    """The M step of one Gaussian CPD, closed for affine ones.
+    """The M step of one Gaussian CPD, in closed form if it is affine.
 
     Where all rows of the matrix have the same free entries, or the noise is diagonal, the
     coefficients are those of a least-squares regression; else noise and coefficients are found in
@@ -154,7 +154,7 @@ class GaussianStep:
         return Expected(cpd, zero, zero, zero, count, reference, weighted)
 
     def maximised(self, sums: Expected) -> ConditionalGaussian:
-        """The CPD with the largest expected log-density, of what is free."""
+        """The CPD whose free parameters maximise the expected log-density."""
         if not sums.count:
             unchanged: ConditionalGaussian = sums.cpd
             return unchanged
@@ -240,7 +240,7 @@ class GaussianStep:
         return changed
 
     def vector(self, cpd: Any) -> Array:
-        """The coordinates of a CPD: its free entries, then those of its covariance."""
+        """The coordinates of a CPD: first its free entries, then its covariance's."""
         parts = [np.zeros(0)]
         if self.free.any():
             whole = [cpd.matrices[p] for p in self.order]

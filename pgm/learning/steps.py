@@ -37,7 +37,7 @@ class ScaledNoise:
 
 
 class CovarianceStep:
-    """The M step of one covariance, and its unbounded coordinates.
+    """The M step of one covariance, and its coordinates without constraints.
 
     These are roots: of the factor, of variances, or the Cholesky factor of the covariance on its
     range, where it stays as EM itself keeps it. Where the likeliest variance is zero the
@@ -225,7 +225,7 @@ _TINY = 1e-300
 
 
 class TableStep:
-    """The M step of one table, exact: Baum & Welch's, for any family of the slice.
+    """The M step of one table in closed form (Baum & Welch).
 
     Zeros stay zeros. Rows of parents' states that never occur stay as they are.
     """

@@ -1,4 +1,4 @@
-"""What to do about a user's function that fails or returns another shape than was due."""
+"""Advice when a user's function fails, or returns an array of the wrong shape."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _MOST = 4
 
 
 def mistake(error: Exception) -> str:
-    """What a function does that arrays with leading axes cannot take, and what to write."""
+    """The likely mistake when a function fails on arrays with leading axes, and its remedy."""
     told = str(error)
     for words, advice in _MISTAKES:
         if any(word in told for word in words):

@@ -80,7 +80,7 @@ class Line(NamedTuple):
 
 
 class Prepared(Protocol):
-    """A lineariser that is ready for the functions of one template: a callable.
+    """A lineariser prepared for one function template, as a callable.
 
     Examples
     --------

@@ -49,7 +49,7 @@ class Points(_Points):
 
     @cached_property
     def with_centre(self) -> Array:
-        """The points after the origin, with whose value those of angles are compared."""
+        """The points after the centre; angles are compared with the function's value there."""
         return np.concatenate([np.zeros((1, self.points.shape[1])), self.points])
 
     @cached_property

@@ -277,7 +277,7 @@ def _about(raw: Array, line: Array, axis: int) -> Array:
 
 
 def _within(error: Array | None, count: int) -> Array | None:
-    """The covariance of the errors of several sightings, each independent of the others."""
+    """The block-diagonal covariance of the independent errors of several sightings."""
     if error is None:
         return None
     height = len(error) // count

@@ -29,7 +29,10 @@ _BITS = 53
 
 
 def uniform(seed: int, name: str, step: int | Integers, size: int, fresh: bool) -> Array:
-    """Numbers in [0, 1), (*axes of step, size); equal steps share theirs unless `fresh`."""
+    """Uniform numbers in [0, 1), (*axes of step, size).
+
+    Equal steps have equal numbers unless `fresh`.
+    """
     key = [int(seed), zlib.crc32(name.encode())]
     stretch = -(-size // 4)  # Philox makes four numbers a count
 
@@ -99,7 +102,7 @@ def _sobol(samples: int, dimension: int) -> Words:
 
 @dataclass(frozen=True)
 class SampledRule(StatisticalRegression):
-    """Random points for N(0, I), all of one weight, keyed by seed, CPD and step.
+    """Random points for N(0, I) with equal weights, keyed by seed, CPD and step.
 
     At least 2n + 2 of them; a subclass gives `_sample`.
     """

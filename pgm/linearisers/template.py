@@ -19,7 +19,7 @@ Function = Callable[..., Any]
 
 @dataclass(frozen=True, eq=False)
 class FunctionTemplate:
-    """A CPD's function with its parents, and which of them are hidden: the same in all calls.
+    """A CPD's function with its parents, hidden or observed; fixed for all calls.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class FunctionTemplate:
 
     @cached_property
     def columns(self) -> tuple[tuple[int, int], ...]:
-        """Of each stacked component: its argument, and its place there."""
+        """For each stacked component: its argument, and its index in that argument."""
         return tuple((self.given.index(v), i) for v in self.hidden for i in range(v.dimension))
 
     @cached_property
@@ -110,7 +110,7 @@ class FunctionTemplate:
 
     @cached_property
     def missing_columns(self) -> tuple[tuple[int, int], ...]:
-        """Of each of these: its argument, and its place there."""
+        """For each component without a given Jacobian: its argument, and its index there."""
         return tuple(self.columns[k] for k in self.missing)
 
     @property
@@ -128,7 +128,7 @@ class FunctionTemplate:
 
     @cached_property
     def compiled(self) -> dict[bool, Any]:
-        """By whether it is of packs of runs, the function in machine code, or why there is none."""
+        """The function in machine code, or why there is none, for single runs and for packs."""
         return {}
 
     @cached_property

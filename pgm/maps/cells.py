@@ -1,4 +1,4 @@
-"""Grids of square cells in the plane, and the checks of what maps and their sensors are given."""
+"""Grids of square cells in the plane, and checks of maps' and map sensors' arguments."""
 
 from typing import Any, NamedTuple
 

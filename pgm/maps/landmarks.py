@@ -82,7 +82,7 @@ class FeatureMap(InCode, Immutable):
         return np.stack([self.positions.min(axis=0), self.positions.max(axis=0)])
 
     def at(self, names: str | Iterable[str]) -> Array:
-        """The positions [m] of landmarks by name: (d,) of one, (n, d) of several.
+        """The positions [m] of landmarks by name: (d,) for one, (n, d) for several.
 
         Raises
         ------

@@ -167,7 +167,7 @@ def _traced(
 
 
 def _counted(beams: _Beams, height: int, width: int) -> Array:
-    """By cell, how many beams end in it, and how many pass through, (2, height, width)."""
+    """For each cell, how many beams end in it and how many pass through, (2, height, width)."""
     entered = np.zeros(height * width)
     for first in range(0, beams.begins.shape[1], _BLOCK):
         place = slice(first, first + _BLOCK)

@@ -189,7 +189,7 @@ class OccupancyMap(InCode, CellGrid):
 
     @cached_property
     def distances(self) -> Array:
-        """The distance from each cell's centre to that of the nearest obstacle [m].
+        """The distance [m] from each cell's centre to the nearest obstacle's centre.
 
         Raises
         ------
@@ -239,7 +239,7 @@ class OccupancyMap(InCode, CellGrid):
         return found.reshape(-1, 3)
 
     def connected(self, point: npt.ArrayLike) -> Mask:
-        """The mask (rows, columns) of free cells connected with a point's along edges of such.
+        """The mask (rows, columns) of free cells that a path over shared edges joins to a point.
 
         Around a mapped building much is free that a robot cannot get to; this mask tells.
 

@@ -160,7 +160,7 @@ _FLAT = 1e6
 
 @public
 class BeamModel(ScanCPD):
-    r"""A scan given a pose, each range by that which the map lets expect.
+    r"""The beam model of a scan: each range given the range expected by ray casting in the map.
 
     With the expected range :math:`z^*` of a beam, its range has the density
 

@@ -198,7 +198,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
 
     @public
     def unroll(self, steps: int) -> BayesianNetwork:
-        """The network without time whose variables are those of the slices 0..steps.
+        """The static network over the variables of slices 0..steps.
 
             p(x[0..T], z[0..T] | u) = p(x[0]) Π p(x[t] | x[t−1], u[t]) Π p(z[t] | x[t])
 

@@ -196,7 +196,7 @@ class BayesianNetwork(Drawn, Immutable):
         b: Variable | Iterable[Variable],
         given: Variable | Iterable[Variable] = (),
     ) -> bool:
-        """Whether the graph alone makes some variables independent of others, given a third set.
+        """Whether the graph implies that two sets are independent given a third (d-separation).
 
         No trail between the two is active: each has an arrow out of a given variable
         (``→ g →``, ``← g →``) or a collision (``→ c ←``) without a given variable at or below it.

@@ -35,7 +35,7 @@ def check_axes(ax: Any) -> Axes:
 
 
 def given_or_new(ax: Axes | None) -> Axes:
-    """The axes given, or that of a new figure."""
+    """The given axes, or the axes of a new figure."""
     if ax is None:
         return plt.subplots(layout="constrained")[1]
     return check_axes(ax)
@@ -49,7 +49,7 @@ def plain(name: str) -> str:
 def unit_of(
     component: str, unit: Unit, known: Sequence[str] | Mapping[str, bool], *, angle: bool
 ) -> str:
-    """The unit of one of the known components; empty where nothing is known of it."""
+    """The unit of one component; empty where none is known."""
     others = "rad" if angle else ""
     if unit is None:
         return others
@@ -288,7 +288,7 @@ def right_band(
     label: str,
     tolerance: float = 1e-6,
 ) -> bool:
-    """Shade the band of what is right, in grey; in the tint of a curve that has another one.
+    """Shade the band of consistent values, in grey or in the tint of its own curve.
 
     across: (k,), along the horizontal axis.
     label: The curve's, for the legend, if the band is its own.

@@ -1,4 +1,4 @@
-"""Colours that the colour-blind can tell apart, and dashes, chosen by what an axes shows."""
+"""Colours that the colour-blind can tell apart, and dashes."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence

@@ -17,7 +17,7 @@ from pgm.kernels.arrays import Array
 
 
 def as_gaussian(belief: Any) -> Gaussian:
-    """The Gaussian, that of particles being of their mean and covariance; refuses others."""
+    """A belief as a Gaussian; particles by their mean and covariance; others are refused."""
     return belief.gaussian() if isinstance(belief, ParticleBelief) else check_gaussian(belief)
 
 

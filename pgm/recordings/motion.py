@@ -1,4 +1,4 @@
-"""Motion between stamps: that of each row of odometry or of velocities, and its duration.
+"""Motion between stamps: each odometry or velocity row as a motion with a duration.
 
 Steady motion is an arc. Rows are divided along it and composed as motions of the plane are, so that
 no sum of increments stands for their composition.
@@ -222,7 +222,7 @@ def cut_velocities(stream: Stream, first: float, last: float) -> Stream:
 
 
 def joined(one: Stream, other: Stream) -> Stream:
-    """The rows of two streams of one kind, one after the other."""
+    """The rows of two streams of one kind, concatenated."""
     both = one.variances is not None and other.variances is not None
     return one.replace(
         stamps=np.concatenate([one.stamps, other.stamps]),

@@ -279,7 +279,7 @@ class Recording(Shown, NoArray, Immutable):
         return reference.at(self.truth, times, longest)
 
     def located(self) -> Recording:
-        """The recording without sightings whose subject has no place; `dropped` tells of them."""
+        """The recording without sightings of unlocated subjects; `dropped` lists them."""
         told, seen = list(self.dropped), {}
         for name, stream in self.sightings.items():
             lost = handing.without_place(stream, self.landmarks)

@@ -18,7 +18,7 @@ from pgm.kernels.arrays import Array, Integers, Mask, frozen
 
 @public
 class Scans(Shown, NoArray, Immutable):
-    """Scans of one laser: a range for each of its rays.
+    """Scans of one laser: one range a ray, at each stamp.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Stamped rows of one sensor, odometer or reference, by the names of their components."""
+"""Stamped rows of one sensor, odometer or reference, with named components."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ KINDS = {"odometry": ("increment",), "velocities": ("velocity", "velocities")}
 
 
 def streams(recording: Recording) -> Iterator[tuple[str, Stream]]:
-    """Each stream with its name."""
+    """Each stream of a recording with its name, in order."""
     for name in ("odometry", "velocities", "imu", "fixes"):
         if (stream := getattr(recording, name)) is not None:
             yield name, stream

@@ -38,7 +38,7 @@ class Graph:
         return self._placed(("constant", value), repr(value))  # as text 0.0 is not −0.0, nor False
 
     def input(self, argument: int, component: int) -> int:
-        """The number of one component of an argument."""
+        """The node number of one component of an argument."""
         return self._placed(("input", argument, component))
 
     def value(self, number: int) -> float | bool | None:
@@ -47,7 +47,7 @@ class Graph:
         return operation[1] if operation[0] == "constant" else None
 
     def is_boolean(self, number: int) -> bool:
-        """Whether an operation is a comparison, or made of such."""
+        """Whether a node is a comparison, or a logical operation on comparisons."""
         name, *operands = self.operations[number]
         if name == "constant":
             return isinstance(operands[0], bool)

@@ -54,7 +54,7 @@ class Program:
         return {}
 
     def by(self, columns: tuple[Column, ...], height: int | None = None) -> Program:
-        """The same value, or its first components, and its derivative by some of the arguments'."""
+        """The same value, or its first components, with its derivative by some arguments."""
         value = self.value[:height]
         found = self._by.get((columns, len(value)))
         if found is None:

@@ -63,7 +63,7 @@ def _recorded(
 
 
 def _line(error: BaseException) -> str:
-    """Where in a user's code an error was raised."""
+    """The line of the user's code that raised an error."""
     place, step = "", error.__traceback__
     while step is not None:
         code = step.tb_frame.f_code
@@ -135,8 +135,7 @@ class Tracer:
             self._fail(_DIFFERS)
             return False
         if repr(found) != repr(self.trace):  # else what was made of it is still good
-            self.trace = found
-        self._proven = False
+            self.trace, self._proven = found, False
         return True
 
     def renew(self) -> None:
@@ -192,7 +191,7 @@ class Tracer:
 
 
 def around(centres: Sequence[Array], least: float = 0.0) -> list[Array]:
-    """Points (2, 3, width) about centres (width,), one of them there, or nearly."""
+    """Points (2, 3, width) around centres (width,); one of them stands at the centre, or nearly."""
     rng = np.random.default_rng(5)
     spread = np.maximum(_SPREAD, least)[..., None]
     return [

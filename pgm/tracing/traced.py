@@ -1,4 +1,4 @@
-"""Traced numbers, and arrays of them that NumPy's own functions take.
+"""Traced numbers, and arrays of them that NumPy's functions accept.
 
 An array of traced numbers is an ndarray of objects: indexing, views, writes and whatever NumPy
 builds of ufuncs are NumPy's own. Its ufuncs come here. Where NumPy casts a traced number to a
@@ -120,7 +120,7 @@ for _name in ("floor", "ceil", "trunc"):  # which NumPy calls in Python's way
 
 
 def scalar(name: str, *operands: Any) -> Any:
-    """One of NumPy's functions, of single elements: traced numbers and constants."""
+    """A NumPy function applied to single elements: traced numbers and constants."""
     name = _ALIASES.get(name, name)
     g = next((each.graph for each in operands if isinstance(each, Node)), None)
     if g is None:
@@ -254,7 +254,7 @@ def wrapped(value: Any) -> Any:
 
 
 def elementwise(name: str, *operands: Any) -> Any:
-    """One of NumPy's functions, of arrays that are broadcast against each other."""
+    """A NumPy function applied elementwise, with broadcasting."""
     handler = np.frompyfunc(partial(scalar, name), len(operands), 1)
     return wrapped(handler(*map(bare, operands)))
 

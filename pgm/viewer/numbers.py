@@ -42,7 +42,7 @@ CELL = Limits(1, 200, 150, 256, 200_000, False)
 def chosen_runs(
     run: int | Sequence[int] | Sequence[Run] | None, lead: Run, limits: Limits
 ) -> tuple[list[Run], str | None]:
-    """The runs that a page shows, and a word about the others."""
+    """The runs that a page shows, and a note about the runs left out."""
     total = int(np.prod(lead))
     if run is None:
         count = min(total, limits.runs)
@@ -73,7 +73,7 @@ def _index(run: object) -> Run:
 def chosen_steps(
     steps: tuple[int, int] | None, last: int, limits: Limits
 ) -> tuple[range, str | None]:
-    """The steps that a page shows, and a word about the others."""
+    """The steps that a page shows, and a note about the steps left out."""
     if steps is None:
         if last < limits.steps:
             return range(last + 1), None

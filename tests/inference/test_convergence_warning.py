@@ -26,14 +26,16 @@ def said(call):
 
 
 CALLS = {
-    "filter": lambda **more: pgm.filter(squares, {z: READINGS}, **more),
-    "smooth": lambda **more: pgm.smooth(squares, {z: READINGS}, **more),
-    "lag": lambda **more: pgm.smooth(squares, {z: READINGS}, lag=1, **more),
-    "keep": lambda **more: pgm.smooth(squares, {z: READINGS}, keep=[x], **more),
+    "filter": lambda **more: pgm.filter(squares, {z: READINGS}, steps=1, **more),
+    "smooth": lambda **more: pgm.smooth(squares, {z: READINGS}, steps=1, **more),
+    "lag": lambda **more: pgm.smooth(squares, {z: READINGS}, steps=1, lag=1, **more),
+    "keep": lambda **more: pgm.smooth(squares, {z: READINGS}, steps=1, keep=[x], **more),
     "infer": lambda **more: pgm.infer(
         pgm.compile(squares, steps=1), {z: READINGS}, schedule=pgm.Smoothing(**more)
     ),
-    "balanced": lambda **more: pgm.smooth(squares, {z: READINGS}, method=pgm.Balanced(), **more),
+    "balanced": lambda **more: pgm.smooth(
+        squares, {z: READINGS}, steps=1, method=pgm.Balanced(), **more
+    ),
 }
 
 
@@ -55,13 +57,17 @@ def test_iterations_that_are_too_few_are_told(name):
 
 def test_what_was_asked_for_is_what_counts():
     """A tolerance that is met is met; and the advice, followed, settles."""
-    posterior, told = said(lambda: pgm.smooth(squares, {z: READINGS}, iterations=3, tolerance=1e4))
+    posterior, told = said(
+        lambda: pgm.smooth(squares, {z: READINGS}, steps=1, iterations=3, tolerance=1e4)
+    )
     assert posterior.status.converged.all()
     assert told == []
-    _, told = said(lambda: pgm.smooth(squares, {z: READINGS}, iterations=4))
+    _, told = said(lambda: pgm.smooth(squares, {z: READINGS}, steps=1, iterations=4))
     advised = int(told[0].split("iterations=")[1].split()[0])
     assert 4 < advised < 40
-    assert said(lambda: pgm.smooth(squares, {z: READINGS}, iterations=advised + 3))[1] == []
+    assert (
+        said(lambda: pgm.smooth(squares, {z: READINGS}, steps=1, iterations=advised + 3))[1] == []
+    )
 
 
 def test_linear_models_have_nothing_to_settle():
@@ -73,7 +79,7 @@ def test_linear_models_have_nothing_to_settle():
 
 def test_only_the_runs_that_did_not_settle_are_counted():
     exact = np.array([[[9.0]], [[0.0]]])
-    posterior, told = said(lambda: pgm.filter(squares, {z: exact}, iterations=4))
+    posterior, told = said(lambda: pgm.filter(squares, {z: exact}, steps=1, iterations=4))
     open_ = int((~posterior.status.converged).sum())
     assert f"in {open_} of 2 runs" in told[0]
 
@@ -82,7 +88,7 @@ def test_parts_of_the_runs_warn_once():
     many = {z: np.full((40, 1, 1), 9.0)}
     with ThreadPoolExecutor(2) as pool:
         posterior, told = said(
-            lambda: pgm.smooth(squares, many, iterations=2, keep=[x], executor=pool)
+            lambda: pgm.smooth(squares, many, steps=1, iterations=2, keep=[x], executor=pool)
         )
     assert len(told) == 1
     assert "in 40 of 40 runs" in told[0]
@@ -90,12 +96,14 @@ def test_parts_of_the_runs_warn_once():
 
 
 def test_advice_depends_on_the_damping():
-    _, plain = said(lambda: pgm.smooth(squares, {z: READINGS}, iterations=2))
+    _, plain = said(lambda: pgm.smooth(squares, {z: READINGS}, steps=1, iterations=2))
     assert "damping=0.5, or damping=pgm.LevenbergMarquardt(), or a start=" in plain[0]
-    _, damped = said(lambda: pgm.filter(squares, {z: READINGS}, iterations=2, damping=0.5))
+    _, damped = said(lambda: pgm.filter(squares, {z: READINGS}, steps=1, iterations=2, damping=0.5))
     assert "damping=0.75" in damped[0]
     assert "start=" not in damped[0], "a filter takes none"
-    _, held = said(lambda: pgm.smooth(squares, {z: READINGS}, iterations=2, damping=LEVENBERG))
+    _, held = said(
+        lambda: pgm.smooth(squares, {z: READINGS}, steps=1, iterations=2, damping=LEVENBERG)
+    )
     assert "a number as damping" in held[0]
 
 
@@ -142,7 +150,9 @@ def test_online_the_words_are_the_same_at_each_step():
 def test_comparisons_tell_in_their_rows():
     schedules = {"two": pgm.Smoothing(iterations=2), "many": pgm.Smoothing(iterations=60)}
     found, told = said(
-        lambda: pgm.compare(squares, {z: READINGS}, linearisers=[pgm.Taylor()], schedules=schedules)
+        lambda: pgm.compare(
+            squares, {z: READINGS}, steps=1, linearisers=[pgm.Taylor()], schedules=schedules
+        )
     )
     assert told == []
     assert found["Taylor", "two"].converged == 0.0

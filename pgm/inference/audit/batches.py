@@ -1,4 +1,4 @@
-"""Draws in batches of bounded size, and the estimates that are made of them."""
+"""Importance draws in batches of bounded size, and the estimates made from them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Drawing(Protocol):
 
     @property
     def width(self) -> int:
-        """Numbers that one draw of one run takes at a time."""
+        """Floats that one draw of one run occupies at a time."""
 
     @property
     def length(self) -> int:

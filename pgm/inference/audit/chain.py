@@ -131,7 +131,7 @@ class ChainDraws:
 
     @property
     def length(self) -> int:
-        """See `Drawing`."""
+        """The number of slices drawn one after another; see `Drawing.length`."""
         layout = self.plan.layout
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
@@ -225,7 +225,7 @@ class ChainDraws:
 
     @property
     def excursions(self) -> Excursions:
-        """Where defensive draws leave the Gaussian; beside exact readings the model draws none."""
+        """The excursions of defensive draws from the Gaussian; none beside exact readings."""
         return Excursions(self.plan.steps + 1, 0.0 if self.relative else PREDICTED)
 
 

@@ -107,7 +107,7 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
         place, there = np.maximum(index, 0) * runs + np.arange(runs), index >= 0
 
         def taken(other: Array, mine: Array, place: Array = place, there: Array = there) -> Array:
-            """Of this mode where a run has it, else of the answer."""
+            """This mode's array in the runs that have it, the answer's array in the rest."""
             return np.where(there.reshape(-1, *(1,) * (mine.ndim - 2)), other[:, place], mine)
 
         beliefs.append(Beliefs(taken(arrived.mean, answer.mean), taken(arrived.cov, answer.cov)))
@@ -117,7 +117,7 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
 
 
 def _joined(found: list[Found], make: MakePath) -> Modes:
-    """The modes of all runs, from those of parts of them; a part with fewer has its answer."""
+    """Collect the modes of all runs from parts of the runs; missing modes repeat the answer."""
     missed = np.concatenate([each.missed for each in found])
     laws = []
     for k in range(max(len(each.beliefs) for each in found)):

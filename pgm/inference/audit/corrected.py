@@ -1,4 +1,4 @@
-"""Exact moments of beliefs, estimated from weighed draws, beside those of the Gaussian answer."""
+"""Exact moments estimated from weighted draws, beside the moments of the Gaussian answer."""
 
 from __future__ import annotations
 

@@ -197,7 +197,10 @@ class Term:
         return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
-        """The log-density, less that of the linearised CPD where it is divided by."""
+        """The CPD's log-density.
+
+        Where draws are relative to the linearised CPD, its log-density is subtracted.
+        """
         if not self.relative:
             return own
         if self.linearised is None:
@@ -264,7 +267,7 @@ Links = list[tuple[Link, Term]]
 
 
 def has_exact(read: Iterable[Family]) -> bool:
-    """Whether some noise of measurements is singular; that of nonlinear sensors is refused."""
+    """Whether some measurement noise is singular; refused for nonlinear sensors."""
     found = [f for f in read if roots.determined(roots.root(f.own_noise)).any()]
     for family in found:
         if not family.exact:

@@ -72,7 +72,7 @@ class Strand:
         self._index = 0
 
     def propose(self, given: Array) -> tuple[Array, Afresh | None]:
-        """Draw the next slice given the states before, and say which of them the model draws."""
+        """Draw the next slice given the states before, and mark the draws taken from the model."""
         proposal, row = self.answer.at(self._index)
         tails = afresh = None
         if self.defensive:

@@ -18,7 +18,7 @@ BAND = 2.576
 
 @dataclass(frozen=True, eq=False, repr=False)
 class InnovationCheck(Shown):
-    """The innovations of one sensor beside those of a right model, whose filter is exact.
+    """The innovations of one sensor, held against a correct model's, which are white.
 
     nis: (...): the normalised innovation squared for each component read, its mean over the steps
         of a run; 1 is right, more where measurements are further off than the model says: outliers,

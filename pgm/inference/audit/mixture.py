@@ -169,7 +169,7 @@ def _evidence(weighed: Weighed) -> Evidence:
 
 
 def _surplus(weighed: Weighed, evidence: Evidence) -> Array:
-    """What each draw adds to ln Ẑ: (y − βv)/Ẑ, (runs, 2S)."""
+    """The terms of ln Ẑ by draw: (y − βv)/Ẑ, (runs, 2S)."""
     parts = (evidence.slope / evidence.value)[:, None] * weighed.control
     return np.asarray(weighed.weights / evidence.value[:, None] - parts)
 
@@ -206,6 +206,6 @@ def _error(values: Array) -> Array:
 
 
 def _effective(weights: Array) -> Array:
-    """The number (Σ w)² / Σ w² of draws (runs, S); that of all, exactly, where w are equal."""
+    """The effective number of draws (Σ w)² / Σ w², (runs, S); exactly S where all w are equal."""
     size = weights.sum(axis=-1) ** 2 / (weights**2).sum(axis=-1)
     return np.asarray(np.minimum(size, weights.shape[-1]))

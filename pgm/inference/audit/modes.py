@@ -79,7 +79,7 @@ class Modes:
 
 @dataclass(frozen=True, eq=False)
 class FixedPoints:
-    """Where smoothers have ended: C of each run, the answer's own first.
+    """The C fixed points that smoothers reached in each run; the first is the answer's own.
 
     mean, std : ndarray
         (C, runs, n): of all components of all slices.

@@ -98,7 +98,7 @@ class Proposal:
         return log_ratio(self._constants[0][row][:, None], squared)
 
     def _mean(self, row: int, given: Array) -> Array:
-        """F x + b at draws x (runs, S, m) of what is given, (runs, S, n)."""
+        """The conditional mean F x + b at draws x of the parents, (runs, S, m) → (runs, S, n)."""
         mean: Array = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
         return mean
 

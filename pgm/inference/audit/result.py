@@ -30,7 +30,10 @@ MISSED = 0.01
 
 
 def _is_trusted(mixture: Mixture, modes: Modes) -> Mask:
-    """Whether the estimates of runs can be used, (runs,): enough draws, no mode left out."""
+    """Whether each run's estimates can be used, (runs,).
+
+    There must be enough effective draws, and no mode left out.
+    """
     draws = (mixture.pareto_k <= UNTRUSTED) & (mixture.effective_draws >= ENOUGH)
     return np.asarray(draws & (modes.missed <= MISSED))
 

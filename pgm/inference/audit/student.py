@@ -14,7 +14,7 @@ FREEDOM = 5.0
 
 
 def stretch(white: Array, where: Mask, rng: np.random.Generator) -> None:
-    """Turn Gaussian noise (..., n) into that of a multivariate Student t, in place, where said."""
+    """Turn masked Gaussian noise s (..., n) into Student t noise s √(ν/χ²_ν), in place."""
     white[where] *= np.sqrt(FREEDOM / rng.chisquare(FREEDOM, (int(where.sum()), 1)))
 
 

@@ -38,7 +38,10 @@ class TreeDensity:
 
     @classmethod
     def make(cls, model: Model, *, relative: bool) -> TreeDensity:
-        """Of all CPDs; divided by that of the linearised ones if `relative`."""
+        """The log-density of a tree from all its CPDs.
+
+        If `relative`, the linearised CPDs' density divides it.
+        """
         every = zip(model.families, model.taken, strict=True)
         return cls(model, [Term.make(f, relative=relative, taken=taken) for f, taken in every])
 
@@ -52,7 +55,7 @@ class TreeDensity:
         return free
 
     def at(self, values: Array, afresh: Afresh | None = None, *, strict: bool) -> Weighed:
-        """Weigh values (runs, S, n), of which components that are not free follow from the others.
+        """Weigh draws (runs, S, n); determined components follow from the free ones.
 
         Those that `afresh` names the model draws itself, parents before children. If `strict`, a
         function that is not finite is an error.
@@ -77,7 +80,7 @@ class TreeDensity:
         return Weighed(values, total, tails)
 
     def drawn(self, white: Array) -> Array:
-        """The values (runs, C, n) that the CPDs make of white noise (C, n)."""
+        """Ancestral draws (runs, C, n), made by the CPDs of white noise (C, n)."""
         layout = self.model.layout
         found = np.zeros((self.model.runs, *white.shape))
         for g, row in layout.order:

@@ -263,6 +263,10 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
 
 
 def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
+    """The belief over a slice given later measurements too: m + P r and P − P N P.
+
+    Bounds of rounding go along; returned too is the share of each variance that rounding may be.
+    """
     columns, cov, own, drift, largest = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
     before = variances(cov.hi)
@@ -317,6 +321,7 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
 
 
 def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
+    """Belief `a` in the runs of the mask, `b` in the rest."""
     return b._replace(
         columns=extended.where(mask, a.columns, b.columns),
         cov=extended.where(mask, a.cov, b.cov),
@@ -326,4 +331,5 @@ def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
 
 
 def _symmetric(cov: Twofold) -> Twofold:
+    """(P + Pᵀ) / 2, since rounding makes products unsymmetric."""
     return 0.5 * (cov + cov.mT)

@@ -36,7 +36,10 @@ from pgm.variables import Variable
 
 
 class Associated(NamedTuple):
-    """Evidence whose sightings are all known, and by sensor what the open ones were taken for."""
+    """Evidence whose sightings all have a candidate.
+
+    With it stand the candidates chosen for the open sightings, by sensor.
+    """
 
     bound: BoundEvidence
     found: dict[Variable, Associations]
@@ -89,7 +92,7 @@ def associated_at(
 
 
 def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
-    """The evidence with its open sightings associated, and what they were taken for."""
+    """The evidence with its open sightings associated, and the candidates chosen for them."""
     closed = {each.reading.cpd.child: each.closed for each in pending}
     readings = tuple(closed.get(r.cpd.child, r) for r in bound.readings)
     found = dict(

@@ -64,7 +64,7 @@ def between_slices(plan: ChainPlan) -> Conditional:
 
 
 def about(conditional: Conditional, reference: Array) -> Conditional:
-    """The same for deviations from a reference, (T+1, runs, n)."""
+    """The same conditionals for deviations x − reference, (T+1, runs, n)."""
     matrix, offset, cov = conditional
     return Conditional(matrix, apply(matrix, reference[:-1]) + offset - reference[1:], cov)
 
@@ -128,13 +128,13 @@ class Reverse:
 
     @property
     def whole(self) -> Conditional:
-        """The slice of step t given that of step t + 1, at row t."""
+        """The conditionals p(x[t] | x[t+1], measurements up to t); row t holds step t."""
         if self.slices is None:
             return self.states
         return compose_conditionals(self.states, Conditional(*(part[:-1] for part in self.slices)))
 
     def moved(self, mean: Array, states: Index) -> Reverse:
-        """The same covariances with other smoothed means of the slices, (T+1, runs, n)."""
+        """The same smoothed covariances with other smoothed means of the slices, (T+1, runs, n)."""
         matrix, _, cov = self.states
         offset = mean[:-1][..., states] - apply(matrix, mean[1:])
         slices = self.slices
@@ -144,7 +144,7 @@ class Reverse:
         return Reverse(Conditional(matrix, offset, cov), slices)
 
     def back(self, step: int, belief: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Moments of the slice at a step from those of the slice after it."""
+        """Smoothed moments of the slice at a step, from the slice after it."""
         mean, cov = moments.push(*belief, Conditional(*(part[step] for part in self.states)))
         if self.slices is not None:
             mean, cov = moments.push(mean, cov, Conditional(*(part[step] for part in self.slices)))

@@ -240,7 +240,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
     def raised(self, found: CarefulUpdate, surplus: Array | float) -> CarefulUpdate:
-        """The same, the log-density of its measurements raised."""
+        """The same belief, with `surplus` added to the log-density of its measurements."""
         return replace(found, log_density=found.log_density + surplus)
 
     @quiet()
@@ -288,7 +288,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
 
 
 def prior_mean(plan: ChainPlan) -> Array:
-    """The means of the states at step 0, (runs, n); those of flat components are as declared."""
+    """The means of the states at step 0, (runs, n); a flat component has its declared mean."""
     states = plan.layout.state_places
     if not is_flat(plan):
         return MomentChain(plan, ONCE).start().by_run[0][:, states]

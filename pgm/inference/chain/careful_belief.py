@@ -117,7 +117,7 @@ class Belief(NamedTuple):
 
 
 def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
-    """Arrays (runs, ...), nested in tuples, for runs on other axes, to which theirs broadcast."""
+    """Arrays (runs, ...), nested in tuples, broadcast from the axes `before` of runs to `after`."""
     if isinstance(value, np.ndarray):
         own = value.shape[1:]
         return np.broadcast_to(value.reshape(*before, *own), (*after, *own)).reshape(-1, *own)
@@ -127,7 +127,10 @@ def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
 
 
 def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
-    """[m D] with zeros in D where all that is left of what was summed up may be rounding."""
+    """The columns [m D], with zeros where entries of D are only rounding.
+
+    An entry of D is only rounding if it is far smaller than the summands that cancelled.
+    """
     if columns.shape[-1] == 1:
         return columns
     size = sum(np.abs(part.hi if isinstance(part, Twofold) else part) for part in summed)
@@ -149,11 +152,15 @@ def rounded(matrix: Array, cov: Array, noise: Array | None = None) -> Array:
 
 
 def through(matrix: Array, bound: Array) -> Array:
-    """A bound, as a covariance, of F e from that of e; what cancels is not taken for certain."""
+    """The bound F B Fᵀ on the error of F e, from the covariance-like bound B of e.
+
+    A product that cancels keeps its size.
+    """
     return sandwich(matrix, bound) + diagonal(_LAST_DIGIT * _summed(matrix, bound))
 
 
 def _summed(matrix: Array, cov: Array) -> Array:
+    """Σ_jk |F_ij| |P_jk| |F_ik|, (..., d): the size of the summands of each variance of F P Fᵀ."""
     size = np.abs(matrix)
     found: Array = ((size @ np.abs(cov)) * size).sum(axis=-1)
     return found
@@ -240,7 +247,10 @@ def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
 
 
 def rounded_belief(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
-    """Mean (runs, n) and covariance in float64, P + D M⁺ Dᵀ, beside D O of what is open."""
+    """The mean (runs, n) and covariance P + D M⁺ Dᵀ, rounded to float64.
+
+    Beside them stand the directions D O that are still unknown.
+    """
     mean, cov = (belief.columns @ unknown.weights).hi[..., 0], belief.cov
     if unknown.open.shape[-1]:
         cov = cov + unknown.between(belief, belief)
@@ -352,4 +362,5 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
+    """An array with the runs as first axis, (runs, ...); an array of one run gets that axis."""
     return array[None] if array.ndim == own else components_last(array, own)

@@ -30,7 +30,10 @@ from pgm.kernels.arrays import (
 
 
 def trajectory(plan: ChainPlan, at: Point) -> Array:
-    """The cost of the means of all slices, (runs,); of a window with that of where it begins."""
+    """The cost of the slices' means, (runs,).
+
+    A window adds the cost of its first slice under its prior.
+    """
     total = np.zeros(plan.runs)
     if plan.begin is not None:
         mean, cov = Moments(*plan.begin).by_run
@@ -64,7 +67,7 @@ def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Arr
 
 
 def _robust(sensor: Sensor, mean: Array, cov: Array) -> Array:
-    """The cost 2 ρ of robust measurements at beliefs over their slices, (runs,)."""
+    """The expected cost 2 Σ E[ρ(ν)] of robust measurements under the slices' beliefs, (runs,)."""
     family, parents, everything = sensor.family, sensor.parents, slice(None)
     if not mean.shape[0]:
         return np.zeros(mean.shape[1])

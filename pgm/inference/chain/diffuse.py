@@ -1,4 +1,4 @@
-r"""Beliefs with directions of which nothing is known, and what a measurement along others tells.
+"""Diffuse beliefs: some directions have infinite variance; measurements inform along the others.
 
 Given a flat prior a belief is the limit of N(μ, P + κ O Oᵀ) as κ grows, the columns of O being what
 is still open. A measurement z = H x + n has an innovation ν = z − Hμ of covariance S + κ U Uᵀ, with

@@ -29,7 +29,10 @@ _ROUNDING = 1e-7
 
 
 class Relation(NamedTuple):
-    """Relations C x[t] + B x[t − 1] = c of a CPD at steps (k,), (k, runs, d, n)."""
+    """Noise-free relations C x[t] + B x[t − 1] = c of one CPD at k steps.
+
+    C and B are (k, runs, d, n), for n components of a slice.
+    """
 
     step: Integers
     own: Array

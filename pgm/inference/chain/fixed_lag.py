@@ -109,7 +109,7 @@ def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 
 class _Record:
-    """A record of what windows leave as they slide along a chain."""
+    """The results that windows produce as they slide along a chain, collected by step."""
 
     def __init__(self, plan: ChainPlan) -> None:
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
@@ -125,9 +125,14 @@ class _Record:
         self.diffuse: Diffuse | None = None
 
     def leave(self, window: Window) -> None:
+        """Add the log-evidence of the steps that leave the window, (runs,)."""
         self.left = self.left + window.ahead.log_density[:2].sum(axis=0)
 
     def keep(self, first: int, window: Window) -> None:
+        """Copy a window's beliefs to the record, from step `first`; overlapping steps are replaced.
+
+        The log-evidence up to its last step is that of left steps plus the window's.
+        """
         out, ahead, beliefs = self.forward, window.ahead, window.beliefs
         begun, step = int(window.plan.begin is not None), first + window.plan.steps
         known, new = slice(first, step + 1), slice(first + begun, step + 1)
@@ -161,6 +166,7 @@ class _Record:
 
     @property
     def found(self) -> tuple[Lagged, Status]:
+        """The recorded beliefs with their status."""
         windows = Windows(self.newest, self.log_evidence, self.error is None)
         ahead = replace(self.forward, diffuse=self.diffuse)
         found = Lagged(ahead, self.beliefs, windows=windows, error=self.error)
@@ -184,7 +190,7 @@ class Beginning(NamedTuple):
         return self.careful is None or certificate.is_ordinary(self.mean, self.cov)
 
     def over(self, runs: int) -> Beginning:
-        """The same for so many runs, where it is of one."""
+        """This belief for several runs, copied where it has one."""
         found: Beginning = self if len(self.mean) == runs else over(self, (), (runs,))
         return found
 
@@ -288,16 +294,19 @@ def iterate_window(
 def _cut(
     plan: ChainPlan, first: int, last: int, begin: Beginning | None
 ) -> tuple[ChainPlan, Beginning | None]:
+    """The plan of steps first..last, and its first belief; both have the prior if none is given."""
     if begin is None:
         return plan.window(first, last), None
     return begin.cut(plan, first, last), begin.over(plan.runs)
 
 
 def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
+    """Whether float64 can solve a window: no infinite prior variance, and a plain beginning."""
     return not certificate.is_flat(plan) and (begin is None or begin.plain)
 
 
 def _settled(chain: Chain[Either], schedule: FixedLag) -> Iterated[Either]:
+    """Smooth a window until it settles. A linear window is settled by its first solution."""
     plan = chain.plan
     linear = all(family.settled for family in plan.families if family.step.size)
     nothing = np.full(plan.runs, linear)
@@ -307,6 +316,7 @@ def _settled(chain: Chain[Either], schedule: FixedLag) -> Iterated[Either]:
 def _window(
     plan: ChainPlan, ahead: Forward, found: Iterated[Either], careful: CarefulSmoothed | None
 ) -> Window:
+    """The solved window; step control may have moved its means off the solution's."""
     solved = found.solution
     beliefs, moved = Beliefs(found.mean, solved.beliefs.cov), found.mean - solved.means
     return Window(plan, ahead, beliefs, moved, found.residuals, found.converged, careful)

@@ -129,6 +129,7 @@ class Watch:
         self._step += 1
 
     def _see(self, share: float) -> None:
+        """Lower the running minimum to a share of variance."""
         self.closest = min(self.closest, share)
 
 
@@ -143,12 +144,18 @@ class _Record:
         self._room: Room | None = None
 
     def room(self, step: int) -> Room:
+        """The arrays (n, [runs]) and (n, n, [runs]) that the update of a step may write into."""
         self._room = self.mean[step], self.cov[step]
         return self._room
 
     def keep(
         self, step: int, predicted: Moments, known: Moments, log_density: Array | float
     ) -> None:
+        """Store the beliefs of a step.
+
+        If predictions are not kept, the watch looks at both covariances, as they are not there
+        later.
+        """
         if self._room is None or known.mean is not self._room[0]:
             self.mean[step], self.cov[step] = known.mean, known.cov
         self.log_density[step] = log_density
@@ -199,6 +206,7 @@ class _Record:
 
 
 def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
+    """Arrays (steps, runs, ...) of the plan in a sweep's order, (steps, ..., runs)."""
     if not plan.batch:
         return array[:, 0]
     return array.transpose(0, *range(2, 2 + own), 1)

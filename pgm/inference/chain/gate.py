@@ -34,7 +34,7 @@ Asked = float | Mapping[Variable, float]
 
 
 def require_sensors(model: DynamicBayesianNetwork, gate: object) -> None:
-    """Refuse a gate of what is no sensor of a model."""
+    """Refuse a gate declared for a variable that is not a sensor of the model."""
     for variable in gate if isinstance(gate, Mapping) else ():
         if variable not in model.sensors:
             raise EvidenceError(
@@ -90,6 +90,11 @@ def _decided(
     cov: Array,
     diffuse: Diffuse | None,
 ) -> Measured:
+    """Gate the sightings of one sensor: rejected if νᵀS⁻¹ν exceeds χ²'s quantile.
+
+    The limit's degrees of freedom are the components measured. Squares (sightings, runs) are
+    recorded, NaN where nothing was measured.
+    """
     one_run = mean.ndim == 1 and diffuse is None
     if one_run and seen.taken is None and len(seen.value) == part.sensor.height:
         one = _one(gate, part, seen, mean, cov)
@@ -129,7 +134,7 @@ def _decided(
 
 
 def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured | None:
-    """Let a whole sighting of one run in, the usual case; None where it may be rejected."""
+    """Accept the one whole sighting of one run, the usual case; None where it may be rejected."""
     sensor, record = part.sensor, part.sensor.gated
     if not sensor.whole:
         mean, cov = mean[sensor.parents], within(cov, sensor.parents)
@@ -190,7 +195,7 @@ def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array,
 
 
 def _diffuse_squares(seen: Measured, mean: Array, belief: Diffuse) -> tuple[Array, Integers]:
-    """The same at a belief of which something is unknown, (runs, n, n): of what is known of each.
+    """The Mahalanobis squares at a diffuse belief, over the components of ν with finite variance.
 
     Directions of a sighting that are unknown do not count.
     """
@@ -219,6 +224,7 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 
 @lru_cache(maxsize=64)
 def _limits(gate: float, height: int) -> Array:
+    """The χ² limits of νᵀS⁻¹ν for 0..height components, (height + 1,); infinite for none."""
     limits = np.full(height + 1, np.inf)
     limits[1:] = mahalanobis.square_within(gate, np.arange(1, height + 1))
     return limits

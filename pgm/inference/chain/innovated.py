@@ -19,7 +19,10 @@ from pgm.variables import Variable
 
 
 class Innovated(ABC):
-    """Base of results that know a forward pass; what they tell is found when it is asked for."""
+    """Base of results that hold a forward pass.
+
+    Innovations and related figures are computed on request.
+    """
 
     _planned: ChainPlan
     associations: Found

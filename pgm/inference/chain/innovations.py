@@ -1,4 +1,4 @@
-"""Innovations of measurements, and statistics of them."""
+"""Innovations ν = z − h(x̂) of measurements, their covariances, and statistics such as the NIS."""
 
 from __future__ import annotations
 

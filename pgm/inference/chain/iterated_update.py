@@ -17,7 +17,7 @@ from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.vector import Measured
 from pgm.inference.chain.weights import SETTLED
 from pgm.inference.iteration import Anchor, Point, Solution, iterate
-from pgm.inference.schedule import Filtering
+from pgm.inference.schedule import TOLERANCE, Filtering
 from pgm.kernels import roots, solving
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, inner
@@ -99,15 +99,18 @@ class UpdateProblem(ABC, Generic[U]):
         robust = [part for part in self.parts if part.weights is not None]
         before = [(copy(part.weights), part.seen) for part in robust]
         active = np.full(found.means.shape[1], bool(robust))
+        left = np.where(active, np.inf, 0.0)
         for _ in range(_REWEIGHINGS if robust else 0):
             point = found.point
             mean, cov = self._moments(point._replace(cov=point.known_cov))
             moved = [part.reweigh(mean, cov, active) for part in robust]
             found = self._solved(anchor)
-            active = np.max(moved, axis=0) > SETTLED
+            left = np.where(active, np.max(moved, axis=0), left)
+            active = left > SETTLED
             if not active.any():
                 break
-        self._weighed = ~active
+        # As of means: by so little a weight still moves at its fixed point.
+        self._weighed = left <= TOLERANCE
         surplus = sum((part.surplus for part in self.parts), 0.0)
         if anchor is not None:  # a try of a step control, which leaves no trace
             for part, (weights, seen) in zip(robust, before, strict=True):
@@ -119,6 +122,7 @@ class UpdateProblem(ABC, Generic[U]):
         return self._weighed
 
     def _solved(self, anchor: Anchor | None) -> U:
+        """The update about an anchor. If it fails, a reading that is not finite is named first."""
         try:
             return self.taken_in(anchor)
         except NumericalError:
@@ -166,6 +170,7 @@ class UpdateProblem(ABC, Generic[U]):
         return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
+        """Mean (n, [runs]) and covariance (n, n, [runs]) at a point, in this belief's axes."""
         if self.mean.ndim == 1:
             return at.mean[0, 0], at.cov[0, 0]
         return components_first(at.mean[0], 1), components_first(at.cov[0], 2)
@@ -185,6 +190,7 @@ class MomentUpdate(UpdateProblem[Updated]):
 
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
+    """An array with axes (1, runs, ...), as a point of linearisation has them."""
     if array.ndim == own:
         return array[None, None]
     return components_last(array, own)[None]

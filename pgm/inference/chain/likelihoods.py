@@ -81,7 +81,7 @@ class Readings:
         return Likelihood(added, h)
 
     def log_density(self, known: Array, predicted: Moments) -> Array:
-        """The log-density of each step's measurements, (T+1, runs), but for `Known.evidence`.
+        """The log-density of each step's measurements, (T+1, runs), without `Known.evidence`.
 
         `known` are the means given the measurements, as deviations. The plan has to be linearised
         as it was.
@@ -163,6 +163,7 @@ class Whitened:
         """The likelihood of all measurements of each step, (T+1, runs, ...)."""
 
         def said(rows: slice, counts: Integers) -> tuple[Array, Array]:
+            """HᵀR⁻¹H and HᵀR⁻¹ν of each step, summed over its measurements."""
             matrix = self.sensor.family.matrix[rows]
             if self.sensor.taken is not None:
                 matrix = np.where(self.sensor.taken[rows][..., None], matrix, 0.0)
@@ -180,10 +181,11 @@ class Whitened:
         return Likelihood(precision, h)
 
     def log_density(self, mean: Array) -> Array:
-        """Of each step's measurements at the means of the slices, but for their joint part."""
+        """ln N(z − h(x); 0, R) of each step's measurements at the slices' means, (T+1, runs)."""
         taken = self.sensor.taken
 
         def density(rows: slice, counts: Integers) -> tuple[Array]:
+            """Σ ln N(z − h(x); 0, R) of each step, (steps, runs)."""
             left = self._residual(rows, mean)
             scale = self.scale if len(self.scale) == 1 else self.scale[rows]
             if taken is not None:

@@ -77,7 +77,7 @@ class MomentChain:
         return Moments(whole, spread)
 
     def predict(self, step: int, belief: Moments) -> Moments:
-        """The slice of a step, from that of the step before."""
+        """Predicted moments of a step's slice: m ← F m + b, P ← F P Fᵀ + Q."""
         return self.predicted(self.motion(step), self.plan.first + step, belief)
 
     def take(self, step: int, belief: Moments) -> tuple[Moments, Array | float]:
@@ -101,7 +101,7 @@ class MomentChain:
         return found
 
     def predicted(self, ats: Sequence[At], step: int, belief: Moments) -> Moments:
-        """The slice of a step, from that of the step before, with the transition at its rows."""
+        """Moments of the slice at a step, predicted with the transition bound at its rows."""
         layout, (mean, cov, _) = self.plan.layout, belief
         if self.states is not None:
             mean, cov = mean[self.states], within(cov, self.states)

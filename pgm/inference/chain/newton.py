@@ -99,11 +99,15 @@ def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
 
 
 class _Move(NamedTuple):
+    """A linearised transition x[t] = F x[t − 1] + b + noise."""
+
     matrix: Array
     offset: Array
 
 
 class _Precision(NamedTuple):
+    """The information matrix of noise, the inverse of its covariance."""
+
     matrix: Array
 
 

@@ -126,6 +126,8 @@ def _move(plan: ChainPlan, mean: Array) -> bool:
 
 
 class _First(NamedTuple):
+    """The first step: its prediction, its belief, and the log-density of its measurements."""
+
     predicted: Belief
     known: Belief
     log_density: Array
@@ -174,6 +176,7 @@ def _solve(
         agrees = agrees and certificate.composes(predicted.cov, known.cov)
 
     def log_density() -> Array:
+        """ln p(z_t | earlier measurements) of each step, (T+1, runs)."""
         total = evidence + readings.log_density(known.mean, predicted)
         total[0] = first.log_density
         return total
@@ -211,7 +214,10 @@ def _agree(found: Moments, due: Moments) -> bool:
 
 
 def _from(belief: Belief, reference: Array, steps: int) -> Moments:
-    """Arrays for the moments of all steps, about a reference; those of the first step are there."""
+    """Arrays for the moments of all steps about a reference.
+
+    Row 0 already holds the first step's belief.
+    """
     runs, size = belief.mean.shape
     out = Moments(room((steps + 1, runs), (size,)), room((steps + 1, runs), (size, size)))
     out.mean[0], out.cov[0] = belief.mean - reference, belief.cov

@@ -88,7 +88,7 @@ class ChainPlan:
 
     @cached_property
     def batch(self) -> tuple[int, ...]:
-        """The axes of runs in a sweep: none of one run."""
+        """The trailing run axes of arrays in a sweep: () for one run, (runs,) for several."""
         return () if self.runs == 1 else (self.runs,)
 
     @property

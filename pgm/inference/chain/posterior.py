@@ -87,29 +87,37 @@ class ChainPosterior(Innovated, Posterior):
     associations: Found = field(default_factory=dict)
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
-        """The marginal of a hidden variable at all its steps or at one; EvidenceError of others."""
+        """The marginal of a hidden variable, at one step or at all.
+
+        Any other variable raises EvidenceError.
+        """
         return self._marginals(self._beliefs, self.kind)[variable]
 
     @property
     @quiet()
     def _forward(self) -> Forward:
+        """The forward pass of all steps, redone if only filtered moments were kept."""
         swept = self._swept
         return swept.whole if isinstance(swept, Filtered) else swept
 
     @property
     def _plan(self) -> ChainPlan:
+        """The plan, linearised as the forward pass left it."""
         assert self._forward is not None
         return self._planned
 
     def _marginals(self, beliefs: Beliefs, kind: Kind) -> Marginals:
+        """Marginals of one kind (predicted, filtered, smoothed), read from slices' moments."""
         return Marginals(self.graph.layout, beliefs, self._planned.lead, kind)
 
     @property
     def _beliefs(self) -> Beliefs:
+        """Moments of all slices: smoothed where a smoother ran, filtered otherwise."""
         return self._smoothed or Beliefs(self._swept.mean, self._swept.cov)
 
     @property
     def _hidden(self) -> Scope:
+        """States and hidden controls, in the order of a slice."""
         return (*self.graph.model.states, *self.graph.model.controls)
 
     @property
@@ -147,10 +155,12 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def _reverse(self) -> Reverse:
+        """The conditionals p(x[t] | x[t + 1]), from the solver or from the forward pass."""
         return self._reverse_given or Reverse.make(self._plan, self._forward)
 
     @cached_property
     def _backward_messages(self) -> canonical.Canonical:
+        """The canonical messages of later measurements to each slice."""
         return backward_messages(self._plan, self._forward)
 
     @quiet()
@@ -205,6 +215,10 @@ class ChainPosterior(Innovated, Posterior):
         return adjoint.smoothed(self._careful, self.graph.steps)
 
     def _careful_joint(self, careful: Careful, variables: Scope) -> Gaussian:
+        """The joint of variables at several steps, from slices in pairs of float64.
+
+        The slices' joint is (runs, S n) for S steps; the variables' rows are cut out of it.
+        """
         steps = [variable.step for variable in variables if variable.step is not None]
         distinct = sorted(set(steps))
         last = self.kind.last(distinct[-1], self.graph.steps)
@@ -261,6 +275,7 @@ class ChainPosterior(Innovated, Posterior):
         return self._form(scope, parts, what, source)
 
     def _unsent(self, source: int, target: int) -> GraphError:
+        """The error for a backward message that the schedule does not send."""
         return GraphError(
             f"the message from cluster {source} to {target} was not sent, since the posterior "
             f"is {self.kind}: smoothing sends it; use pgm.smooth, or schedule=pgm.Smoothing()",
@@ -268,11 +283,13 @@ class ChainPosterior(Innovated, Posterior):
         )
 
     def _weight(self, step: int) -> Array:
+        """ln p(measurements) as far as the belief at a step knows them, (runs,)."""
         last = self.kind.last(step, self.graph.steps)
         weight: Array = self._forward.log_density[: last + 1].sum(axis=0)
         return weight if self._windows is None else self._windows.log_evidence[last]
 
     def _past(self, step: int) -> canonical.Canonical:
+        """The forward message of a step: p(x[t], measurements up to t) in canonical form."""
         places = self.graph.layout.state_places
         weight = self._forward.log_density[: step + 1].sum(axis=0)
         mean = self._forward.mean[step][:, places]
@@ -322,6 +339,7 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def _potentials(self) -> canonical.Canonical:
+        """The linearised CPDs of all clusters in canonical form."""
         return potentials(self._plan, self._forward)
 
     @quiet()
@@ -357,6 +375,10 @@ class ChainPosterior(Innovated, Posterior):
     def _form(
         self, scope: Scope, parts: canonical.Canonical, what: str, cluster: int
     ) -> CanonicalForm:
+        """A canonical form for a user, with the leading axes of runs.
+
+        A singular covariance has none: K = P⁻¹ would be NaN, and is refused.
+        """
         if np.isnan(parts[2]).any():
             raise NumericalError(
                 f"{what}, over {names(scope)}, has no canonical form: its covariance, or that of "

@@ -171,7 +171,7 @@ class Reading:
         self.take(taken)
 
     def take(self, taken: Mask | None) -> None:
-        """Take some of the components alone, as of `Measured`, with weights of one."""
+        """Use only the components that a mask `taken` marks, with unit weights."""
         sensor, at = self.sensor, self.at
         self.taken, self.weights = taken, None
         if sensor.robust and not self.fixed:
@@ -255,7 +255,7 @@ class Reading:
 
     @property
     def surplus(self) -> Array | float:
-        """The log-density beyond that of the Gaussian, (*batch)."""
+        """The robust log-density less the Gaussian log-density of the sightings, (*batch)."""
         if not self.sensor.robust:
             return 0.0
         if self.weights is None:

@@ -51,7 +51,7 @@ def settled(plan: ChainPlan) -> Mask | bool:
 
 
 def surplus(plan: ChainPlan, step: int) -> Array | float:
-    """The log-density of a step's measurements beyond that of the Gaussians, (runs,)."""
+    """A step's robust log-density less its Gaussian log-density, Σ over measurements, (runs,)."""
     found: Array | float = 0.0
     for sensor in plan.robust:
         found = found + sensor.weights.surplus(sensor.rows(step)).sum(axis=0)
@@ -59,7 +59,7 @@ def surplus(plan: ChainPlan, step: int) -> Array | float:
 
 
 def by_step(plan: ChainPlan) -> Array | float:
-    """The same of all steps, (T+1, runs)."""
+    """Each step's robust log-density less its Gaussian log-density, (T+1, runs)."""
     if not plan.robust:
         return 0.0
     return np.array([np.broadcast_to(surplus(plan, k), plan.runs) for k in range(plan.steps + 1)])
@@ -88,6 +88,7 @@ class Weights(EachSensor[Array]):
         return cls(found)
 
     def _summary(self) -> Summary:
+        """By sensor: the range and median of the weights, and how many sightings hardly counted."""
         lines = []
         for variable, weight in self.items():
             seen = weight[~np.isnan(weight)]

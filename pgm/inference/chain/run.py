@@ -68,7 +68,10 @@ class Solver(ABC):
 
     @abstractmethod
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        """In twice the digits, one step after another."""
+        """The posterior computed in pairs of float64.
+
+        Windows of a fixed lag choose this for themselves.
+        """
 
     def _posterior(
         self,
@@ -82,6 +85,7 @@ class Solver(ABC):
         windows: Windows | None = None,
         error: Array | None = None,
     ) -> ChainPosterior:
+        """The posterior of a sweep: its status tells the lost digits and the compiled sweeps."""
         status = status.with_compilation(plan.account.words(plan.runs))
         if error is not None:
             status = status.with_digits(digits(error, plan.lead))
@@ -118,6 +122,7 @@ class FilterSolver(Solver):
         )
 
     def _refuse_nonlinear(self, plan: ChainPlan) -> None:
+        """Refuse nonlinear CPDs for a balanced tree, which filters all steps at once."""
         for family in plan.families:
             if not family.settled:
                 kind = "of robust noise" if family.exact else "nonlinear"
@@ -150,6 +155,7 @@ class LagSolver(Solver):
     def _lagged(
         self, plan: ChainPlan, once: Callable[[ChainPlan, FixedLag], tuple[Lagged, Status]]
     ) -> ChainPosterior:
+        """The posterior of a fixed lag: by sliding windows, or in one sweep where that is exact."""
         slides = fixed_lag.slides(plan, self.schedule)
         found, status = (fixed_lag.slide if slides else once)(plan, self.schedule)
         return self._posterior(
@@ -335,6 +341,10 @@ def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
 
 
 def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Array:
+    """The user's starting means as an array (T+1, runs, n).
+
+    Each hidden variable needs one row a step.
+    """
     require_hidden(start, layout.slice)
     mean = np.zeros((bound.steps + 1, bound.runs, layout.slice_size))
     for variable in layout.slice:

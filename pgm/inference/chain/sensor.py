@@ -53,11 +53,11 @@ class GateRecord:
         return cls(gate, given, np.zeros(shape, dtype=bool), np.full(shape, np.nan))
 
     def window(self, rows: slice) -> GateRecord:
-        """Some rows."""
+        """The gate decisions for some rows."""
         return GateRecord(self.gate, self.given[rows], self.rejected[rows], self.square[rows])
 
     def of(self, runs: slice) -> GateRecord:
-        """Some runs."""
+        """The gate decisions for some runs."""
         return GateRecord(
             self.gate, cut(self.given, runs), cut(self.rejected, runs), cut(self.square, runs)
         )
@@ -69,13 +69,13 @@ class GateRecord:
 
     @classmethod
     def joined(cls, parts: Sequence[GateRecord]) -> GateRecord:
-        """The record of all runs, from those of parts of them."""
+        """The record of all runs, concatenated from the records of parts of the runs."""
         arrays = zip(*((part.given, part.rejected, part.square) for part in parts), strict=True)
         given, rejected, square = (np.concatenate(each, axis=1) for each in arrays)
         return cls(parts[0].gate, given, rejected, square)
 
     def put(self, row: int, part: GateRecord) -> None:
-        """Take over what a window has decided."""
+        """Copy a window's gate decisions into the rows from `row` on."""
         rows = slice(row, row + len(part.rejected))
         self.rejected[rows], self.square[rows] = part.rejected, part.square
 
@@ -132,7 +132,7 @@ class Sensor:
 
     @cached_property
     def weights(self) -> Weights:
-        """The weights of all sightings, where the noise is robust; of one to begin with."""
+        """Reweighting of all sightings of a robust sensor, at first with unit weights."""
         shape = self.family.shape[0], self.family.shape[1]
         return Weights.of(self.family.cpd, self.family.own_noise, self.taken, shape)
 
@@ -214,7 +214,7 @@ class Sensor:
 
     @cached_property
     def _by_row(self) -> list[Array]:
-        """The values of each row, (d,), of one run."""
+        """Each row's measured values, (d,), of a model with one run."""
         return list(self.values[:, 0])
 
     def _flat(self, rows: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
@@ -240,7 +240,10 @@ class Sensor:
         )
 
     def window(self, first: int, last: int, *, after: bool) -> Sensor:
-        """The measurements, in views, of some steps, after the first of them or from it on."""
+        """A view of the measurements at steps `first` to `last`.
+
+        With `after`, step `first` is left out.
+        """
         begin = self.bounds[first + after]
         rows, part = slice(begin, self.bounds[last + 1]), copy(self)
         part.__dict__.pop("_by_row", None)

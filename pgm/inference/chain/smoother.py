@@ -173,6 +173,10 @@ def carefully(
 def _iterated(
     chain: Chain[Either], schedule: Smoothing, solution: Either, first: Point | None
 ) -> tuple[Either, Status]:
+    """Relinearise about each solution until the schedule ends.
+
+    A linear chain has its answer at once. Means that step control kept replace the solution's.
+    """
     plan = chain.plan
     controlled = first is not None and isinstance(schedule.damping, LevenbergMarquardt)
     if plan.exact or (schedule.iterations == 1 and not controlled):
@@ -185,6 +189,10 @@ def _iterated(
 
 
 def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
+    """Whether Gauss–Newton steps do for all iterations but the last.
+
+    Their points are means alone, so no lineariser may need covariances.
+    """
     several = schedule.iterations > 1 and not isinstance(schedule.damping, LevenbergMarquardt)
     if any(sensor.family.expects for sensor in plan.robust):
         return False
@@ -194,6 +202,7 @@ def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
 def _newton(
     chain: Chain[Smoothed], means: Means, schedule: Smoothing, at: Point
 ) -> tuple[Smoothed, Status]:
+    """Iterate means by Gauss–Newton, then find covariances by one pass at the last point."""
     unsettled = np.zeros(chain.plan.runs, dtype=bool)
     result = iterate(_Means(chain), means, schedule, unsettled, at)
     readings = result.solution.readings
@@ -241,18 +250,25 @@ def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
 
 
 def _scanned(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
+    """Smooth by a parallel scan over the steps, O(log T) rounds."""
     return Smoothed.of(plan, parallel.filtered(plan, reference, anchor))
 
 
 def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> CarefulSmoothed:
+    """Smooth in pairs of float64."""
     return CarefulSmoothed.of(plan, careful.sweep(plan, None, anchor)[0])
 
 
 def _is_long(plan: ChainPlan) -> bool:
+    """Whether a scan pays: many steps, of few numbers each."""
     return plan.steps >= _MANY_STEPS and plan.runs * plan.layout.slice_size <= _FEW_NUMBERS
 
 
 def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
+    """Smooth by a parallel scan.
+
+    A sweep serves where elements are not finite, or readings are joint.
+    """
     readings = Readings.of(plan, reference)
     if readings.stacks:
         return swept(plan, reference, anchor)
@@ -307,15 +323,20 @@ class Chain(Generic[Either]):
 
 @dataclass(frozen=True, eq=False)
 class _Means:
+    """A chain solved for its means alone, by the normal equations of a Gauss–Newton step."""
+
     chain: Chain[Smoothed]
 
     def linearise(self, at: Point, active: Mask | None) -> None:
+        """Linearise at a point; see `Chain`."""
         self.chain.linearise(at, active)
 
     def settled(self) -> Mask | bool:
+        """Runs that are linear as they stand; see `Chain`."""
         return self.chain.settled()
 
     def solve(self, anchor: Anchor | None = None) -> Means:
+        """The means of the linearised chain; by a smoother where rounding leaves no solution."""
         plan, at = self.chain.plan, self.chain.at
         found = newton.step(plan, at)
         if found is not None:
@@ -326,9 +347,11 @@ class _Means:
         return Means(solution.means, solution.point.std**2, Readings.of(plan, at), pair)
 
     def cost(self, at: Point) -> Array:
+        """The negative log-posterior at a point; see `Chain`."""
         return self.chain.cost(at)
 
     def feasible(self, mean: Array, found: Point) -> Array:
+        """Means on the solutions of exact CPDs; see `Chain`."""
         return self.chain.feasible(mean, found)
 
 
@@ -396,6 +419,7 @@ def dead_reckoning(plan: ChainPlan) -> Point:
 
 
 def _without_spread(plan: ChainPlan, mean: Array) -> Point:
+    """A point of linearisation with zero covariances: Taylor's rule reads means alone."""
     size = plan.layout.state_size + plan.layout.slice_size
     return Point(
         mean,

@@ -13,7 +13,7 @@ from pgm.kernels.arrays import Array, Integers, Mask, apply, times
 
 
 class Measured(NamedTuple):
-    """Sightings of one sensor at a step, as they are linearised: z = value + H (x − point) + n.
+    """Linearised sightings of one sensor at a step: z = value + H (x − point) + n.
 
     `matrix` is H over the sensor's parents, (D, m, *batch), `noise` (D, D, *batch); a batch may be
     one for all. `point` (m, *batch) is where they were linearised; `reading` z, its angles on the
@@ -44,7 +44,7 @@ class Measured(NamedTuple):
         return self.reading - (self.value + times(self.matrix, mean - self.point))
 
     def where(self, mask: Mask, other: Measured) -> Measured:
-        """The linearisation in some runs, that of another in the rest."""
+        """This linearisation in the runs of the mask, another linearisation in the rest."""
         return self._replace(
             matrix=np.where(mask, self.matrix, other.matrix),
             value=np.where(mask, self.value, other.value),

@@ -44,7 +44,7 @@ class Weights:
     def of(
         cls, cpd: ConditionalGaussian, own: Array, taken: Mask | None, shape: tuple[int, int]
     ) -> Weights:
-        """Weights of one, for own noises (k or 1, runs or 1, d, d)."""
+        """Unit weights for the noise covariances of sightings, (k or 1, runs or 1, d, d)."""
         assert cpd.noise is not None
         if taken is not None:
             own = independent(own, taken)
@@ -138,7 +138,7 @@ class Weights:
         return (left, seen) if gated is None else (gated[0] | left, gated[1] | seen)
 
     def surplus(self, rows: slice = slice(None)) -> Array:
-        """The log-densities of sightings beyond those of N(0, R / w), (k, runs)."""
+        """The robust log-density of each sighting less ln N(0, R / w), (k, runs)."""
         count = self.count if self.taken is None else self.count[rows]
         return self.noise.surplus(self.square[rows], count, self.weight[rows])
 

@@ -30,7 +30,10 @@ def allows(impossible: object) -> bool:
 def beliefs_of(
     graph: ClusterGraph, evidence: BoundStates, room: Room, *, allow: bool
 ) -> TreeBeliefs | AllowedBeliefs:
-    """Calibrate a tree; where impossible evidence is allowed, without that of runs that have it."""
+    """Calibrate a tree.
+
+    With `allow`, runs of impossible evidence are calibrated without their evidence.
+    """
     try:
         return TreeBeliefs.of(graph, evidence, room)
     except ImpossibleEvidence as error:

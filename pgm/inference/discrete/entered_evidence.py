@@ -1,4 +1,7 @@
-"""A graph's evidence entered into its tables: weights of states, and axes of one state."""
+"""Evidence entered into a graph's tables.
+
+Soft weights multiply an axis; an observed axis keeps one state.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,7 @@ def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
 
 
 def entered(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
-    """Logarithms of the potential of one cluster times its evidence, (sizes..., runs)."""
+    """ln of one cluster's potential times its evidence, (sizes..., runs)."""
     scope = storage.scopes[cluster]
     table = np.repeat(storage.table(storage.logs, cluster)[..., None], evidence.runs, axis=-1)
     for variable, state in evidence.states.items():

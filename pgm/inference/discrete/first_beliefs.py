@@ -1,4 +1,4 @@
-"""The beliefs of a graph's first question, and all else that is asked of them by way of a plan."""
+"""A graph's first question is answered directly; later questions are answered by a plan."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pgm.variables import Discrete
 
 @dataclass(frozen=True, eq=False)
 class FirstBeliefs:
-    """The beliefs of one run, of a graph that had not been asked before.
+    """Beliefs of one run, from a graph's first question; other requests are passed to a plan.
 
     Marginals and log-evidence are there; joints, messages and beliefs of clusters are read from
     tables that are laid out and calibrated when the first of them is asked for.

@@ -35,7 +35,7 @@ FEW, TINY = 16, 2**7
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """The beliefs of one run.
+    """Calibrated beliefs of one run: the answer to a graph's first question.
 
     marginals: (states,): of the variables that are not observed.
     """
@@ -49,7 +49,7 @@ Factor = tuple[Sequence[int], Array]
 
 
 def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
-    """The beliefs of one run.
+    """Calibrated beliefs of one run; in logarithms if products underflow.
 
     graph: Without loops.
     evidence: Without leading axes.

@@ -1,4 +1,4 @@
-"""Joints of variables of one cluster, or of several of a tree."""
+"""Joint tables of variables of one cluster, or of several clusters of a tree."""
 
 import math
 from collections.abc import Sequence
@@ -48,7 +48,7 @@ def joint(storage: Storage, tables: Array, scope: States) -> Array:
 def _of_tree(
     storage: Storage, forest: Forest, tables: Array, scope: States, homes: set[int]
 ) -> Factor:
-    """The joint of variables of one tree, whose tables are found in the clusters `homes`.
+    """The joint of some variables of one tree; `homes` are the clusters that hold their tables.
 
     On the part of the tree that joins these clusters, each table is divided by its sepset with the
     parent, so that it is conditional, and is multiplied into the parent, of which only the wanted

@@ -53,7 +53,10 @@ class TableMessages:
         return self.plan.lay_out(messages, self.runs)
 
     def propose(self, round: Sequence[Group]) -> Array:
-        """Compute them from those kept; the largest changes of their entries, (messages, runs)."""
+        """Compute a round's messages from the kept ones.
+
+        Returns the largest change of each, (messages, runs).
+        """
         count = sum(outlet.order.size for group in round for outlet in group.outlets)
         change = np.empty((count, self.runs))
         for group in round:
@@ -67,7 +70,10 @@ class TableMessages:
         return change
 
     def _products(self, group: Group) -> Array:
-        """The potential times all messages but that of one neighbour, of each in turn."""
+        """The potential times all incoming messages but one.
+
+        The message left out is each neighbour's in turn.
+        """
         incoming = self.logs.take(group.incoming, 0)
         products = np.empty_like(incoming)
         products[0] = self.potentials.take(group.entries, 0)
@@ -78,7 +84,7 @@ class TableMessages:
         return products.reshape(-1, self.runs)
 
     def _normalised(self, messages: Array, outlet: Outlet) -> Array:
-        """Logarithms of messages, (messages, columns, runs), less those of their sums."""
+        """Log-messages (messages, columns, runs), each normalised to a sum of one."""
         total = log_sum(messages, 1)
         self._require_possible(total, outlet.senders)
         normalised: Array = messages - total[:, None]

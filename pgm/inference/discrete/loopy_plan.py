@@ -22,7 +22,7 @@ Kept = tuple[bool, ...]
 
 @dataclass(frozen=True, eq=False)
 class Outlet:
-    """Messages of one shape that a group of clusters sends.
+    """The outgoing messages of equal shape from a group of clusters.
 
     index: (rows, messages · columns): the entries, of all but one neighbour's product, to sum.
     columns: (messages, columns): where the messages are kept.
@@ -38,7 +38,7 @@ class Outlet:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Clusters with equally many neighbours and entries, and the messages asked of them.
+    """Clusters with equally many neighbours and entries, computed in one batch, and their messages.
 
     entries: (clusters · entries,): where their tables stand.
     incoming: (neighbours, clusters · entries): the columns of messages that meet each entry.

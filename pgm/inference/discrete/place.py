@@ -1,4 +1,4 @@
-"""The place of one table in the flat storage: where it begins, and the steps of its axes."""
+"""A table's place in flat storage: its first index, and the strides of its axes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LARGE = 2**13
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """The place of one table.
+    """A table's place in flat storage: its first index, and the strides of its axes.
 
     steps: How many entries on the next state of a variable is.
     large: Whether it stands by itself and is used where it stands.
@@ -34,7 +34,7 @@ class Place:
 
     @classmethod
     def of(cls, scope: States, start: int, least: int) -> Place:
-        """A table in the order of its scope, large from so many entries on."""
+        """A view of the table in flat storage, with its axes, and an axis of runs if any."""
         return cls(scope, start, steps(scope, 1), math.prod(sizes(scope)) >= least)
 
     @cached_property
@@ -102,7 +102,7 @@ def by_state(place: Place, variable: Discrete) -> View:
 
 
 def steps(scope: States, last: int) -> dict[Discrete, int]:
-    """The steps of axes one within the other, from that of the last."""
+    """Strides of axes in C order, given the stride of the last."""
     found: dict[Discrete, int] = {}
     for variable in reversed(scope):
         found[variable] = last

@@ -90,7 +90,10 @@ class Distinct:
         return cls(some_runs(evidence, first), which)
 
     def spread(self, values: Array) -> Array:
-        """Values (..., [runs that differ]) as those of all runs, (..., [runs])."""
+        """Copy values of distinct runs to all runs that share them.
+
+        Shape (..., [distinct]) becomes (..., [runs]).
+        """
         if self.which is None:
             return values
         if self.evidence.runs == 1:

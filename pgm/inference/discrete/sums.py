@@ -61,7 +61,7 @@ class BlockSum:
 
     @classmethod
     def of(cls, place: Place, wanted: States, start: int) -> BlockSum:
-        """The sums of one large table over all but the wanted variables, kept from `start` on."""
+        """The sums of one large table over all but the wanted variables, stored from `start` on."""
         target = slice(start, start + math.prod(sizes(wanted)))
         view = place.merged(wanted)
         return cls(place.entries, view, AxisSums.of(view.shape, view.others), target)

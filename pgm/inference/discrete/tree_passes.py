@@ -45,7 +45,7 @@ class Collected:
 
 
 def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
-    """Send the messages to the roots: tables are multiplied by those of the children."""
+    """Upward pass: each table, times its children's messages, is summed to its parent's message."""
     tables, potentials, active = entry.tables, entry.potentials, entry.active
     tail = tables.shape[1:]
     room = np.empty((2 * plan.columns + plan.tops, *tail))

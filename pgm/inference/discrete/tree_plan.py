@@ -201,7 +201,7 @@ class TreePlan:
 
     @cached_property
     def _roots(self) -> int:
-        """The stacks of root clusters, as a set of bits."""
+        """The stacks that contain a root cluster, as a bit set."""
         return _union(stack.bit for stack in self.stacks if stack.down is None)
 
     @cached_property

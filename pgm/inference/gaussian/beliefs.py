@@ -51,7 +51,7 @@ class Places:
         return np.cumsum([0, *(size * size for size in self.sizes)])
 
     def means(self, clusters: Integers, columns: Integers) -> Integers:
-        """The places of means, for (B,) clusters and (B, n) columns of theirs."""
+        """Flat indices of the means of (B, n) columns in (B,) clusters."""
         return self.starts[clusters][:, None] + columns
 
     def covs(self, clusters: Integers, columns: Integers) -> Integers:
@@ -125,7 +125,10 @@ class Beliefs:
 
 
 class TreePoint(NamedTuple):
-    """Beliefs as a point of linearisation: of all components, (1, runs, size) and (1, V, size)."""
+    """Beliefs as a linearisation point.
+
+    Means are (1, runs, size) and deviations (1, V, size), over all components.
+    """
 
     mean: Array
     std: Array
@@ -134,7 +137,10 @@ class TreePoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """Beliefs, ln of the evidence, (V, N), and the digits left of runs, where they are measured."""
+    """Calibrated beliefs of a tree.
+
+    With them stand ln p(evidence), (V, N), and each run's correct digits where they are measured.
+    """
 
     beliefs: Beliefs
     log_evidence: Array

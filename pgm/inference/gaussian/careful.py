@@ -53,7 +53,10 @@ class DenseBeliefs(Beliefs):
     """Moments of all components together, (runs, size) and (V, size, size), not about a frame."""
 
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
-        """Means (runs, ..., n) and covariances (V, ..., n, n) of components of one cluster each."""
+        """Means (runs, ..., n) and covariances (V, ..., n, n) of components.
+
+        The components of one mean share a cluster.
+        """
         return self.mean[:, places], self.cov[:, places[..., :, None], places[..., None, :]]
 
     def components(self) -> tuple[Array, Array]:

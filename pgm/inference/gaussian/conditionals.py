@@ -50,7 +50,7 @@ class Conditionals:
             yield self.conditional(g, row)
 
     def conditional(self, g: int, row: int) -> Conditional:
-        """One of them."""
+        """The linearised CPD at one row of group g, p(y | x) = N(F x + b, Q)."""
         group, family = self.layout.groups[g], self.families[g]
         noise = family.noise[row, : self.stacked]
         return Conditional(
@@ -103,7 +103,7 @@ class Conditionals:
 
 
 def _offset(family: Family, row: int, runs: int) -> Decimals:
-    """The offset b of one row, (runs, d), of an affine CPD not rounded."""
+    """The offset b of one row of an affine CPD, (runs, d), in unrounded decimals."""
     cpd = family.cpd
     known = [p for p in cpd.given if p not in family.hidden]
     if not isinstance(cpd, AffineCPD) or not known:

@@ -69,7 +69,7 @@ def _gain(
     shared: list[int],
     fresh: list[int],
 ) -> Array:
-    """The regression of a cluster's other components on those of the sepset with its parent.
+    """Regression of a cluster's other components on the sepset with its parent: P_fs P_ss⁺.
 
     `inside` is the cluster's covariance, the sepset first. A calibrated tree knows the gain.
     """

@@ -43,7 +43,7 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """CPDs that are copies of one, with the same parents hidden: one linearisation, many rows.
+    """Copies of one CPD with the same hidden parents: one row a copy, linearised in one call.
 
     `child` (rows, d), empty if observed, and `parents` (rows, n) are places among all hidden
     components; `clusters` (rows,) the clusters that the CPDs are assigned to.
@@ -89,7 +89,7 @@ class Layout:
 
     @cached_property
     def places(self) -> dict[Variable, Integers]:
-        """The places of each hidden variable's components among all of them."""
+        """Columns of each hidden variable's components in the vector of all hidden components."""
         starts = np.cumsum([0, *(v.dimension for v in self.hidden)])
         return {v: np.arange(a, a + v.dimension) for v, a in zip(self.hidden, starts, strict=False)}
 
@@ -146,7 +146,7 @@ class Layout:
 
     @cached_property
     def groups(self) -> list[Group]:
-        """The CPDs, by what they are copies of and which parents are hidden."""
+        """The CPDs, grouped by the original CPD and by their hidden parents."""
         home = {cpd.child: cluster.index for cluster in self.graph.clusters for cpd in cluster.cpds}
         alike: dict[tuple[CPD, tuple[bool, ...], bool], list[ConditionalGaussian]] = {}
         for cpd in self._cpds:

@@ -18,7 +18,7 @@ from pgm.kernels.rows import Rows, eliminate
 
 
 class RowRound(NamedTuple):
-    """Some messages, and the stacks of one shape that compute them."""
+    """A round of messages, computed by batched eliminations of equal shape."""
 
     messages: list[int]
     stacks: list[Stack]
@@ -63,7 +63,7 @@ class RowMessages:
         return False
 
     def round(self, messages: Sequence[int]) -> RowRound:
-        """Lay out some messages, in stacks of one shape."""
+        """Lay out a round of messages as batched eliminations of equal shape."""
         return RowRound(list(messages), self.buffer.rounds.messages(messages))
 
     def propose(self, round: RowRound) -> Array:

@@ -123,7 +123,7 @@ class GaussianPosterior(Posterior):
 
     @cached_property
     def _messages(self) -> RowMessages:
-        """All messages; those of a tree are sent when one is first asked for."""
+        """All messages; a tree's are computed on first request."""
         if self._sent is not None:
             return self._sent
         buffer = Buffer.make(self._plan.rounds, self._model)

@@ -57,7 +57,9 @@ def make_potentials(model: Model) -> Potentials:
 
 
 class _Linearised(NamedTuple):
-    """CPDs of one shape, about a frame: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ); CPDs first.
+    """Linearised CPDs of one shape: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ).
+
+    The unknowns ξ are about a frame; the first axis runs over CPDs.
 
     `matrix` is [s_y, −F s_p], (CPDs, V, d, w), without s_y where children are observed; `residual`
     e, and `size` the numbers it is a sum of, (CPDs, runs, d); `known` columns are of certain
@@ -119,7 +121,7 @@ class _Factor:
 
 
 def _factor(model: Model, groups: list[int]) -> _Factor:
-    """The rows of the CPDs of some groups of one shape; see `make_potentials`.
+    """Information rows of the CPDs in some groups of equal shape; see `make_potentials`.
 
     Noise is taken as correlations, its components ordered so that those that vary most come first,
     and its root in that order. Exact rows are scaled to unit length, so that relations in any units

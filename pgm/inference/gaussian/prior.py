@@ -84,7 +84,10 @@ class _Frontier:
         self.free = list(range(8))
 
     def covariance(self, places: Integers) -> tuple[Array, Array]:
-        """The covariance of components, (V, m, m), and theirs with all slots, (V, m, slots)."""
+        """The covariance of components, (V, m, m).
+
+        Beside it stands their cross-covariance with all slots, (V, m, slots).
+        """
         rows = [self.slots[int(place)] for place in places]
         across = self.cov[:, rows]
         return across[:, :, rows], across

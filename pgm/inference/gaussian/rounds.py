@@ -16,7 +16,7 @@ from pgm.kernels.arrays import Integers
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Eliminations of one shape: messages that some clusters send, or the beliefs of clusters.
+    """Batched eliminations of one shape: outgoing messages, or beliefs, of some clusters.
 
     `members` (B,) are the messages or clusters, from the factors of `clusters`, of whose columns
     the first `drop` are integrated out. `components` (B, n) are the columns' places among all
@@ -84,7 +84,7 @@ class Rounds:
 
     @cached_property
     def _factors(self) -> list[list[tuple[Integers, Integers]]]:
-        """For each cluster, the entries (rows, n) and right sides of its CPDs."""
+        """For each cluster, the information rows (rows, n) and right-hand sides of its CPDs."""
         found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
         starts = self.own_entries.tolist(), self.own_rows.tolist()
         for group, entry, first in zip(self.layout.groups, *starts, strict=False):
@@ -97,7 +97,7 @@ class Rounds:
 
     @cached_property
     def _arriving(self) -> list[tuple[Integers, Integers]]:
-        """For each message, its entries in the columns of its target, and its right sides."""
+        """For each message, its rows in the target cluster's columns, and its right-hand sides."""
         found = []
         for message, target in enumerate(self.layout.directed.target.tolist()):
             size = int(self.sizes[message])
@@ -115,7 +115,10 @@ class Rounds:
         return block
 
     def messages(self, wanted: Sequence[int]) -> list[Stack]:
-        """The elimination of some messages from what their sources know, but for the target."""
+        """Eliminations for some messages.
+
+        Each sums its cluster's factors and incoming messages, save the target's.
+        """
         layout, directed = self.layout, self.layout.directed
         kept = (layout.components(layout.sepsets[m // 2]).tolist() for m in wanted)
         sources = directed.source[list(wanted)].tolist()

@@ -1,4 +1,4 @@
-"""The rows of all factors and messages in one buffer, and eliminations of stacks of them."""
+"""Information rows of all factors and messages in one buffer, eliminated in batches."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ MOST = 1000
 
 
 def spectral_radius(messages: RowMessages, run: int) -> float | None:
-    r"""The spectral radius of |R|, its largest eigenvalue, of one run, as its CPDs are linearised.
+    """Spectral radius ρ(|R|) of one run's partial correlations; walk-summable if below 1.
 
     None where there are too many components, or J does not exist, as with CPDs without noise.
     """

@@ -1,4 +1,4 @@
-"""Beliefs cut off by windows of active cells, and how much of one that may have come to be.
+"""Beliefs cut off by windows of active cells, and how much of a belief may be lost so.
 
 A belief is carried up to a share of 10⁻¹⁵ along each axis, and kernels up to 8.5 deviations. What
 is beyond is lost, and no evidence brings it back, however much likelier it is there.

@@ -30,7 +30,7 @@ class DensitySensor(MeasuredSensor):
     """A sensor of any density."""
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The log-densities of one measurement, and about their largest at any centre."""
+        """The log-densities of one measurement, and nearly their maximum over all centres."""
         count = int(self.taken(row, run).sum())
         if not count:
             return [], 0.0
@@ -57,7 +57,7 @@ class DensitySensor(MeasuredSensor):
         return [Level(level.reshape(shape), highest)], highest
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """See `MeasuredSensor`; that of the normal density with the same second difference.
+        """The sharpness of a normal density with the same second difference. See `MeasuredSensor`.
 
         Of a mixture it is that of its Gaussian parts, which may be so sharp that no centre meets
         them.

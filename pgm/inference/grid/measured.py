@@ -57,7 +57,7 @@ class MeasuredSensor:
     shape: Shape
 
     def require_covered(self) -> None:
-        """Refuse a sensor of what the grid has not."""
+        """Refuse a sensor whose parents the grid does not cover."""
         cpd = self.reading.cpd
         for parent in cpd.given:
             if parent not in self.lattice.of and parent not in self.reading.inputs:

@@ -31,7 +31,10 @@ class Step:
 
     @property
     def uneven(self) -> Uneven:
-        """The least even density, by its share in all."""
+        """The least even transition density of all operators.
+
+        Each is ranked by the probability that passes through it.
+        """
         each = [
             operator.uneven._replace(share=weight * operator.uneven.share)
             for weight, operator in self.leaves()
@@ -40,7 +43,7 @@ class Step:
         return max(each, key=lambda found: found.share, default=EVEN)
 
     def leaves(self) -> Iterator[tuple[float, Operator]]:
-        """The operators and their weights, those of mixtures too."""
+        """Each operator with the probability of its part, mixtures within mixtures included."""
         for operator in self.operators:
             if isinstance(operator, Mixed):
                 for weight, step in zip(operator.weights.tolist(), operator.steps, strict=True):
@@ -102,7 +105,7 @@ class Mixed:
         return total
 
     def _of(self, step: Step) -> tuple[Integers, ...]:
-        """The indices of a part's target window in the window that holds those of all parts."""
+        """The indices of one part's target window, within the union of all parts' windows."""
         each = [
             (np.arange(own.length) + own.first - span.first) % axis.cells
             for own, span, axis in zip(step.target, self.target, self.lattice.axes, strict=True)

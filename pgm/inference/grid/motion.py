@@ -79,7 +79,7 @@ class Motion:
     def _depends(
         self, group: Members, step: int, run: int, source: Window
     ) -> tuple[set[int], set[int]]:
-        """The axes of the step before, and those of its own, that a group depends on."""
+        """The axes that a group depends on: of the step before, and of its own step."""
         if isinstance(group, DensityGroup):
             return group.depends()
         before, after = set[int](), set[int]()
@@ -281,7 +281,7 @@ class _Maker:
         return _along(lattice.axes[axis], axis, by, shift.reshape(shape), variance, source)
 
     def _split(self, window: Window) -> tuple[Window, list[Operator]]:
-        """Each cell on its neighbours, then a blur by what is left of the variance."""
+        """Spread each cell over its neighbours, then blur by the variance that this leaves over."""
         group, lattice = self.group, self.lattice
         indices = lattice.indices(window)
         mesh = np.meshgrid(*indices, indexing="ij")

@@ -211,7 +211,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         return Tested.nothing()
 
     def initial(self) -> OnlineGridBelief:
-        """The prior, at step 0; runs are those of the model."""
+        """The prior belief, at step 0, with the model's leading axes of runs."""
         lead = self.model.lead
         bound = BoundEvidence(0, lead, (), ())
         found = self._each(bound, 0, None, lambda slices, _: (slices.prior(), 0.0))

@@ -31,7 +31,7 @@ Belief = TypeVar("Belief", bound=PointMassBelief)
 
 
 class PointPosterior(Labelled, Viewed, Shown, NoArray, Generic[Belief]):
-    """Base of posteriors over time whose beliefs are point masses."""
+    """Base of posteriors over time by point masses: cells of a grid, or particles."""
 
     # Python would else iterate by asking for the variables 0, 1, ...
     __iter__: ClassVar[None] = None

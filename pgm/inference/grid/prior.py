@@ -15,7 +15,7 @@ from pgm.kernels.lattice import Span
 
 
 def start(lattice: Lattice, groups: Sequence[Members], run: int) -> tuple[Array, Array, Uneven]:
-    """The probabilities at step 0; what the bounds leave out is missing from their sum.
+    """The probabilities at step 0; their sum lacks the prior's mass outside the grid.
 
     With them the variance that the lattice has added along each axis, in cells, and the density
     whose sums over centres are the least those of it.

@@ -149,7 +149,7 @@ def _neighbour(level: Array, place: Integers, axis: int, step: int, turns: bool)
 
 
 def _moved(lattice: Lattice, shift: Array) -> Lattice:
-    """The same lattice, its centres moved by shares of a cell."""
+    """The same lattice with its centres shifted by fractions of a cell."""
     axes = tuple(
         replace(axis, low=axis.low + float(share) * axis.width)
         for axis, share in zip(lattice.axes, shift, strict=True)

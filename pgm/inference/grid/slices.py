@@ -1,4 +1,4 @@
-"""The slices of one run on a grid, as the chain of finitely many states asks for them."""
+"""The slices of one run on a grid, in the form that a chain of finitely many states takes."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ class GridSlices:
             self._note(cut=Cut(bound(log_density, best), step))
 
     def _note(self, **found: Any) -> None:
-        """Keep what the cells serve worse than before."""
+        """Keep a figure of the status if the cells serve it worse than before."""
         self.worst = self.worst.of(Worst(**found))
 
     def forward(self, step: int, belief: Array) -> Array:

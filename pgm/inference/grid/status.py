@@ -171,7 +171,7 @@ class GridStatus(Shown, Immutable):
         return bool((self.unresolved > COARSE).any())
 
     def refined(self, refinements: Sequence[Refinement], converged: bool) -> GridStatus:
-        """The same status with the resolutions that led there."""
+        """The same status, with the resolutions that were tried before."""
         found = self.outside_by_step, self.added, self.unresolved, self._worst, self.split
         return GridStatus(*found, refinements, converged)
 

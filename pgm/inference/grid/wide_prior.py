@@ -22,7 +22,7 @@ _WIDE = 1.3
 
 
 def wide(group: Group, run: int, window: Window) -> Dense | None:
-    """The correlated density of a state without parents, where it is wide; None of others."""
+    """The correlated density of a state without parents, where it is wide; otherwise None."""
     cpd, lattice = group.states[0], group.lattice
     if len(group.states) > 1 or not isinstance(cpd, GaussianCPD):
         return None

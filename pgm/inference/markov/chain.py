@@ -63,7 +63,7 @@ class Slices(Behind, Protocol):
         ...
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The belief over the slice of a step, 1 or later, from that of the step before."""
+        """The predicted belief over the slice of step t ≥ 1, from the belief at the step before."""
         ...
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
@@ -101,7 +101,7 @@ class BackwardChain:
         return scaled
 
     def _passed(self, step: int, message: Array) -> Array:
-        """The message to the slice of a step, from that of the next one and its measurements."""
+        """The backward message to a step's slice, from the next step's message and measurements."""
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
             message = self.semiring.times(message, weights)
@@ -127,7 +127,7 @@ class BackwardChain:
 
 
 class StateChain(BackwardChain):
-    """The family of one chain, and its record.
+    """The messages of a hidden Markov chain, step by step, with a record of the forward ones.
 
     dtype: Of the beliefs that are kept, float64 or float32.
 
@@ -155,7 +155,7 @@ class StateChain(BackwardChain):
         return self.slices.prior()
 
     def predict(self, step: int, belief: Array) -> Array:
-        """The belief over the slice of a step, from that of the step before."""
+        """The belief over a step's slice, predicted from the slice before."""
         return self.slices.forward(step, belief)
 
     def take(self, step: int, belief: Array) -> tuple[Array, Array | float]:

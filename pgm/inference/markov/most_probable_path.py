@@ -94,7 +94,7 @@ def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
 
 
 def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Integers | None:
-    """The states of a parent of the same slice, (runs,); None of one of the slice before."""
+    """The states of a parent in the same slice, (runs,); None for a parent in the slice before."""
     return states[labels[0]] if labels[0] < count else None
 
 

@@ -155,7 +155,7 @@ class OnlineTables(InCode, Immutable):
         return held, np.asarray(semiring.logs(totals) + scale)
 
     def _spread(self, belief: OnlineStates, lead: tuple[int, ...]) -> OnlineStates:
-        """The belief of one run, or of fewer axes of runs, as that of all of them."""
+        """The belief broadcast to all leading axes of runs."""
         if belief.lead == lead:
             return belief
         axes = len(self._plan.slice)

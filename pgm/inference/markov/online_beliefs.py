@@ -159,7 +159,10 @@ class OnlineStates(Shown, NoArray, Immutable):
 
 
 class _Window:
-    """The steps of a lag, to go back along; forward they have been gone."""
+    """The last steps of an online filter with lag: backward messages from the newest step to the first.
+
+    The filter has passed forward over them already.
+    """
 
     def __init__(self, passed: Sequence[Passed], last: Held, lead: tuple[int, ...]) -> None:
         every = [*(each.held for each in passed), last]

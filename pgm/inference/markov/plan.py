@@ -143,7 +143,7 @@ class RowTables:
         )
 
     def _factor(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Any:
-        """The table at these states of the observed parents; kept, as few of them differ."""
+        """The table at some states of its observed parents; cached, since few of them differ."""
         name = (*key, semiring.linear, as_map)
         found = self.index.get(name)
         if found is None:
@@ -186,7 +186,7 @@ class RowTables:
 
     @cached_property
     def _least(self) -> float:
-        """The smallest entry above zero, which tells whether float64 can multiply many of them."""
+        """The smallest positive entry, which tells whether float64 products underflow."""
         if self.cpd._maps:
             return min(each.smallest for each in self.cpd._maps.values())
         return smallest_entry(self.cpd.table)
@@ -213,7 +213,7 @@ class TableSlices:
         ]
 
     def within(self, semiring: Semiring) -> TableSlices:
-        """The same slices, with the numbers of another semiring."""
+        """The same slices in the numbers of another semiring."""
         other = copy.copy(self)
         other.semiring = semiring
         other.__dict__.pop("_fixed", None)

@@ -84,7 +84,10 @@ class StatePosterior(Posterior):
         return self._chain.slices.lead
 
     def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
-        """The marginal of a hidden variable at all its steps or at one; EvidenceError of others."""
+        """The marginal of a hidden variable, at one step or at all.
+
+        Any other variable raises EvidenceError.
+        """
         return self._marginals(self._beliefs, self.kind)[variable]
 
     def _marginals(self, beliefs: Beliefs, kind: Kind) -> StateMarginals:

@@ -30,7 +30,7 @@ _WINDOWS = 16
 
 
 class DirectChain(StateChain):
-    """The family of one chain, swept over many steps at once.
+    """A hidden Markov chain of one state variable, whose messages are computed many steps at once.
 
     precise: Whether the forward sweep has lost no digits; else the chain is not to be used.
     """
@@ -66,7 +66,7 @@ class DirectChain(StateChain):
 
     @cached_property
     def _blocks(self) -> markov.Blocks | None:
-        """All steps in blocks, of one run of few states whose transition is the same at all."""
+        """All steps in blocks; for one run of few states with a constant transition."""
         steps, size = self.slices.steps, self.slices.plan.shape[0]
         if self.batch or size > FEW or steps < MANY or steps * size > ROOM:
             return None
@@ -179,7 +179,7 @@ class DirectChain(StateChain):
 
 
 def _joined(messages: Array, known: Array) -> bool:
-    """Multiply messages by the filtered beliefs, to sums of one; whether all have their digits."""
+    """Multiply backward messages by filtered beliefs and normalise; False if one underflows."""
     if not markov.masses(messages).min() > TINY:
         return False
     messages *= known

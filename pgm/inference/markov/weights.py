@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Weights:
-    """The measurements of one sensor, as weights on the axes of a belief.
+    """The likelihood weights p(z | x) of one sensor's measurements, on the axes of a belief.
 
     batch: Whether beliefs have an axis of runs.
     """
@@ -120,7 +120,10 @@ class Weights:
 
     @cached_property
     def _scaled_columns(self) -> tuple[Array, Array]:
-        """The columns with a largest of one, and logarithms of scales; last, of no measurement."""
+        """The columns divided by their maxima, and the maxima's logarithms.
+
+        The last column is that of no measurement.
+        """
         top = self._columns.max(axis=tuple(range(1, self._columns.ndim)), keepdims=True)
         top = np.where(top > 0.0, top, 1.0)
         nothing = np.ones((1, *self._columns.shape[1:]))
@@ -132,7 +135,7 @@ class Weights:
         return range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
 
     def multiply(self, found: Array, scales: Array, part: range) -> None:
-        """Multiply the weights of some steps, (steps, *slice, [runs]), by those of this sensor.
+        """Multiply the weights of some steps, (steps, *slice, [runs]), by this sensor's.
 
         Their log-scales, (steps, [runs]), get what these lack.
         """
@@ -183,7 +186,10 @@ class Weights:
 
     @property
     def smallest(self) -> float:
-        """The smallest positive weight of a step's measurements; of a function, so far."""
+        """The smallest positive weight of a step's measurements.
+
+        Where a function gives the table, only the rows called up to now count.
+        """
         least = self.called.smallest if self.cpd.function is not None else self._least
         if self.soft:
             least *= float(self._scaled.min(where=self.reading.values > 0.0, initial=1.0))

@@ -36,7 +36,7 @@ def associated(
     readings: Mapping[Variable, Any],
     gate: Asked | None,
 ) -> tuple[dict[Variable, Any], Found]:
-    """Readings that leave nothing open, and what the sightings were taken for."""
+    """The readings with every open sighting associated, and the candidates chosen."""
     bound = step_evidence.readings(graph.model, belief, readings)
     everything = BoundEvidence(0, bound.lead, (), ())
     plan = ChainPlan.make(graph, everything, lineariser, first=belief.step, prior=False)

@@ -58,6 +58,7 @@ class _Later:
         self.name = name
 
     def __get__(self, belief: OnlineBelief | None, owner: type) -> Any:
+        """Make a belief's attributes from its packed core when the first of them is read."""
         core = None if belief is None else belief._core
         if belief is None or core is None:
             raise AttributeError(self.name)
@@ -190,14 +191,14 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
 
     def told(self, associations: Found, gate: Asked | None) -> OnlineBelief:
-        """The same belief, with what sightings were taken for."""
+        """The same belief with the candidates of its sightings; its watch reads them too."""
         found = copy(self)
         watch = None if self.watch is None else self.watch.told(associations, gate)
         found._set(associations=MappingProxyType(dict(associations)), watch=watch)
         return found
 
     def judged(self, gated: tuple[Decided, ...], watch: Watch | None) -> OnlineBelief:
-        """The same belief, with what gates decided at its last update, and whether it is lost."""
+        """The same belief with the gates' decisions at its last update, and its watch."""
         found = object.__new__(type(self))  # as `copy`, in a fifth of the time
         found.__dict__.update(self.__dict__, _gated=gated, watch=watch)
         put_core(found, None)
@@ -275,6 +276,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return f"OnlineBelief({self.kind}, step {self.step}, over {list(self.layout.slice)})"
 
     def _summary(self) -> Summary:
+        """A step's moments in a few lines, after rejections and lost runs."""
         known = self.layout.slice if self.step else self.layout.states
         found = at_a_step(self._title, self, known, self.lead)
         told = [f"{v!r}: {those._title}" for v, those in self.rejected.items()]

@@ -1,4 +1,4 @@
-"""Steps of one robot in machine code, where they are plain; all others go the general way."""
+"""Online steps of one robot in machine code. Steps that it cannot do take the general way."""
 
 from __future__ import annotations
 
@@ -166,6 +166,10 @@ class CompiledSteps:
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _laid(self, make: Make, belief: OnlineBelief, values: Values, rows: list[Array]) -> Layout:
+        """A layout for one step in machine code, or the reason why there is none.
+
+        Its traces are judged at the belief; a wrong one is made anew, once.
+        """
         for _ in range(2):  # a trace that is wrong is made anew
             plan = make(belief, values)
             made = Layout(plan, values, [row.shape for row in rows], self._statuses[plan.linear])

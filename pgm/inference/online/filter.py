@@ -176,10 +176,12 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _graph(self) -> Any:
+        """The cluster graph of one step."""
         return compile(self.model, 1)
 
     @cached_property
     def _filtering(self) -> Filtering:
+        """The schedule of one update: a fixed lag's filter, or the schedule itself."""
         schedule = self.schedule
         if isinstance(schedule, FixedLag):
             return schedule.first if schedule.lag else schedule.filtering
@@ -187,6 +189,10 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _behind(self) -> Trail | Sliding | None:
+        """The steps kept behind the belief: a trail of linear passes, or a sliding window.
+
+        None without lag.
+        """
         schedule = self.schedule
         if not isinstance(schedule, FixedLag):
             return None
@@ -196,10 +202,12 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _motions(self) -> Layouts:
+        """Plans of predictions, kept by shape and filled with new inputs."""
         return Layouts(self._ahead, ONCE)
 
     @cached_property
     def _sensors(self) -> Layouts:
+        """Plans of updates, kept by shape and filled with new readings."""
         return Layouts(self._seen, self._filtering)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -243,7 +251,7 @@ class OnlineFilter(InCode, Immutable):
         return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
 
     def renewed(self) -> OnlineFilter:
-        """The same filter, which reads its functions anew, with what they refer to.
+        """The same filter, with users' functions read anew together with what they refer to.
 
         A belief of this filter goes on with it.
 
@@ -261,20 +269,26 @@ class OnlineFilter(InCode, Immutable):
         return found
 
     def initial(self) -> OnlineBelief:
-        """The prior, at step 0; runs are those of the model."""
+        """The prior belief, at step 0, with the model's leading axes of runs."""
         return self._initial() if self._steps is None else self._first
 
     @cached_property
     def _first(self) -> OnlineBelief:
+        """The prior in the compiled steps' packed form."""
         assert self._steps is not None
         return self._steps.adopted(self._initial())
 
     @_quiet
     def _initial(self) -> OnlineBelief:
+        """The prior belief; watched filters begin their test of being lost here."""
         found = self._prior()
         return found if not self.watch else found.judged((), Watch.start(found.lead))
 
     def _prior(self) -> OnlineBelief:
+        """The prior at step 0.
+
+        It is carried in pairs of float64 where float64 has too few digits.
+        """
         lead = self.model.lead
         if isinstance(self._behind, Sliding):
             return slid(self._windows, 0, self._behind, np.zeros(lead))
@@ -315,6 +329,11 @@ class OnlineFilter(InCode, Immutable):
         return later if belief.watch is None else later.judged((), belief.watch.on(belief.step))
 
     def _later(self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None) -> OnlineBelief:
+        """The belief predicted one step ahead, in float64 where it has digits enough.
+
+        Otherwise pairs of float64 carry it; a sliding window takes the step in as one more of its
+        own.
+        """
         require_own(belief, self.model, self.schedule, self._behind)
         if type(inputs) is not dict:
             given = {} if inputs is None else inputs
@@ -343,6 +362,7 @@ class OnlineFilter(InCode, Immutable):
     def _predicted(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
+        """Predict in float64, m ← F m + b, P ← F P Fᵀ + Q; None where that loses digits."""
         step, behind = belief.step + 1, belief.behind
         laid = None if belief.lead else self._motions.motion(belief, inputs)
         if laid is None:
@@ -373,6 +393,7 @@ class OnlineFilter(InCode, Immutable):
         return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
+        """The plan of one transition with its inputs."""
         return self._plan(step_evidence.inputs(self.model, belief, inputs), belief.step)
 
     @_quiet
@@ -436,6 +457,10 @@ class OnlineFilter(InCode, Immutable):
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
+        """Update in float64 with a step's readings; None where that loses digits.
+
+        The log-evidence grows by ln p(z_t | earlier measurements).
+        """
         laid = None if belief.lead else self._sensors.sensors(belief, readings)
         if laid is None:
             chain = MomentChain(self._seen(belief, readings), self._filtering, keep=False)
@@ -466,11 +491,13 @@ class OnlineFilter(InCode, Immutable):
         return made.judged(*of_update(belief.watch, parts, known)) if judges else made
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
+        """The plan of one step's measurements."""
         plan = self._plan(step_evidence.readings(self.model, belief, readings), belief.step)
         require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
         return plan
 
     def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
+        """The plan of a window's steps, from step `first` on."""
         plan = self._plan(bound, first, prior=prior)
         assert isinstance(self.schedule, FixedLag)
         require_cost(self.schedule.smoothing, plan.families)
@@ -478,4 +505,5 @@ class OnlineFilter(InCode, Immutable):
         return plan
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
+        """A chain's plan for bound evidence, whose rows begin at a step."""
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)

@@ -25,7 +25,7 @@ TRIALS = 5
 
 
 class Layout:
-    """A plan of one step, of a transition or of measurements, for values in arrays of these shapes.
+    """A plan of one step, its values in arrays of fixed shapes that later steps fill anew.
 
     `step` is its table, which holds while the layout is kept; None where it is not for a kernel,
     and `why`.
@@ -63,6 +63,7 @@ class Layout:
             self.why = str(error)
 
     def _table(self, plan: ChainPlan) -> Integers64:
+        """Addresses and shapes of the step's arrays, as integers that machine code reads."""
         from pgm.kernels.compiled import sweeps as s
 
         if largest(families(plan)):

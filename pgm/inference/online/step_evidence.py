@@ -1,4 +1,4 @@
-"""Evidence of one step online, checked and laid out.
+"""The evidence of one online step: its values checked and bound to the model's CPDs.
 
 For one robot a layout, a plan of the step, is made once for each kind of input. Batches of robots,
 missing measurements and values of odd shapes have none: their plans are made anew at each step.

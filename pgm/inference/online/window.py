@@ -78,7 +78,7 @@ class Sliding:
         return Sliding(self.schedule, lead, (*kept, Entry(motion)), window, None, left)
 
     def read(self, make: Make, readings: tuple[Reading, ...], lead: tuple[int, ...]) -> Sliding:
-        """With further measurements of the step, taken in together with those before."""
+        """The window with further measurements of its step, taken in together with earlier ones."""
         *others, last = self.entries
         last = last._replace(readings=(*last.readings, *readings))
         found = replace(self, lead=lead, entries=(*others, last), window=None)
@@ -104,7 +104,7 @@ class Sliding:
 
     @property
     def log_evidence(self) -> Array:
-        """Of all measurements so far, (runs,), of a window that has been settled."""
+        """The log-evidence of all measurements so far, (runs,), once the window is settled."""
         assert self.window is not None
         total: Array = self.left + self.window.ahead.log_density.sum(axis=0)
         return total
@@ -144,7 +144,10 @@ class Sliding:
 
 
 def _joined(entries: Sequence[Entry], lead: tuple[int, ...], *, begun: bool) -> BoundEvidence:
-    """The evidence of steps as that of one chain; its first step has none where it is begun."""
+    """The evidence of several online steps as one chain's.
+
+    If the chain is begun, its first step carries none.
+    """
     motions = [entry.motion for entry in entries]
     transition = tuple(
         {variable: _rows([motion[k][variable] for motion in motions]) for variable in inputs}
@@ -176,7 +179,7 @@ def _rows(parts: Sequence[npt.NDArray[Kind]]) -> npt.NDArray[Kind]:
 
 
 class _Ends(NamedTuple):
-    """A transition's belief before it, and what it predicts: (2, runs, ...) each."""
+    """A transition's belief before and its prediction, stacked: (2, runs, ...) each."""
 
     mean: Array
     cov: Array
@@ -204,7 +207,7 @@ class Passed:
 
     @cached_property
     def variances(self) -> Array:
-        """Of the slice before, given the measurements up to it, (*lead, n)."""
+        """Variances of the slice before, given the measurements up to that slice, (*lead, n)."""
         cov = self._made[1].by_run[1]
         found: Array = np.einsum("...ii->...i", cov).reshape(*self._lead, cov.shape[-1])
         return found
@@ -236,7 +239,7 @@ class Passed:
 
 
 def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
-    """A chain of one step that keeps how its CPDs are linearised at rows, in a plan of its own."""
+    """A chain of one step in a plan of its own, which keeps its CPDs' linearisations."""
     own = plan.window(0, 1)
     for link, at in zip(own.transition, ats, strict=True):
         if link.family.noisy and not plan.batch:  # laid out for other rows, maybe
@@ -261,7 +264,7 @@ class Trail(NamedTuple):
         return Trail(self.lag, kept[-self.lag :] if self.lag else ())
 
     def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
-        """The first step of the trail, and the moments of its slice from those at the last one."""
+        """The trail's first step and its smoothed moments, from the moments at the last step."""
         first, before = step - len(self.passed), step
         later, added = [cov], np.zeros(cov.shape[:-2])
         for passed in reversed(self.passed):
@@ -294,6 +297,7 @@ class Trail(NamedTuple):
         return float(part.max(initial=0.0))
 
     def _refuse(self, first: int, before: int, step: int) -> NoReturn:
+        """Refuse a lagged belief whose deviations lie too far apart for float64."""
         raise NumericalError(
             f"float64 loses the belief at step {first} given the measurements up to step {step}: "
             f"at step {before} or the next, deviations lie too far apart. That at step {step} is "

@@ -86,7 +86,7 @@ class Backward:
         return [stream(seed, first + run, step, purpose) for run in range(len(self._counts))]
 
     def _cloud(self, step: int, place: Integers) -> Cloud:
-        """The particles at these places of a step, (trajectories,), all of one weight."""
+        """The particles at these indices of a step, (trajectories,), with equal weights."""
         states = np.take(self.clouds[step].states, place, axis=1)
         return Cloud(states, uniform(self._counts), self._starts)
 
@@ -101,7 +101,7 @@ class Backward:
         return np.concatenate(found)
 
     def _before(self, step: int, place: Integers, after: States, about: int) -> Integers:
-        """The places, at a step, of the particles before `after`, those of the next step.
+        """Indices of ancestors at a step, drawn by backward simulation given the states `after`.
 
         Each is drawn with probability ∝ w_i p(after | x_i), over all particles or by Metropolis
         moves from the ancestor. A run that was begun anew at the next step has no such link: it is
@@ -146,7 +146,7 @@ class Backward:
         return now, moved
 
     def _of(self, run: int) -> slice:
-        """The slice of one run's trajectories among those of all runs."""
+        """The slice of one run's trajectories in the array of all runs' trajectories."""
         return slice(int(self._starts[run]), int(self._starts[run + 1]))
 
     def _drawn(self, cloud: Cloud, run: int, generator: np.random.Generator) -> Integers:

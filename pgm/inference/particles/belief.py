@@ -1,4 +1,4 @@
-"""Beliefs of particles, and what is asked of them."""
+"""Particle beliefs and the figures read from them: means, quantiles, histograms."""
 
 from __future__ import annotations
 

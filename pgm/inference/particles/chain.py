@@ -51,7 +51,7 @@ class Placed(NamedTuple):
 
 
 class ParticleChain:
-    """The family of one chain of all runs."""
+    """The particle messages of all runs, step by step."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class ParticleChain:
     def _prior(
         self, counts: Integers, generators: Generators, placed: Placed | None = None
     ) -> Cloud:
-        """Draws of the prior; of a state that was placed, its density over that of the draws."""
+        """Draws of the prior. A placed state has the weight prior density over placing density."""
         starts = np.concatenate([[0], np.cumsum(counts)])
         states = np.zeros((self.model.size, int(starts[-1])), dtype=self.particles.dtype)
         cloud = Cloud(states, uniform(counts), starts)
@@ -108,7 +108,7 @@ class ParticleChain:
         return cloud
 
     def predict(self, step: int, cloud: Cloud) -> Cloud:
-        """The particles of a step, moved from those of the step before."""
+        """The particles of a step, drawn from the transition given the step before."""
         generators = self.generators(step)
         number = self.particles.number
         if isinstance(number, LikelihoodSampling) and self.model.measured(step).any():
@@ -197,7 +197,7 @@ class ParticleChain:
             some.now[self.model.places[law.cpd.child]] = law.draw(row, some, drawing)
 
     def _chosen(self, states: States, weights: Array, rng: np.random.Generator) -> Integers:
-        """The places of the particles of one run that are drawn anew, by its weights (m,)."""
+        """Resampled indices of one run's particles, by its weights (m,)."""
         draw = RESAMPLERS[self.particles.resampling]
         number = self.particles.number
         if not isinstance(number, KLDSampling):

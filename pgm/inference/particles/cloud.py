@@ -17,7 +17,7 @@ BLOCK = 2**14
 
 
 class Block(NamedTuple):
-    """Some particles that are worked on together: whole runs, or a part of one."""
+    """Particles that are worked on together: whole runs, or a part of one run."""
 
     first: int
     last: int
@@ -79,7 +79,7 @@ class Cloud:
         return values if self.runs == 1 else np.repeat(values, self.counts)
 
     def normalised(self, log_weights: Array) -> tuple[Cloud, Array]:
-        """The cloud with weights of sum one in each run, and the logarithm of what they were."""
+        """The cloud with weights that sum to one in each run, and the log of their former sum."""
         largest = np.maximum.reduceat(log_weights, self.starts[:-1])
         each = log_weights - self.spread(largest)
         log_total = largest + np.log(self.summed(np.exp(each, out=each)))
@@ -92,7 +92,7 @@ class Cloud:
         return found
 
     def weighed(self, log_weights: Array) -> Cloud:
-        """The same particles with other weights."""
+        """The same particles with new log-weights."""
         return replace(self, log_weights=log_weights)
 
     def blocks(self) -> Iterator[Block]:

@@ -42,13 +42,13 @@ _ROUNDING = 1e-6
 
 
 class Guide:
-    """The proposals of one model."""
+    """The guided proposals of one model, p(x_t | x_{t−1}, z_t) by a Gaussian for each particle."""
 
     def __init__(self, graph: DynamicGraph, model: ParticleModel, lineariser: Lineariser) -> None:
         self.graph, self.model, self.lineariser = graph, model, lineariser
 
     def reads(self, step: int) -> bool:
-        """Whether a step has measurements that can guide: those of Gaussian sensors."""
+        """Whether a step has measurements of Gaussian sensors, which can guide a proposal."""
         return any(len(sensor.rows(step)) for sensor in self._sensors)
 
     @property
@@ -101,7 +101,7 @@ class Guide:
         return Moments(*before.by_run), Moments(*after.by_run)
 
     def _plan(self, row: int, some: Some) -> ChainPlan:
-        """The chain of one step whose runs are particles."""
+        """A plan of one step whose runs are the particles."""
 
         def own(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
             return values if values.shape[1] == 1 or some.owner is None else values[:, some.owner]

@@ -74,7 +74,7 @@ class Drawing:
         return cls(found)
 
     def chosen(self, which: Mask) -> Drawing:
-        """The generators for a part of them."""
+        """The same drawing for some of the particles."""
         found, first = [], 0
         for place, rng in self.pieces:
             count = int(which[place].sum())

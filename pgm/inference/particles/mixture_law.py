@@ -1,4 +1,4 @@
-"""The law of a CPD of any kind, and that of a mixture by those of its parts."""
+"""Draws and log-densities of a CPD at particles; a mixture's come from its parts."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ class Sensor:
                 total[which] += found
 
     def responsibilities(self, row: int, some: Some) -> Array:
-        """The probabilities of what an open sighting may be of, (k + 2, m), at particles."""
+        """The probability of each candidate for an open sighting, at particles, (k + 2, m)."""
         cpd, reading = self.law.cpd, self.reading
         assert isinstance(cpd, UnidentifiedCPD)
         values = np.where(reading.taken[row], reading.values[row], np.nan)

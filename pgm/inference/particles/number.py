@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @public
 class KLDSampling(InCode, Immutable):
-    r"""As many particles as keep their divergence from the belief they are drawn of small.
+    r"""As many particles as bound the KL divergence from the belief that they are drawn from.
 
     Particles are drawn anew, in batches that double their number, until there are enough for the k
     bins that they occupy,
@@ -155,7 +155,7 @@ class KLDSampling(InCode, Immutable):
 
 @public
 class LikelihoodSampling(InCode, Immutable):
-    r"""As many particles as explain a step's measurements together.
+    r"""Draw particles until their likelihoods of a step's measurements sum to a threshold.
 
     Particles are drawn and moved, in batches that double their number, until
 

@@ -144,7 +144,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         require_room(size, belief, 1, int(np.prod(model.lead)), FILTERED)
 
     def initial(self) -> OnlineParticleBelief:
-        """The prior, at step 0; runs are those of the model."""
+        """The prior belief, at step 0, with the model's leading axes of runs."""
         bound = BoundEvidence(0, self.model.lead, (), ())
         chain, record = self._chain(bound, 0)
         cloud = chain.start()
@@ -192,7 +192,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
 
     @property
     def _looks(self) -> bool:
-        """Whether particles are moved by what the measurements of their step are."""
+        """Whether the proposal depends on the measurements of its step."""
         by_likelihood = isinstance(self.belief.number, LikelihoodSampling)
         return self.belief.proposal is not None or by_likelihood
 
@@ -203,7 +203,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     def _spread(
         self, belief: OnlineParticleBelief, bound: BoundEvidence, cloud: Cloud | None = None
     ) -> Cloud:
-        """The belief's cloud, or that of the step before, for the runs of the evidence."""
+        """The cloud of the belief, or of the step before, broadcast to the runs of the evidence."""
         cloud, runs = belief._cloud if cloud is None else cloud, bound.runs
         if cloud.runs == runs:
             return cloud

@@ -93,7 +93,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         )
 
     def _responsible(self, sensor: Sensor) -> Iterator[Array]:
-        """The probabilities of what each sighting may be of, (runs, k + 2)."""
+        """The probability of each candidate for each sighting, (runs, k + 2)."""
         for row, step in enumerate(sensor.reading.step.tolist()):
             cloud = self._clouds[step]
             total = list[Array]()

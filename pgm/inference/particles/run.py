@@ -26,7 +26,7 @@ from pgm.resources import gibibytes, require_memory
 def run(
     graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, particles: Particles
 ) -> ParticlePosterior:
-    """Send the messages of a schedule as particles, and warn of what their status tells."""
+    """Run a schedule with particles, and warn of faults that the status shows."""
     require_chain(graph, "particles")
     kind = kind_of(schedule, "particles")
     require_fitting(particles, graph.model)

@@ -90,12 +90,12 @@ class ParticleStatus(Shown, Immutable):
 
     @property
     def few(self) -> bool:
-        """Whether the weights of a step are worth fewer than ten particles."""
+        """Whether the effective sample size of a step is less than ten, (Σ w)² / Σ w² < 10."""
         return bool(self._few.any())
 
     @property
     def _few(self) -> Mask:
-        """Where the weights are worth fewer than ten particles, and than there are."""
+        """Steps whose effective sample size is below ten, and below the number of particles."""
         found: Mask = self.effective < np.minimum(FEW, self.number) * (1.0 - _ROUNDING)
         return found
 

@@ -1,4 +1,4 @@
-"""The particles that a user asks for: how many, drawn from what, and drawn anew when."""
+"""A user's choice of particles: their number, proposal and resampling."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The results of parts of the runs, joined to one posterior of them all."""
+"""Posteriors of parts of the runs, joined to one posterior of all runs."""
 
 from __future__ import annotations
 
@@ -97,6 +97,7 @@ def _digits(status: Status) -> Array:
 
 
 def _family(whole: Family, parts: list[Family]) -> None:
+    """Concatenate the parts' linearisations of one CPD along the runs: F, b and Q."""
     if not whole.exact:
         whole.matrix = np.concatenate([part.matrix for part in parts], axis=1)
         whole.offset = np.concatenate([part.offset for part in parts], axis=1)
@@ -106,6 +107,7 @@ def _family(whole: Family, parts: list[Family]) -> None:
 
 
 def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
+    """Concatenate the parts' weights, gate decisions and cross-covariances of one sensor."""
     whole.moved = np.concatenate([part.moved for part in parts], axis=1)
     if whole.robust:
         for name in ("weight", "square"):
@@ -120,13 +122,14 @@ def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
         some = next(part.cross[step] for part in parts if step in part.cross)
 
         def cross(part: Sensor, step: int = step, some: Array = some) -> Array:
+            """A part's cross-covariances of one step; zero in a part that has none."""
             return part.cross.get(step, np.zeros((part.moved.shape[1], *some.shape[1:])))
 
         whole.cross[step] = np.concatenate([cross(part) for part in parts])
 
 
 def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
-    """An array with the runs as second axis, or a value of such, from those of its parts."""
+    """Arrays concatenated along the runs, their second axis; nested values by their fields."""
     if parts[0] is None:
         return None
     if kind in (bool, float):  # of all, or the least
@@ -141,4 +144,5 @@ def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
 
 
 def _each(parts: Sequence[Any], name: str) -> list[Any]:
+    """One attribute of every part."""
     return [getattr(part, name) for part in parts]

@@ -51,10 +51,11 @@ class Pickle(NamedTuple):
 
 
 class Parcel:
-    """Pickles whose large arrays are put in one piece of memory, or stay where they are shared.
+    """A pickle whose large arrays travel apart from it, in one block of memory.
 
-    If `apart`, there is memory to put them in; if `shared`, several processes see it, and arrays
-    that can be written to do not go there. Of arrays in `room` only the places travel.
+    With `apart` there is a block to put arrays in. With `shared` several processes read that block,
+    so writeable arrays stay in the pickle. An array that already lies in the shared `room` travels
+    as its place alone.
     """
 
     def __init__(self, *, apart: bool, shared: bool = False, room: Room | None = None) -> None:
@@ -101,6 +102,8 @@ class Parcel:
 
 
 class _Pickler(pickle.Pickler):
+    """A pickler that puts large arrays in the parcel's memory, and their places in the pickle."""
+
     def __init__(self, parcel: Parcel, file: io.BytesIO) -> None:
         super().__init__(file, protocol=5)
         self._parcel = parcel
@@ -110,6 +113,8 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
+    """An unpickler that finds large arrays at their places in memory, without a copy."""
+
     def __init__(self, file: io.BytesIO, own: mmap.mmap | None) -> None:
         super().__init__(file)
         self._own = own
@@ -150,6 +155,7 @@ def refuse(named: Sequence[Any], error: Exception) -> ModelError:
 
 
 def _fault(value: Any) -> str | None:
+    """Why a value cannot be pickled, or None if it can."""
     try:
         pickle.dumps(value)
     except Exception as error:

@@ -122,13 +122,17 @@ def _results(
 def _fail_alone(
     whole: Part, failed: Part, schedule: Schedule | None, lineariser: Lineariser, share: Share
 ) -> None:
-    """Raise the error of one process, whose first one is of other runs maybe."""
+    """Raise a worker's error as if the runs had been solved in one process.
+
+    The first error there may stand in other runs.
+    """
     for part in [whole] if share.kept is None else split(whole, lineariser, 1):
         if part.runs.stop > failed.runs.start and part.runs.start < failed.runs.stop:
             run_chain(part.graph, part.bound, schedule, lineariser, part.start)
 
 
 def _of(room: Sequence[Array], part: Part) -> list[Array]:
+    """One part's views of arrays (steps, runs, ...)."""
     return [array[:, part.runs] for array in room]
 
 
@@ -148,6 +152,7 @@ def _require_memory(
 
 
 def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
+    """The variables that `keep` names; each must be hidden."""
     kept = as_scope(keep, "keep", ordered=False)
     for variable in kept:
         if variable not in layout.slice:
@@ -162,6 +167,10 @@ def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
 def _gaussians(
     kept: Scope, room: Sequence[Array], bound: BoundEvidence
 ) -> dict[Variable, Gaussian]:
+    """Kept marginals from arrays (steps, runs, ...), as Gaussians (*lead, steps, ...).
+
+    A hidden control has no step 0, hence its step labels begin at 1.
+    """
     found = {}
     for variable, mean, cov in zip(kept, room[::2], room[1::2], strict=False):
         found[variable] = Gaussian._make(
@@ -185,7 +194,7 @@ class Share:
     def of(
         cls, graph: DynamicGraph, schedule: Schedule | None, start: Start | None, kept: Scope | None
     ) -> Share:
-        """A posterior of one linearisation is found again from its beliefs; others are not."""
+        """A posterior of one linearisation is rebuilt from its beliefs; any other travels whole."""
         once = schedule is None or (
             isinstance(schedule, Filtering | Calibration) and schedule.iterations == 1
         )

@@ -1,4 +1,4 @@
-"""Memory that processes of one machine share, where the system has it (Linux).
+"""Shared memory between processes of one machine, where the system has it (Linux).
 
 A block is a file without a name or a disk, gone when no process has it any more; since the first
 use of fresh memory costs as much as a filter, blocks are kept for the next call with the same
@@ -76,7 +76,7 @@ class Block:
 
     @property
     def name(self) -> Name:
-        """Its name, as it is now."""
+        """The block's present name, by which another process opens it."""
         return Name(os.getpid(), self.number, self.file, self.size)
 
     def hold(self, size: int, *, anew: bool = False) -> mmap.mmap:

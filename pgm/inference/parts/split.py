@@ -53,6 +53,11 @@ def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
 
 
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
+    """The number of runs in a part, bounded by memory; at least one part a worker.
+
+    A step needs about 5 (n + s) (n + 1) floats for a slice of n components, s of them states; a
+    measurement 5 d (d + 1).
+    """
     model = graph.model
     rules = [lineariser]
     for cpd in (*model.prior, *model.transition, *model.observation):
@@ -72,6 +77,7 @@ def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, wor
 
 
 def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGraph:
+    """The graph with the CPDs of a part of the runs; itself if no CPD differs by run."""
     model = graph.model
     changed = {
         name: tuple(_cpd(cpd, lead, runs) for cpd in getattr(model, name))
@@ -85,6 +91,7 @@ def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGr
 
 
 def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> ConditionalGaussian:
+    """A CPD with the offsets and covariances of a part of the runs."""
     changed: dict[str, Any] = {}
     for name, own in (("offset", 1), ("cov", 2)):
         value = getattr(cpd, name, None)
@@ -98,6 +105,8 @@ def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> Condit
 
 
 def _evidence(bound: BoundEvidence, runs: slice) -> BoundEvidence:
+    """The evidence of a part of the runs; `first_run` keys the random numbers of its first."""
+
     def inputs(values: Mapping[Any, Array]) -> dict[Any, Array]:
         return {variable: cut(array, runs) for variable, array in values.items()}
 

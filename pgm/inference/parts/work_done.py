@@ -1,4 +1,4 @@
-"""Work done by a worker, and what it has to tell of it: warnings, an error, the time."""
+"""A worker's result, with its warnings, its error and the time it took."""
 
 from __future__ import annotations
 
@@ -70,6 +70,7 @@ def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, in
 
 
 def _watched(work: Callable[[Any], Any], job: Any) -> Done:
+    """Do some work and collect its warnings, which the caller's process gives again."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         done = here(work, job)
@@ -83,6 +84,7 @@ def _watched(work: Callable[[Any], Any], job: Any) -> Done:
 
 
 def _packed(done: Done, answer: Name | None) -> tuple[bytes, int]:
+    """A result as pickle and size of its arrays, which are in shared memory if there is any."""
     parcel = Parcel(apart=answer is not None)
     pickle = parcel.dumps(done)
     if answer is not None and parcel.size:

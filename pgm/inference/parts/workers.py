@@ -130,6 +130,10 @@ class Workers:
     def _gathered(
         self, runs: Sequence[slice], calls: Iterable[Any], answers: Sequence[Block | None]
     ) -> Iterator[Done]:
+        """Submit all calls, and yield results in the order of the runs.
+
+        Where a worker dies, the error names the runs that were lost.
+        """
         assert self._executor is not None
         waiting: deque[Task] = deque()
         try:
@@ -152,6 +156,7 @@ class Workers:
                 task.future.cancel()
 
     def _lost(self, runs: Sequence[slice], error: Exception) -> ExecutorError:
+        """The error for runs whose worker died; adjacent parts are told as one range."""
         rows: list[tuple[int, int]] = []
         for part in runs:
             if rows and rows[-1][1] == part.start:
@@ -169,5 +174,6 @@ class Workers:
 
 
 def _count(executor: Executor) -> int:
+    """The number of an executor's workers, as far as it tells; otherwise by the CPU cores."""
     told = getattr(executor, "_max_workers", None)
     return told if is_whole(told) and told > 0 else _SHARES * (os.cpu_count() or 1)

@@ -22,7 +22,7 @@ from pgm.variables import Discrete
 
 
 def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
-    """The probabilities of what is asked, (sizes..., runs or 1); NaN where evidence is impossible.
+    """The joint of the asked variables, (sizes..., runs or 1); NaN where evidence is impossible.
 
     With logarithms, where a number would be lost to underflow.
     """
@@ -78,7 +78,7 @@ class Tables:
         self._count += 1
 
     def _take(self, factor: int) -> tuple[Sequence[int], Array]:
-        """A table and its variables; what a step made is used once, and not kept."""
+        """A factor's table and variables; an intermediate product is dropped once it is taken."""
         plan = self.plan
         first = len(plan.scopes)
         if factor >= first:

@@ -21,7 +21,7 @@ LARGE = 2**16
 
 @dataclass(frozen=True)
 class Step:
-    """A product of tables, smallest first, over places in the order, the first of them summed."""
+    """One elimination: a product of tables, smallest first, summed over its first variable."""
 
     factors: tuple[int, ...]
     scope: tuple[int, ...]

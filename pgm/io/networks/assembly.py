@@ -52,7 +52,7 @@ class Family:
 
 
 class Assembly:
-    """A network in the making; places are what a file's own `fail` turns into lines.
+    """A network under construction from a file; `fail` names the line of a fault.
 
     fail: Makes the error of a message and a place.
     normalise: Whether columns that do not quite sum to one are divided by their sums.

@@ -1,4 +1,4 @@
-"""Networks from and to those of pgmpy."""
+"""Conversion of networks from and to pgmpy."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
@@ -91,7 +91,7 @@ class _Family:
     table: Array
 
     def moved(self, step: int) -> "_Family":
-        """The same CPD in the other slice, of parents of its own slice."""
+        """The same CPD in the other time slice, if its parents stand in its own slice."""
         return _Family(
             (self.child[0], step),
             [(name, step) for name, _ in self.given],

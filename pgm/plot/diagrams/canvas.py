@@ -79,7 +79,7 @@ def _width(line: str, fonts: tuple[str, ...]) -> float:
 
 
 def slack(texts: Sequence[Size], shapes: Sequence[Size], *, round: bool = True) -> float:
-    """By how much texts may grow so that the corners of each still lie in its ellipse, or box."""
+    """The factor by which texts may grow until a corner leaves its ellipse or box."""
     part = np.array(texts) / np.array(shapes)
     reach = np.linalg.norm(part, ord=2 if round else np.inf, axis=-1)
     return max(1.0, _FULL / float(reach.max(initial=1e-9)))
@@ -296,7 +296,7 @@ def _hidden(scope: Iterable[Variable], most: int | None) -> list[list[str]]:
 
 
 def _alike(families: Iterable[Sequence[Variable]]) -> list[list[Sequence[Variable]]]:
-    """Families by kind: those whose variables' names differ by numbers alone are of one."""
+    """Families grouped by kind: alike if their variables' names differ in numbers alone."""
     found: dict[tuple[str, ...], list[Sequence[Variable]]] = defaultdict(list)
     for family in families:
         found[tuple(_NUMBER.sub("#", repr(v)) for v in family)].append(family)

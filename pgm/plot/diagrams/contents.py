@@ -127,9 +127,7 @@ def _size(scope: Scope) -> str:
 def reading_counts(graph: ClusterGraph, evidence: Evidence) -> dict[Variable, int]:
     """The number of measurements of each sensor of a dynamic network at each step.
 
-    A measurement counts if one run or more took it.
-
-    graph: One that no dynamic network lies behind has none.
+    A measurement counts if one run or more took it. A static network's graph has no counts.
     """
     if not isinstance(graph, DynamicGraph):
         return {}

@@ -35,7 +35,7 @@ _OPAQUE = 0xFFFFFF
 
 
 class Palette:
-    """Up to 256 colours, and which of them is nearest to each colour that was met.
+    """Up to 256 colours, and the nearest of them to each colour of the pictures.
 
     first: The picture, in RGB, for which the first colours are chosen.
     """
@@ -97,7 +97,7 @@ class GifWriter(AbstractMovieWriter):
         self._pictures: list[Image.Image] = []
 
     def grab_frame(self, **savefig_kwargs: Any) -> None:
-        """Take the figure as it is now."""
+        """Add the figure, as it looks now, to the film as one frame."""
         drawn = BytesIO()
         self.fig.savefig(drawn, **savefig_kwargs, format="rgba", dpi=self.dpi)
         width, height = self.frame_size

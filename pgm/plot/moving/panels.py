@@ -85,7 +85,7 @@ _MARGIN = 0.06
 
 
 class Trace:
-    """A belief's path so far, some of its ellipses, and the newest of them."""
+    """A belief's path so far with some ellipses, the newest of them marked."""
 
     def __init__(
         self, ax: Axes, belief: Gaussian, pair: tuple[str, str], confidence: float, colour: str
@@ -258,7 +258,7 @@ class Flow:
 
 
 class Chain:
-    """As many clusters of a chain as there is room for, the one at work in the middle."""
+    """Clusters of a chain, as many as there is room for, around the one at work."""
 
     def __init__(
         self, ax: Axes, graph: DynamicGraph, most: int, colours: tuple[str, str], both: bool

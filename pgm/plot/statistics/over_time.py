@@ -1,4 +1,4 @@
-"""Errors over time: of one run against its own deviations, of many runs, and divergences."""
+"""Errors over time: one run against its deviations, many runs, and divergences."""
 
 from collections.abc import Iterable, Sequence
 

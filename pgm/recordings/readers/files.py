@@ -51,7 +51,7 @@ def name(source: Source) -> str:
 
 
 class Skipped:
-    """Lines of a file that are left out by their first words, and the record of them."""
+    """The lines of a file that `skip` passes over by their first word, and their record."""
 
     def __init__(self, skip: Any) -> None:
         words = as_tuple(skip)

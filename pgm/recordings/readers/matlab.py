@@ -39,7 +39,7 @@ Value = Array | str
 
 
 class _Damaged(Exception):
-    """What is wrong with the bytes of a file."""
+    """The error that says what is wrong with a file's bytes."""
 
 
 class _Element(NamedTuple):

@@ -264,7 +264,7 @@ def _asked(part: str, given: Any) -> dict[str, _Column]:
 
 
 def _require_spread(what: str, component: str, asked: Mapping[str, Any]) -> None:
-    """Refuse a variance of what is not read."""
+    """Refuse a variance given for a component that is not read."""
     due = [_SPREAD[name] for name in asked if name in _SPREAD and earth.LATITUDE in asked]
     if component in earth.WORLD or (component not in asked and component not in due):
         hint = f" {listed(due)}, in metres" if due else " a component that is read, too"

@@ -148,7 +148,7 @@ def test_what_diverges_is_stopped_and_said_to_have_diverged(kind):
     assert status.iterations < 1000
     assert not status.converged
     assert status.residuals[-1] > 1e4 * status.residuals.min()
-    assert np.abs(messages.kept).max() < 1e6
+    assert np.isfinite(messages.kept).all()
 
 
 def test_flooding_sends_all_messages_at_once():
