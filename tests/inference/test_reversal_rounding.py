@@ -4,6 +4,8 @@ Components that hardly vary given all the others are the kind: the filter has al
 the gain that reverses the motion loses them, step after step.
 """
 
+import pickle
+
 import numpy as np
 import pytest
 from precise import Reference, floats
@@ -68,6 +70,47 @@ def test_smoothed_beliefs_are_right(case, way, runs):
     assert (np.abs(found[x].cov - cov) <= 1e-7 * std[:, :, None] * std[:, None, :]).all()
 
 
+@pytest.mark.parametrize("lag", [2, 12])
+def test_lagged_beliefs_of_a_robot_are_right_or_refused(case, lag):
+    """A filter goes back over its own transitions, in float64 alone."""
+    model, z, values, _ = case
+    robot = pgm.OnlineFilter(model, lag=lag)
+    belief, refused = robot.initial(), 0
+    for row in values[:16]:
+        belief = robot.update(robot.predict(belief), {z: row})
+    found = []
+    readings = [(z, k + 1, row, {}) for k, row in enumerate(values[:16])]
+    mean, cov = map(floats, Reference(model, 16, {}, readings).smoothed[16 - lag])
+    try:
+        found.append(belief.lagged[x])
+    except pgm.NumericalError:
+        refused += 1
+    std = np.sqrt(np.diag(cov))
+    for each in found:
+        assert (np.abs(each.mean - mean) <= 1e-7 * std).all()
+        assert (np.abs(each.cov - cov) <= 1e-7 * np.outer(std, std)).all()
+    assert len(found) + refused == 1
+
+
+def test_an_ordinary_robot_looks_back():
+    """Over a lag, before and after it was pickled."""
+    v, z = pgm.Variable("v", ("p", "vp")), pgm.Variable("z")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(v, np.zeros(2), 100.0)],
+        [pgm.LinearGaussianCPD(v, {v.previous: [[1.0, 0.1], [0.0, 1.0]]}, cov=np.diag([0.0, 0.1]))],
+        [pgm.LinearGaussianCPD(z, {v: [[1.0, 0.0]]}, cov=0.25)],
+    )
+    values = np.random.default_rng(0).normal(size=(20, 1))
+    robot = pgm.OnlineFilter(model, lag=5)
+    belief = robot.initial()
+    for row in values:
+        belief = robot.update(robot.predict(belief), {z: row})
+    due = pgm.smooth(model, {z: values}).joint(v.at(15))
+    for each in (belief, pickle.loads(pickle.dumps(belief))):
+        np.testing.assert_allclose(each.lagged[v].mean, due.mean, atol=1e-9)
+        np.testing.assert_allclose(each.lagged[v].cov, due.cov, atol=1e-9)
+
+
 def test_the_reversed_chain_would_lose_them(case, monkeypatch):
     """What the passes in float64 give, and that the bound is no less than its error."""
     model, z, values, due = case
@@ -80,7 +123,7 @@ def test_the_reversed_chain_would_lose_them(case, monkeypatch):
         told.append((reversal_rounding._swept(moves, *parts, added, every), added.max()))
         return True
 
-    monkeypatch.setattr(reversal_rounding, "_TOLD", np.inf)
+    monkeypatch.setattr(reversal_rounding, "TOLD", np.inf)
     monkeypatch.setattr(reversal_rounding, "keeps_digits", keep)
     found = pgm.smooth(model, {z: values}, compiled=False)
     cov = floats([part for _, part in due.smoothed])

@@ -208,7 +208,8 @@ def _agree(found: Moments, due: Moments) -> bool:
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)
     far = off > _CLOSE * np.where(std > 0.0, std, np.abs(due.mean) + off.max(initial=0.0))
-    spread = np.abs(deviation(found.cov) - std) > _CLOSE * std.max(axis=0)
+    unit = np.where(std > 0.0, std, std.max(axis=0))
+    spread = np.abs(deviation(found.cov) - std) > _CLOSE * unit
     return not (far.any() or spread.any())
 
 

@@ -43,7 +43,7 @@ from pgm.kernels.moments import Conditional
 
 _EPS = float(np.finfo(np.float64).eps)
 # The part of a smoothed variance that rounding may be.
-_TOLD = 1e-7
+TOLD = 1e-7
 # Numbers of covariances that are looked at together.
 _CHUNK = 1 << 16
 
@@ -64,11 +64,11 @@ def keeps_digits(plan: ChainPlan, predicted: Array, known: Array, smoothed: Arra
     left, before = variances(smoothed[:-1]), variances(known[:-1])
     fallen = np.where(left > 0.0, before / np.where(left > 0.0, left, 1.0), 1.0).max(axis=-1)
     added = accumulated(predicted)
-    doubtful = ~(added * fallen <= _TOLD)
+    doubtful = ~(added * fallen <= TOLD)
     if not doubtful.any():
         return True
     try:
-        return _swept(between_slices(plan), predicted, known, smoothed, added, doubtful) <= _TOLD
+        return _swept(between_slices(plan), predicted, known, smoothed, added, doubtful) <= TOLD
     except np.linalg.LinAlgError:  # of a covariance that is singular in float64
         return False
 
@@ -120,7 +120,7 @@ def _swept(
             error = sandwich(gain[row], error)
             np.einsum("...ii->...i", error)[...] += more[row]
             worst = max(worst, float((variances(error) / left[row]).max(initial=0.0)))
-            if not worst <= _TOLD:
+            if not worst <= TOLD:
                 return np.inf
     return worst
 
