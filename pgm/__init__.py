@@ -36,6 +36,7 @@ from pgm.cpds import (
 from pgm.display.notebook import hand_in as _hand_in
 from pgm.errors import (
     ArrayError,
+    ConvergenceWarning,
     EvidenceError,
     EvidenceWarning,
     ExecutorError,
@@ -204,6 +205,7 @@ __all__ = [
     "ClusterGraph",
     "Comparison",
     "Compiled",
+    "ConvergenceWarning",
     "Cubature",
     "Discrete",
     "DynamicBayesianNetwork",

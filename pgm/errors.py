@@ -89,6 +89,10 @@ class PrecisionWarning(UserWarning):
     """An answer of which rounding leaves few digits; ``status.digits`` says how many."""
 
 
+class ConvergenceWarning(UserWarning):
+    """An iteration that ended before it settled; ``status`` says how far from that it was."""
+
+
 class GridWarning(UserWarning):
     """A grid's answer that is not what the model says; the status says by how much."""
 

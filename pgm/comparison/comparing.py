@@ -19,9 +19,10 @@ from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import as_scope, labels, listed
-from pgm.inference import Filtering, FixedLag, Grid, Kind, Smoothing, infer
+from pgm.inference import Filtering, FixedLag, Grid, Kind, Smoothing
 from pgm.inference.argument_checks import require_lineariser
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.engine import send
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Cubature, Lineariser, Taylor, Unscented
 from pgm.networks import DynamicBayesianNetwork
@@ -156,7 +157,7 @@ def _run(
     names = {state: Name(*named, state, kind) for state in compared.states}
     began = time.perf_counter()
     try:
-        posterior = infer(
+        posterior = send(  # of runs that did not settle the rows tell
             compared.graph,
             compared.evidence,
             schedule=schedule,

@@ -13,6 +13,7 @@ from pgm.inference.argument_checks import require_lineariser
 from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.convergence import told
 from pgm.inference.damping import Damping
 from pgm.inference.engine import PointMasses, TemporalPosterior, runner
 from pgm.inference.gates import Gate
@@ -20,7 +21,7 @@ from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.value import Grid
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.value import Particles
-from pgm.inference.schedule import Filtering, FixedLag, Smoothing
+from pgm.inference.schedule import TOLERANCE, Filtering, FixedLag, Smoothing
 from pgm.inference.starting_points import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -101,7 +102,7 @@ def filter(
     lineariser: Lineariser = TAYLOR,
     steps: int | None = None,
     iterations: int = 1,
-    tolerance: float = 1e-9,
+    tolerance: float = TOLERANCE,
     damping: Damping = 0.0,
     gate: Gate = None,
     keep: Variable | Iterable[Variable] | None = None,
@@ -139,6 +140,11 @@ def filter(
         `GridPosterior`, whose ``posterior[x]`` is a `GridBelief`, or a `ParticlePosterior` of
         `ParticleBelief`s.
 
+    Warns
+    -----
+    ConvergenceWarning
+        If ``iterations`` of two or more end before they settle, in any run.
+
     Raises
     ------
     PgmError
@@ -152,12 +158,19 @@ def filter(
     (array([0., 2.]), array([1., 1.]))
     """
     schedule = Filtering(iterations, tolerance, damping, gate)
-    require_lineariser(lineariser)
-    bound = bind_chain(model, evidence, steps, identities=True, compiled=compiled)
-    graph = compile(model, bound.steps, compiled=compiled)
-    run = runner(graph.model, belief)
-    with reporting(progress):
-        return run(graph, bound, schedule, lineariser, None, keep, executor)
+    posterior = send_over_time(
+        model,
+        evidence,
+        schedule,
+        lineariser=lineariser,
+        steps=steps,
+        keep=keep,
+        executor=executor,
+        belief=belief,
+        compiled=compiled,
+        progress=progress,
+    )
+    return told(posterior, schedule)
 
 
 @overload
@@ -216,7 +229,7 @@ def smooth(
     start: Start | None = None,
     lag: int | None = None,
     iterations: int = 1,
-    tolerance: float = 1e-9,
+    tolerance: float = TOLERANCE,
     damping: Damping = 0.0,
     gate: Gate = None,
     method: Balanced | None = None,
@@ -260,6 +273,11 @@ def smooth(
     ChainPosterior, or another
         As of `filter`.
 
+    Warns
+    -----
+    ConvergenceWarning
+        If ``iterations`` of two or more end before they settle, in any run.
+
     Raises
     ------
     PgmError
@@ -274,6 +292,39 @@ def smooth(
     """
     rest = iterations, tolerance, damping, gate
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
+    posterior = send_over_time(
+        model,
+        evidence,
+        schedule,
+        lineariser=lineariser,
+        steps=steps,
+        start=start,
+        method=method,
+        keep=keep,
+        executor=executor,
+        belief=belief,
+        compiled=compiled,
+        progress=progress,
+    )
+    return told(posterior, schedule)
+
+
+def send_over_time(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    schedule: Filtering | FixedLag | Smoothing,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    start: Start | None = None,
+    method: Balanced | None = None,
+    keep: Variable | Iterable[Variable] | None = None,
+    executor: Executor | None = None,
+    belief: PointMasses | None = None,
+    compiled: Choice = None,
+    progress: Progress = False,
+) -> TemporalPosterior:
+    """Compile a network and send a schedule's messages; no word on whether iterations settled."""
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True, compiled=compiled)
     graph = compile(model, bound.steps, method=method, compiled=compiled)

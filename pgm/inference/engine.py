@@ -18,6 +18,7 @@ from pgm.inference.associations import by_density
 from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.convergence import told
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.run import run as run_grid
@@ -285,6 +286,13 @@ def infer(
         A `ChainPosterior` of a dynamic network, of tables a `StatePosterior`; a `KeptPosterior`
         with ``keep``, a `GridPosterior` or `ParticlePosterior` with ``belief``.
 
+    Warns
+    -----
+    ConvergenceWarning
+        If a schedule that iterates ends before it settles, in any run.
+    PrecisionWarning
+        If rounding leaves fewer than six digits of a mean.
+
     Raises
     ------
     EvidenceError
@@ -308,6 +316,37 @@ def infer(
          mean ± deviation
       a     1.000 ± 0.707
     """
+    posterior: Posterior | GridPosterior | ParticlePosterior = send(
+        graph,
+        evidence,
+        schedule=schedule,
+        lineariser=lineariser,
+        start=start,
+        keep=keep,
+        executor=executor,
+        memory=memory,
+        belief=belief,
+        progress=progress,
+        impossible=impossible,
+    )
+    return told(posterior, schedule)
+
+
+def send(
+    graph: ClusterGraph,
+    evidence: Evidence,
+    *,
+    schedule: Schedule | None = None,
+    lineariser: Lineariser = TAYLOR,
+    start: Start | None = None,
+    keep: Keep | None = None,
+    executor: Executor | None = None,
+    memory: float | None = None,
+    belief: PointMasses | None = None,
+    progress: Progress = False,
+    impossible: str = "raise",
+) -> Any:
+    """The posterior of `infer`, without a word on whether iterations have settled."""
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
             f"infer takes a cluster graph (pgm.compile(network, ...)), not {titled(graph)}"

@@ -23,16 +23,24 @@ class Point(NamedTuple):
     """A point of linearisation: mean (steps, runs, n) and cov (steps, runs, n, n).
 
     `joint` (steps − 1, runs, m, m) are covariances of pairs, where a CPD needs more than states.
+    `proper` is `cov` along all directions that are known, where variances of components are
+    infinite.
     """
 
     mean: Array
     cov: Array
     joint: Array | None = None
+    proper: Array | None = None
+
+    @property
+    def known_cov(self) -> Array:
+        """The covariance, finite, of all that measurements have read."""
+        return self.cov if self.proper is None else self.proper
 
     @property
     def std(self) -> Array:
-        """Standard deviations, (steps, runs, n)."""
-        return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=-2, axis2=-1), 0.0))
+        """Standard deviations of all that is known, (steps, runs, n)."""
+        return np.sqrt(np.maximum(np.diagonal(self.known_cov, axis1=-2, axis2=-1), 0.0))
 
     def start(self, states: Index) -> tuple[Array, Array]:
         """Moments of the states at step 0, (1, runs, ...)."""
@@ -167,7 +175,7 @@ def iterate(
         problem.linearise(point, active)
         solution = problem.solve()
         found = solution.point
-        residual = moments.marginal_error(found.mean, point.mean, found.std)
+        residual = moments.moved(found.mean, point.mean, found.std)
         residuals.append(np.where(active, residual, residuals[-1]) if residuals else residual)
         converged = converged | ((residual <= schedule.tolerance) & problem.settled())
         point = control.step(point, found, active)

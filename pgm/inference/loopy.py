@@ -68,47 +68,65 @@ class Messages(Protocol[Round]):
     def runs(self) -> int:
         """Number of runs."""
 
+    @property
+    def bounded(self) -> bool:
+        """Whether no change can grow beyond one, so that messages wander but never diverge."""
+
     def round(self, messages: Sequence[int]) -> Round:
         """Lay out the computation of some messages, in batches of one shape."""
 
     def propose(self, round: Round) -> Array:
         """How much each message asked for would change, (messages, runs)."""
 
-    def accept(self, round: Round, active: Mask) -> None:
-        """Keep what was proposed, damped, for the runs that are active, (runs,)."""
+    def accept(self, round: Round, active: Mask, lost: Mask) -> None:
+        """Keep what was proposed, damped, for the runs that are active, (runs,).
+
+        Converged runs may go on, for the sake of the others; those that diverged are `lost` and
+        keep the messages that they have.
+        """
 
     def relinearise(self, active: Mask) -> Array | None:
         """Linearise CPDs at the beliefs: how far means moved, (runs,), in deviations; or None."""
 
 
 # How far messages settle, in deviations, before nonlinear CPDs are first linearised anew; later by
-# this share of the last move. The numbers of edges' changes that are kept, 8 MiB. A run whose
-# messages change by more than `LOST` has diverged, and stops before its numbers overflow.
+# this share of the last move. The numbers of edges' changes that are kept, 8 MiB.
 _SETTLED, _SHARE = 1e-2, 0.1
 _KEPT = 2**20
-LOST = 1e100
+# A run has diverged when its residual is this many times the least that it has had.
+GROWN = 1e4
+
+
+# A round of messages, for the runs that are active, not those that are lost: how much each message
+# changed, or with `Residual` would still change, (messages, runs).
+Step = Callable[[Mask, Mask], Array]
 
 
 def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -> Status:
     """Send messages until none changes, and relinearisation moves no mean.
 
-    A run that has converged keeps its messages, so that a batch equals its single runs.
+    A run that has converged keeps its messages, so that a batch equals its single runs. So does one
+    that has diverged: its residual is not finite or 10⁴ times the least since its CPDs were
+    linearised last, or a relinearisation moves a mean 10⁴ times as far as the least of them.
     """
     step = next(_STEPS[each] for each in type(schedule).__mro__ if each in _STEPS)(messages)
     active = np.ones(messages.runs, dtype=bool)
     converged = np.zeros(messages.runs, dtype=bool)
+    lost = np.zeros(messages.runs, dtype=bool)
+    changes, moves = _Growth(messages.runs), _Growth(messages.runs)
     gate = np.full(messages.runs, max(_SETTLED, schedule.tolerance))
     residuals: list[Array] = []
     along: list[Array] = []
     for _ in counted(range(schedule.iterations), "rounds"):
         if not active.any():
             break
-        each = step(active)
+        each = step(active, lost)
         change = each.max(axis=0, initial=0.0)
         if len(residuals) * each.size <= 2 * _KEPT:
             along.append(np.where(active, np.maximum(each[::2], each[1::2]), 0.0))
         residuals.append(np.where(active, change, residuals[-1]) if residuals else change)
-        active &= change < LOST
+        lost |= active & (~np.isfinite(change) if messages.bounded else changes.grown(change))
+        active &= ~lost
         ready = active & (change <= gate)
         if not ready.any():
             continue
@@ -120,7 +138,9 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
             residuals[-1] = np.where(ready, np.maximum(change, move), residuals[-1])
             converged |= ready & (residuals[-1] <= schedule.tolerance)
             gate = np.where(ready, np.clip(_SHARE * move, schedule.tolerance, gate), gate)
-        active &= ~converged
+            lost |= ready & moves.grown(np.where(ready, move, np.inf))
+            changes.forget(ready)
+        active &= ~(converged | lost)
     return Status(
         len(residuals),
         np.array(residuals).reshape(len(residuals), *lead),
@@ -132,6 +152,23 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
     )
 
 
+class _Growth:
+    """The least of a residual so far, (runs,), against which its growth is told."""
+
+    def __init__(self, runs: int) -> None:
+        self.least = np.full(runs, np.inf)
+
+    def grown(self, residual: Array) -> Mask:
+        """Whether a next residual is not finite, or 10⁴ times the least."""
+        found: Mask = ~np.isfinite(residual) | (residual > GROWN * self.least)
+        self.least = np.fmin(self.least, residual)
+        return found
+
+    def forget(self, runs: Mask) -> None:
+        """Begin again, for some of the runs."""
+        self.least[runs] = np.inf
+
+
 def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array]:
     directed = messages.directed
     change = messages.propose(messages.round(range(len(directed))))
@@ -140,11 +177,11 @@ def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array
     return {edge: row.reshape(lead) for edge, row in zip(edges, larger, strict=True)}
 
 
-def _flooding(messages: Messages[Any]) -> Callable[[Mask], Array]:
+def _flooding(messages: Messages[Any]) -> Step:
     return _in_turn(messages, [range(len(messages.directed))])
 
 
-def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
+def _sequential(messages: Messages[Any]) -> Step:
     target = messages.directed.target
     there, back = [], []
     for cluster, outgoing in enumerate(messages.directed.outgoing):
@@ -155,20 +192,20 @@ def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
     return _in_turn(messages, [*there, *reversed(back)])
 
 
-def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Callable[[Mask], Array]:
+def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
     rounds = [(list(turn), messages.round(turn)) for turn in turns]
 
-    def step(active: Mask) -> Array:
+    def step(active: Mask, lost: Mask) -> Array:
         change = np.zeros((len(messages.directed), messages.runs))
         for turn, each in rounds:
             change[turn] = messages.propose(each)
-            messages.accept(each, active)
+            messages.accept(each, active, lost)
         return change
 
     return step
 
 
-def _residual(messages: Messages[Any]) -> Callable[[Mask], Array]:
+def _residual(messages: Messages[Any]) -> Step:
     directed = messages.directed
     everything = messages.round(range(len(directed)))
     single = [messages.round([m]) for m in range(len(directed))]
@@ -176,12 +213,12 @@ def _residual(messages: Messages[Any]) -> Callable[[Mask], Array]:
     after = [[m, *directed.dependents(m)] for m in range(len(directed))]
     following = [messages.round(found) for found in after]
 
-    def step(active: Mask) -> Array:
+    def step(active: Mask, lost: Mask) -> Array:
         change = messages.propose(everything)
         for _ in range(len(directed)):
             first = int(change[:, active].max(axis=1).argmax())
             messages.propose(single[first])
-            messages.accept(single[first], active)
+            messages.accept(single[first], active, lost)
             change[after[first]] = messages.propose(following[first])
         return change.copy()
 

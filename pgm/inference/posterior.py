@@ -148,6 +148,10 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     def log_evidence_kind(self) -> str:
         """The kind of `log_evidence`: exact, linearised, laplace or bethe."""
 
+    def _why_unsettled(self) -> str:
+        """The cause, where one is known, that messages round loops did not settle: a sentence."""
+        return ""
+
 
 def require_variable(variable: Variable) -> Variable:
     """Refuse what is no variable, such as a name."""

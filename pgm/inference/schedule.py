@@ -13,6 +13,10 @@ from pgm.inference.damping import Damping, require_damping
 from pgm.inference.gates import Gate, as_gate
 from pgm.inference.status import FILTERED, SMOOTHED, Kind
 
+# Deviations by which a mean still moves at a fixed point: nothing that an estimate could show, and
+# within reach of float64 and of ten linearisations of most recordings.
+TOLERANCE = 1e-6
+
 
 @public
 @dataclass(frozen=True)
@@ -56,7 +60,7 @@ class Filtering(InCode):
     """
 
     iterations: int = 1
-    tolerance: float = 1e-9
+    tolerance: float = TOLERANCE
     damping: Damping = 0.0
     gate: Gate = None
 
@@ -107,7 +111,7 @@ class Calibration(InCode):
     """
 
     iterations: int = 1
-    tolerance: float = 1e-9
+    tolerance: float = TOLERANCE
 
     def __post_init__(self) -> None:
         require_count(self, _LINEARISATIONS, self.iterations)
@@ -200,7 +204,7 @@ class FixedLag(InCode):
     Examples
     --------
     >>> FixedLag(5)
-    FixedLag(lag=5, iterations=1, tolerance=1e-09, damping=0.0, gate=None)
+    FixedLag(lag=5, iterations=1, tolerance=1e-06, damping=0.0, gate=None)
 
     References
     ----------
@@ -211,7 +215,7 @@ class FixedLag(InCode):
 
     lag: int
     iterations: int = 1
-    tolerance: float = 1e-9
+    tolerance: float = TOLERANCE
     damping: Damping = 0.0
     gate: Gate = None
 

@@ -38,7 +38,7 @@ _root = np.frompyfunc(lambda number: number.sqrt(), 1, 1)
 
 
 def exact(array: Array) -> Decimals:
-    """The same numbers, to all their digits."""
+    """An array of floats as decimals, to all their digits."""
     return np.asarray(_exact(array), dtype=object).reshape(np.shape(array))
 
 

@@ -125,7 +125,7 @@ class Known(NamedTuple):
 
     @property
     def moved(self) -> Array:
-        """By how much the mean has moved, in units of P: of squared length dᵀP⁺d, (..., n)."""
+        """The move of the mean in units of the prior, (..., n), of squared length dᵀP⁺d."""
         return solving.solve_upper(self.U, self.white[..., None])[..., 0]
 
 

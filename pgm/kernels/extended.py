@@ -36,7 +36,7 @@ class Twofold:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """As of an array."""
+        """The lengths of the axes."""
         return self.hi.shape
 
     @property
@@ -185,7 +185,7 @@ def _twofold(value: Any) -> Twofold:
 
 
 def _normal(high: Array, low: Array) -> tuple[Array, Array]:
-    """The same sum with its parts apart; |high| ≥ |low|."""
+    """The sum of two floats as high and low parts that do not overlap; |high| ≥ |low| is due."""
     total = high + low
     return total, low - (total - high)
 

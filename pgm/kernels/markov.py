@@ -109,7 +109,7 @@ class Blocks:
         self.scale = np.ascontiguousarray(self.scale.T)
 
     def forward(self, belief: Array, rows: Array) -> Masses:
-        """As `forward` of all steps, from the belief at the step before."""
+        """Fill rows with the forward messages of all steps, block beside block; see `forward`."""
         held = self._starts(belief)
         found = np.empty(self.weights.shape)
         before = np.ones((self.length, self.count))

@@ -8,6 +8,7 @@ import numpy as np
 
 from pgm.kernels import roots, solving
 from pgm.kernels.arrays import (
+    LAST_PLACES,
     LOG_2PI,
     Array,
     apply,
@@ -27,7 +28,10 @@ ROUNDING = 1e-14
 
 
 class Update(NamedTuple):
-    """As of `gaussian.Update`; `lower` is the root of S, NaN where that is indefinite."""
+    """The moments of a belief after a measurement; see `gaussian.Update`.
+
+    Here `lower` is the root of S, NaN where that is indefinite.
+    """
 
     mean: Array
     cov: Array
@@ -160,4 +164,17 @@ def marginal_error(mean: Array, other: Array, std: Array) -> Array:
     """The largest |mean − other| over the last axis and the first, in deviations or sizes."""
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     largest: Array = (np.abs(mean - other) / unit).max(axis=(0, -1), initial=0.0)
+    return largest
+
+
+def moved(mean: Array, other: Array, std: Array) -> Array:
+    """How far means move in an iteration, as `marginal_error`; by their rounding is not at all.
+
+    The largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the last axis and the first. Without the
+    rounding, which is no move, means of 10⁸ deviations would never settle.
+    """
+    unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
+    rounding = LAST_PLACES * np.maximum(np.abs(mean), np.abs(other))
+    left = np.maximum(np.abs(mean - other) - rounding, 0.0)  # NaN stays
+    largest: Array = (left / unit).max(axis=(0, -1), initial=0.0)
     return largest

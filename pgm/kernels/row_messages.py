@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Mask, transpose
+from pgm.kernels.arrays import LAST_PLACES, Array, Mask, transpose
 from pgm.kernels.rows import Rows, eliminate, triangular
 
 # Exact relations that differ by less, in units of the frame, differ by rounding.
@@ -16,7 +16,7 @@ STEADY = 1e-12
 
 
 def product(a: Rows, b: Rows) -> Rows:
-    """Of two stacks of factors: their rows together."""
+    """The product of two stacks of factors: the rows of both together."""
     parts = zip(a, b, strict=True)
     return Rows._make(None if p is None or q is None else _together(p, q) for p, q in parts)
 
@@ -41,14 +41,17 @@ def change(old: Rows, new: Rows, against: Rows) -> Array:
     """The relative move of the sepsets' beliefs, (B, runs): of means and variances.
 
     With a message's information K and h, and the belief N(m, D²) that the new one makes with the
-    message against it: the largest of D |ΔK| D and D |Δh − ΔK m|; infinite where it is undefined.
+    message against it: the largest of D |ΔK| D and (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, a move less the
+    rounding of the mean, as `moments.moved`; infinite where it is undefined.
     """
     belief = eliminate(product(new, against), new.matrix.shape[-1])
     std = np.sqrt(np.maximum(np.diagonal(belief.noise, axis1=-2, axis2=-1), 0.0))[..., None]
     information = transpose(new.matrix) @ new.matrix - transpose(old.matrix) @ old.matrix
     vector = transpose(new.matrix) @ new.right - transpose(old.matrix) @ old.right
     spread = np.abs(std * information * transpose(std)).max(axis=(-2, -1), initial=0.0)
-    shift = np.abs(std * (vector - information @ belief.offset)).max(axis=-2, initial=0.0)
+    rounding = LAST_PLACES * np.abs(belief.offset) / np.where(std > 0.0, std, np.inf)
+    shift = np.abs(std * (vector - information @ belief.offset)) - rounding
+    shift = np.maximum(shift, 0.0).max(axis=-2, initial=0.0)  # NaN stays
     largest = np.maximum(spread[..., None], shift)
     relations = _relations(old, new)
     if relations is not None:

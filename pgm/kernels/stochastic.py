@@ -32,7 +32,7 @@ class Transition(ABC):
 
     @abstractmethod
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """The same of logarithms, in a semiring of logarithms."""
+        """`forward`, or `backward` with `back`, of logarithms, in a semiring of logarithms."""
 
     @abstractmethod
     def entries(self, parent: Integers, child: Integers) -> Array:
@@ -71,20 +71,21 @@ class Dense(Transition):
 
     @cached_property
     def _logarithms(self) -> Array:
+        """The logarithms of the entries."""
         with np.errstate(divide="ignore"):
             logs: Array = np.log(self.matrix)
         return logs
 
     def forward(self, belief: Array, axis: int = 0) -> Array:
-        """As of a `Transition`."""
+        """Apply the transition matrix to probabilities along an axis; see `Transition.forward`."""
         return _along(self.turned, belief, axis)
 
     def backward(self, message: Array, axis: int = 0) -> Array:
-        """As of a `Transition`."""
+        """Apply the transposed matrix to messages along an axis; see `Transition.backward`."""
         return _along(self.matrix, message, axis)
 
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """As of a `Transition`, in pieces that fit the memory."""
+        """Logarithms moved along an axis, in pieces that fit the memory; see `Transition.logs`."""
         own = self._logarithms if back else self._logarithms.T
         moved = np.moveaxis(values, axis, 0)
         flat = moved.reshape(len(moved), -1)
@@ -96,16 +97,17 @@ class Dense(Transition):
         return np.moveaxis(found.reshape(len(own), *moved.shape[1:]), 0, axis)
 
     def entries(self, parent: Integers, child: Integers) -> Array:
-        """As of a `Transition`."""
+        """The probabilities p(child | parent) of pairs of indices that broadcast."""
         found: Array = self.matrix[parent, child]
         return found
 
     @cached_property
     def _cumulative(self) -> Array:
+        """The cumulative probabilities of each row."""
         return np.cumsum(self.matrix, axis=-1)
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
-        """As of a `Transition`, by bisection: all draws at once in memory of their number alone."""
+        """Children drawn given parents, by bisection of each row's cumulative probabilities."""
         cumulative = self._cumulative
         # A uniform below one, times the last sum, stays below it, so that what rounding leaves of
         # the sum from one goes to no state of its own.
@@ -119,17 +121,17 @@ class Dense(Transition):
         return low
 
     def parents(self, children: Integers) -> Array:
-        """As of a `Transition`."""
+        """The columns p(child | parent) of some children, (children, parents)."""
         found: Array = self.turned[children]
         return found
 
     @cached_property
     def smallest(self) -> float:
-        """As of a `Transition`."""
+        """The smallest positive entry."""
         return float(self.matrix.min(where=self.matrix > 0.0, initial=1.0))
 
     def dense(self) -> Array:
-        """As of a `Transition`."""
+        """The whole matrix, (parents, children)."""
         return self.matrix
 
 
@@ -149,15 +151,15 @@ class Sparse(Transition):
         return self.matrix.T.tocsr()
 
     def forward(self, belief: Array, axis: int = 0) -> Array:
-        """As of a `Transition`."""
+        """Apply the transition matrix to probabilities along an axis; see `Transition.forward`."""
         return _along(self.turned, belief, axis)
 
     def backward(self, message: Array, axis: int = 0) -> Array:
-        """As of a `Transition`."""
+        """Apply the transposed matrix to messages along an axis; see `Transition.backward`."""
         return _along(self.matrix, message, axis)
 
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """As of a `Transition`, one entry of a row after another, all rows at once."""
+        """Logarithms moved along an axis: the k-th entries of all rows at once, for each k."""
         own = self.matrix if back else self.turned
         moved = np.moveaxis(values, axis, 0)
         flat = moved.reshape(len(moved), -1)
@@ -171,7 +173,7 @@ class Sparse(Transition):
         return np.moveaxis(found.reshape(own.shape[0], *moved.shape[1:]), 0, axis)
 
     def entries(self, parent: Integers, child: Integers) -> Array:
-        """As of a `Transition`."""
+        """The probabilities p(child | parent) of pairs of indices that broadcast."""
         parent, child = np.broadcast_arrays(parent, child)
         if not parent.size:  # of which SciPy makes an array of another shape
             return np.zeros(parent.shape)
@@ -190,7 +192,7 @@ class Sparse(Transition):
         return levels
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
-        """As of a `Transition`."""
+        """Children drawn given parents, by one search in all rows' cumulative probabilities."""
         level = parent + rng.random(parent.shape)
         entry = np.searchsorted(self._levels, level, side="right")
         own = self.matrix
@@ -200,17 +202,17 @@ class Sparse(Transition):
         return found
 
     def parents(self, children: Integers) -> Array:
-        """As of a `Transition`."""
+        """The columns p(child | parent) of some children, (children, parents)."""
         found: Array = self.turned[children].toarray()
         return found
 
     @cached_property
     def smallest(self) -> float:
-        """As of a `Transition`."""
+        """The smallest positive entry."""
         return float(self.matrix.data.min(initial=1.0))
 
     def dense(self) -> Array:
-        """As of a `Transition`."""
+        """The whole matrix, (parents, children)."""
         found: Array = self.matrix.toarray()
         return found
 
@@ -225,21 +227,21 @@ class Product(Transition):
         self.shape = math.prod(self.before), math.prod(self.after)
 
     def forward(self, belief: Array, axis: int = 0) -> Array:
-        """As of a `Transition`, axis by axis."""
+        """Apply each factor along its own axis of the parents; see `Transition.forward`."""
         found = self._split(belief, axis, self.before)
         for k, factor in enumerate(self.factors):
             found = factor.forward(found, axis + k)
         return self._joined(found, belief, axis, self.shape[1])
 
     def backward(self, message: Array, axis: int = 0) -> Array:
-        """As of a `Transition`, axis by axis."""
+        """Apply each transposed factor along its own axis; see `Transition.backward`."""
         found = self._split(message, axis, self.after)
         for k, factor in enumerate(self.factors):
             found = factor.backward(found, axis + k)
         return self._joined(found, message, axis, self.shape[0])
 
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """As of a `Transition`, axis by axis, which a product over the axes allows."""
+        """Logarithms moved by each factor along its own axis; see `Transition.logs`."""
         found = self._split(values, axis, self.after if back else self.before)
         for k, factor in enumerate(self.factors):
             found = factor.logs(found, axis + k, semiring, back=back)
@@ -247,14 +249,16 @@ class Product(Transition):
 
     @staticmethod
     def _split(values: Array, axis: int, sizes: tuple[int, ...]) -> Array:
+        """An array whose axis of all states is an axis for each factor."""
         return values.reshape(*values.shape[:axis], *sizes, *values.shape[axis + 1 :])
 
     @staticmethod
     def _joined(found: Array, like: Array, axis: int, size: int) -> Array:
+        """The inverse of `_split`, with the axes before and after of `like`."""
         return found.reshape(*like.shape[:axis], size, *like.shape[axis + 1 :])
 
     def entries(self, parent: Integers, child: Integers) -> Array:
-        """As of a `Transition`."""
+        """The probabilities p(child | parent) of pairs of indices: products over the factors."""
         parents, children = self._parts(parent, child)
         found = np.ones(np.broadcast_shapes(np.shape(parent), np.shape(child)))
         for factor, a, b in zip(self.factors, parents, children, strict=True):
@@ -262,17 +266,18 @@ class Product(Transition):
         return found
 
     def _parts(self, parent: Integers, child: Integers) -> tuple[Any, Any]:
+        """Flat indices of parents and of children as indices along each axis."""
         return unravelled(parent, self.before), unravelled(child, self.after)
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
-        """As of a `Transition`."""
+        """Children drawn given parents, each axis by its own factor."""
         parents = unravelled(parent, self.before)
         drawn = [f.draw(own, rng) for f, own in zip(self.factors, parents, strict=True)]
         found: Integers = np.ravel_multi_index(drawn, self.after)
         return found
 
     def parents(self, children: Integers) -> Array:
-        """As of a `Transition`."""
+        """The columns p(child | parent) of some children, (children, parents)."""
         found = np.ones((len(children), 1))
         for factor, own in zip(self.factors, unravelled(children, self.after), strict=True):
             pairs = found[:, :, None] * factor.parents(own)[:, None, :]
@@ -281,11 +286,11 @@ class Product(Transition):
 
     @cached_property
     def smallest(self) -> float:
-        """As of a `Transition`."""
+        """The product of the factors' smallest positive entries."""
         return math.prod(factor.smallest for factor in self.factors)
 
     def dense(self) -> Array:
-        """As of a `Transition`."""
+        """The whole matrix: the Kronecker product of the factors'."""
         found: Array = self.factors[0].dense()
         for factor in self.factors[1:]:
             found = np.asarray(np.kron(found, factor.dense()), dtype=np.float64)

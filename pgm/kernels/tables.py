@@ -29,7 +29,7 @@ OUTSIDE = 3000.0
 
 
 def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
-    """The same tables; one becomes the largest entry where that is very small or very large."""
+    """Tables whose largest entry, if very small or very large, goes into the log-scale."""
     top = largest(values, axes)
     extreme = (top < SMALL) | (top > LARGE)
     if not extreme.any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.display import titled
-from pgm.errors import EvidenceError, ModelError, PgmError
+from pgm.errors import ConvergenceWarning, EvidenceError, ModelError, PgmError, levels_to_user
 from pgm.evidence import Evidence
 from pgm.inference import Smoothing
 from pgm.inference.argument_checks import require_lineariser
@@ -99,6 +100,8 @@ class Search:
         self.newton = QuasiNewton(size) if accelerate else None
         self.e_steps = self.accepted = self.refused = self.halved = 0
         self.stopped = f"after the {iterations} iterations that were asked for"
+        # Whether the smoothers of the last E step have settled, as far as they were to iterate.
+        self.smoothed = True
 
     def run(self) -> Fit:
         """Go up until nothing is gained."""
@@ -115,7 +118,7 @@ class Search:
             x, y = learner.vector(here.point), learner.vector(image)
             there = self._accelerated(here, x, gradient, y - x) or self._plain(here, image, x, y)
             if there is None:
-                converged = self.stopped == _ROUNDED
+                converged = self.stopped in (_ROUNDED, _WITHIN)
                 break
             here = there
             trace.append(here.log_evidence)
@@ -129,9 +132,12 @@ class Search:
             moved = np.abs(learner.vector(here.point) - x) / (1.0 + np.abs(x))
             if gained <= self.tolerance and moved.max(initial=0.0) <= _STILL:
                 converged = True
-                self.stopped = "a step was within the tolerance"
+                self.stopped = _WITHIN
                 break
         assert here is not None
+        self.smoothed = learner.schedule.iterations == 1 or all(
+            bool(each.status.converged.all()) for each in here.posteriors
+        )
         status = FitStatus(
             len(trace) - 1,
             self.e_steps,
@@ -186,6 +192,12 @@ class Search:
         if found is not None and found.objective >= here.objective - rounding:
             self.stopped = _ROUNDED
             return None
+        # Of a linearised model the log-evidence is not quite what a plain step raises: near its
+        # optimum small steps lose a little.
+        still = (np.abs(y - x) / (1.0 + np.abs(x))).max(initial=0.0) <= _STILL
+        if still and found is not None and found.objective >= here.objective - self.tolerance:
+            self.stopped = _WITHIN
+            return None
         for k in range(1, _HALVINGS + 1):
             self.halved += 1
             half = self._tried(here, x + 0.5**k * (y - x))
@@ -195,7 +207,7 @@ class Search:
         return None
 
 
-_ROUNDED = "rounding alone was left"
+_ROUNDED, _WITHIN = "rounding alone was left", "a step was within the tolerance"
 
 
 _ONCE = Smoothing()
@@ -253,6 +265,12 @@ def fit(
     progress : bool or callable
         As for `infer`.
 
+    Warns
+    -----
+    ConvergenceWarning
+        If the search ends before it converges, ``status.stopped`` saying why, or the smoothers of
+        its last step do.
+
     Raises
     ------
     ModelError
@@ -305,7 +323,31 @@ def fit(
     require_lineariser(lineariser)
     learner = Learner(model, recordings, learn, lineariser, schedule, every, single=single)
     with reporting(progress):
-        return Search(learner, int(iterations), float(tolerance), accelerate=accelerate).run()
+        search = Search(learner, int(iterations), float(tolerance), accelerate=accelerate)
+        found = search.run()
+    _tell(found, smoothed=search.smoothed)
+    return found
+
+
+def _tell(found: Fit, *, smoothed: bool) -> None:
+    """Warn, once, of a search that has not converged, or of a last smoother that has not."""
+    status = found.status
+    if not status.converged:
+        gained = float(np.diff(found.log_evidence[-2:]).sum())
+        message = (
+            f"the search for parameters ended unconverged, {status.stopped}; its last step gained "
+            f"{gained:.3g} nats (status; log_evidence has its course). Give more iterations=, a "
+            "tolerance= that is enough for the purpose, or another start"
+        )
+    elif not smoothed:
+        message = (
+            "the search for parameters converged, but the smoothers of its last step had not "
+            "settled, and so the log-evidence is of other beliefs than theirs: give schedule= "
+            "more iterations, or damping"
+        )
+    else:
+        return
+    warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())
 
 
 def _recordings(evidence: Any) -> list[Any]:

@@ -13,9 +13,10 @@ from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, constant
 from pgm.factors.scope import listed
-from pgm.inference import Smoothing, smooth
+from pgm.inference import Smoothing
 from pgm.inference.chain.families import family_beliefs
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.dynamic import send_over_time
 from pgm.inference.markov.counts import expected_counts
 from pgm.kernels.arrays import Array
 from pgm.learning.gaussian import GaussianStep
@@ -31,7 +32,7 @@ from pgm.learning.values import (
     Parameter,
     Table,
 )
-from pgm.linearisers import Lineariser
+from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -194,18 +195,15 @@ class Learner:
 
     def expected(self, point: Point) -> Expected:
         """The E step: one smoother a recording."""
-        schedule = self.schedule
         posteriors = []
+        schedule, lineariser = self.schedule, self.lineariser
+        if point.model.discrete:  # nothing is linearised
+            schedule, lineariser = Smoothing(), TAYLOR
         for evidence, steps in zip(self.evidence(point), self.steps, strict=True):
-            more: dict[str, Any] = {}
-            if not point.model.discrete:
-                more = {
-                    "lineariser": self.lineariser,
-                    "iterations": schedule.iterations,
-                    "tolerance": schedule.tolerance,
-                    "damping": schedule.damping,
-                }
-            posteriors.append(smooth(point.model, evidence, steps=steps, **more))
+            # Whether smoothers have settled is told at the end of the search, once.
+            posteriors.append(
+                send_over_time(point.model, evidence, schedule, steps=steps, lineariser=lineariser)
+            )
         total = float(sum(np.sum(each.log_evidence) for each in posteriors))
         prior = sum(
             block.log_prior(cpd)

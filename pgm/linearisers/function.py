@@ -14,7 +14,7 @@ from pgm.kernels.arrays import Array, Integers, Mask, components_first, componen
 from pgm.kernels.differences import jacobian as by_differences
 from pgm.linearisers.calls import Call
 from pgm.linearisers.template import Function, FunctionTemplate
-from pgm.tracing import Answers
+from pgm.tracing import Answers, Program, beside
 
 _ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)
 # Up to so many numbers are copied in less time than it takes to broadcast them.
@@ -226,7 +226,9 @@ class BoundFunction(NamedTuple):
         if answers is None or not finite:
             # Warnings and errors are the function's own.
             due = self._value(x, arguments, shape)
-            if answers is None and not _alike(due, value, self.angles):
+            if answers is None and not (
+                _alike(due, value, self.angles) and self._followed(program, x, std)
+            ):
                 return None
             value = due
         if not finite:
@@ -237,6 +239,26 @@ class BoundFunction(NamedTuple):
             wide[..., list(self.template.missing)] = slope
             slope = wide
         return value, slope
+
+    def _followed(self, program: Program, x: Array, std: Array | None) -> bool:
+        """Whether a trace that makes floats has the values of its function beside x, too.
+
+        It may be of another branch than the function, which slopes show where values are alike.
+        """
+        if not program.cast:
+            return True
+        x = beside(x, np.full(x.shape, 1e-2) if std is None else std)
+        arguments, shape = self._arguments(x)
+        try:
+            due = self.template.function(*arguments)
+        except Exception:  # which the call itself raises, where it needs the value
+            return False
+        value = components_last(program.batch(arguments, shape)[0], 1)
+        noise = np.sqrt(self.template.variances)
+        with quiet():
+            error = np.abs(difference(due, value, self.template.child.angle_mask))
+            wrong = ~(error <= 1e-9 * np.abs(due) + 1e-6 * noise)
+            return not (wrong & np.isfinite(due)).any()
 
     def _differences(self, x: Array, std: Array | None) -> Array:
         spread = np.zeros_like(x) if std is None else std

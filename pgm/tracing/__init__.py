@@ -1,7 +1,7 @@
 """Users' functions as graphs of scalar operations, and what comes of them."""
 
-from pgm.tracing.judging import Answers, Judge, judged
+from pgm.tracing.judging import Answers, Judge, beside, judged
 from pgm.tracing.program import Program
 from pgm.tracing.trace import Tracer, trace
 
-__all__ = ["Answers", "Judge", "Program", "Tracer", "judged", "trace"]
+__all__ = ["Answers", "Judge", "Program", "Tracer", "beside", "judged", "trace"]

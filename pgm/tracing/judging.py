@@ -3,9 +3,10 @@
 A trace is wrong where its function has changed since it was made, or where the function decides by
 numbers that tracing cannot follow, as in a comparison on a float copy of its input. No look at the
 function's code shows all of that; its values do. So after a call the function is called once more,
-in batches, at the points at which the call evaluated the trace. A derivative is wrong, too, where
-its formula cancels, as the quotient's rule does near a removable singularity: a few derivatives
-are held against differences.
+in batches, at the points at which the call evaluated the trace. Where derivatives were used it is
+called a hundredth of a deviation beside them, too: of 2 x and x / 2 the values at 0 are alike. A
+derivative is wrong, too, where its formula cancels, as the quotient's rule does near a removable
+singularity: a few derivatives are held against differences.
 """
 
 from __future__ import annotations
@@ -39,6 +40,18 @@ _OF_PREDICTION = 1e-3
 _FINER, _AGREE = 1e-2, 0.1
 # Of some roundings of a value.
 _ROUNDING = 1e-14
+# Values show slopes so far beside a point, in deviations: about as far as differences reach.
+_BESIDE = 1e-2
+
+
+def beside(x: Array, std: Array) -> Array:
+    """Points (..., n) about 10⁻² deviations beside x (..., n), each component by another share.
+
+    So no difference of components is the same there as at x, as it were with equal steps.
+    """
+    shares = 0.5 + np.modf(0.6180339887498949 * np.arange(1.0, x.size + 1.0))[0]
+    found: Array = x + _BESIDE * shares.reshape(x.shape) * np.nan_to_num(std, posinf=0.0)
+    return found
 
 
 class _Points(NamedTuple):
@@ -221,7 +234,17 @@ class Answers:
     def _look(self, points: _Points) -> None:
         self._compare(points.arguments, points.value)
         if self.fault is None and self._places and not np.isnan(points.std).all():
+            self._compare_beside(points)
             self._chosen.append(self._choice(points))
+
+    def _compare_beside(self, points: _Points) -> None:
+        """Compare values where slopes show in them; where the function fails there, it need not."""
+        flat = points.arguments.copy()
+        flat[:, self._columns] = beside(flat[:, self._columns], points.std)
+        told = components_last(self.trace.batch(self._apart(flat), (len(flat),))[0], 1)
+        due = self._function(flat)
+        if due is not None:
+            self._hold(flat, told, due)
 
     def _compare(self, flat: Array, told: Array) -> None:
         """Call the function at points, and find a fault where a value is not the trace's."""
@@ -230,6 +253,10 @@ class Answers:
             self.fault = "its function fails on a batch of the points at which its trace was used"
             self.moved = True
             return
+        self._hold(flat, told, due)
+
+    def _hold(self, flat: Array, told: Array, due: Array) -> None:
+        """Find a fault where a value of the trace (k, d), `told`, is not the one that is due."""
         with quiet():
             error = np.abs(difference(due, told, self.tracer.angles))
             known = np.isfinite(due)

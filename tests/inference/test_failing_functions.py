@@ -329,7 +329,7 @@ def test_a_failure_that_no_row_shows_alone():
         return move(x, u)
 
     with pytest.raises(pgm.ModelError, match=r"x at step 1 failed: Boom: too many") as caught:
-        pgm.filter(model(function), {u: np.zeros((MANY, T, 1))})
+        pgm.filter(model(function), {u: np.zeros((MANY, T, 1))}, lineariser=pgm.Unscented())
     assert caught.value.step == 1
 
 

@@ -183,3 +183,54 @@ def test_finer_differences():
     assert_allclose(each[0], [[np.cos(0.3)]], rtol=1e-9)
     assert_allclose(each[1], [[np.cos(0.3)]], rtol=1e-9)
     assert differences.steps(x, std, 0.01) == [5e-5]
+
+
+def by_gain(gains):
+    """A function that is traced as it is, and of which a gain may change."""
+    return lambda s, u: np.where(u == 2, gains[1] * s, gains[0] * s)
+
+
+@pytest.mark.parametrize("kind", ["frozen", "changed"])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("runs", [(), (3,)])
+@pytest.mark.parametrize("steps", [6, 200])
+def test_a_wrong_slope_counts_where_all_values_are_alike(kind, compiled, runs, steps):
+    """As at a mean of exactly zero, of 2 s and s / 2."""
+    gains, inputs, middle = [0.5, 0.5], np.zeros((*runs, steps, 1)), steps // 2
+    inputs[..., middle, 0] = 2.0
+    function = by_asarray if kind == "frozen" else by_gain(gains)
+    move = pgm.NonlinearGaussianCPD(S, (S.previous, U), function, cov=1e-3)
+    prior = pgm.GaussianCPD(S, np.zeros((*runs, 1)), 1.0)
+    model = pgm.DynamicBayesianNetwork([prior], [move], [])
+    pgm.filter(model, {U: inputs}, compiled=compiled)
+    gains[1] = 2.0
+    found = pgm.filter(model, {U: inputs}, compiled=compiled)[S].cov[..., 0, 0]
+    due = [1.0]
+    for t in range(steps):
+        due.append((2.0 if t == middle else 0.5) ** 2 * due[-1] + 1e-3)
+    assert_allclose(found, np.broadcast_to(due, found.shape), rtol=1e-9)
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+def test_online_a_frozen_slope_counts_where_all_values_are_alike(compiled):
+    move = pgm.NonlinearGaussianCPD(S, (S.previous, U), by_asarray, cov=1e-3)
+    model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(S, 0.0, 1.0)], [move], [])
+    robot, due = pgm.OnlineFilter(model, compiled=compiled), 1.0
+    belief = robot.initial()
+    for gear in [0.0] * 12 + [2.0] * 3:
+        belief, due = robot.predict(belief, {U: [gear]}), (2.0 if gear else 0.5) ** 2 * due + 1e-3
+        assert_allclose(belief[S].cov, [[due]], rtol=1e-9)
+
+
+def test_a_function_that_fails_beside_its_points_keeps_its_trace():
+    def bounded(x):
+        if isinstance(x, np.ndarray) and x.dtype == float and (np.abs(x) > 1e5).any():
+            raise ValueError("beyond the map")
+        return np.sin(x)
+
+    tracer = Tracer(bounded, (1,), np.array([False]))
+    assert tracer.confirm([np.ones(1)])
+    found = Answers(tracer, ((0, 0),), (0,), (1.0,))
+    found.single([np.array([1e5])], np.array([[1e6]]))
+    found.close()
+    assert found.fault is None

@@ -12,13 +12,21 @@ import numpy as np
 from pgm.cpds import RobustNoise
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
-from pgm.inference.audit.draws import Afresh, log_ratio, stretch
+from pgm.inference.audit.student import log_ratio, stretch
+from pgm.inference.chain.plan import Link
 from pgm.inference.family import Family
 from pgm.kernels import normal_density, roots, solving
 from pgm.kernels.angles import difference, nearest_branch
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, independent, inner, transpose
 
 Stack = TypeVar("Stack", Array, Mask)
+
+
+class Afresh(NamedTuple):
+    """Defensive draws that a CPD draws itself, where (runs, S) says so."""
+
+    where: Mask
+    rng: np.random.Generator
 
 
 class Drawn(NamedTuple):
@@ -82,13 +90,20 @@ class Term:
         return ~roots.determined(self.own)
 
     def child(
-        self, row: int, parents: Array, proposed: Array, afresh: Afresh | None = None
+        self,
+        row: int,
+        parents: Array,
+        proposed: Array,
+        afresh: Afresh | None = None,
+        *,
+        strict: bool = True,
     ) -> Drawn:
         """The child (runs, S, d) of parents (runs, S, n): free components as proposed or drawn.
 
-        The others follow from the parents and the noise that the free ones imply.
+        The others follow from the parents and the noise that the free ones imply. If `strict`, a
+        function that is not finite is an error.
         """
-        value, lost = self._value(row, parents, on_chart=True, strict=afresh is None)
+        value, lost = self._value(row, parents, on_chart=True, strict=strict)
         own = _at(self.own, row)
         if afresh is not None:
             proposed = self._redrawn(value, own, proposed, afresh)
@@ -107,7 +122,17 @@ class Term:
             lost,
         )
 
+    def sampled(self, row: int, parents: Array, white: Array) -> Array:
+        """The child f(parents) + L s (runs, S, d) for white noise s (S, d), L the noise's root.
+
+        Where f is not finite, the linearised mean stands for it.
+        """
+        value, _ = self._value(row, parents, on_chart=True, strict=False)
+        child: Array = value + white @ transpose(_at(self.own, row))
+        return child
+
     def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
+        """Values (runs, S, d) with those named drawn afresh: f(parents) + L s, s of Student's t."""
         places = afresh.where
         white: Array = np.zeros(proposed.shape)
         white[places] = afresh.rng.standard_normal((int(places.sum()), self.family.shape[2]))
@@ -160,6 +185,7 @@ class Term:
 
     @cached_property
     def _inverse(self) -> Array | None:
+        """L⁻ᵀ of all rows, (rows or 1, runs or 1, d, d), where L is regular; else None."""
         return normal_density.whitener(self.own)
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
@@ -167,6 +193,7 @@ class Term:
         return residual if self.taken is None else np.where(self._seen(rows), residual, 0.0)
 
     def _seen(self, rows: int | slice) -> Mask | np.bool_:
+        """Components of measurements that were read, (k, runs or 1, 1, d); True for all."""
         return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
@@ -179,6 +206,7 @@ class Term:
         return own - _log_density(self.linearised[rows], residual)
 
     def _affine(self, rows: int | slice, parents: Array) -> Array:
+        """The linearised mean F x + b at parents (..., S, n), (..., S, d)."""
         matrix, offset = self.family.matrix[rows], self.family.offset[rows]
         value: Array = parents @ transpose(matrix) + offset[..., None, :]
         return value
@@ -214,6 +242,7 @@ class Term:
         return value, lost
 
     def _refuse(self, rows: int | slice, parents: Array, lost: Mask) -> None:
+        """Raise for the first draw (..., S) at which the function is not finite."""
         where = tuple(int(axis[0]) for axis in np.nonzero(lost))
         family = self.family
         first = rows if isinstance(rows, int) else rows.start + where[0]
@@ -228,6 +257,10 @@ class Term:
             step=step,
             run=where[-2],
         )
+
+
+# The CPDs of a prior or transition in their places, with their densities.
+Links = list[tuple[Link, Term]]
 
 
 def has_exact(read: Iterable[Family]) -> bool:
@@ -247,6 +280,7 @@ def has_exact(read: Iterable[Family]) -> bool:
 
 
 def _at(stacked: Stack, rows: int | slice) -> Stack:
+    """Some rows of an array (rows or 1, ...), of which one row may stand for all."""
     if stacked.shape[0] == 1:
         rows = 0 if isinstance(rows, int) else slice(None)
     part: Stack = stacked[rows]
@@ -254,4 +288,5 @@ def _at(stacked: Stack, rows: int | slice) -> Stack:
 
 
 def _log_density(lower: Array, residual: Array) -> Array:
+    """The value ln N(residual; 0, L Lᵀ), (..., S), of residuals (..., S, d)."""
     return normal_density.log_density(lower, normal_density.whitened(lower, residual)[0])

@@ -1,214 +1,17 @@
-"""Draws of an audit: proposals, defensive excursions from them, and the densities of both."""
+"""Draws in the making, slice by slice, with their densities."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from math import lgamma, log, pi
 from typing import NamedTuple
 
 import numpy as np
 
-from pgm.errors import NumericalError
-from pgm.kernels import moments, normal_density, roots, solving
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
-from pgm.kernels.moments import Conditional
-
-
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """Affine Gaussians, one a row: y = F x + b + L s, s ~ N(0, I), or multivariate Student t.
-
-    They are (rows, runs, ...); L has zero rows for components that are not free; the proposal is
-    `regular` if all others vary, so that they have a density.
-    """
-
-    matrix: Array
-    offset: Array
-    lower: Array
-    regular: bool
-
-    @classmethod
-    def make(cls, conditional: Conditional, free: Mask) -> Proposal:
-        """Propose the free components, (rows, runs, n), of conditionals of all."""
-        matrix, offset, cov = conditional
-        # What an exact measurement determines may have a variance of zero less rounding.
-        certain = moments.certain(cov, np.where(free, 0.0, np.inf))
-        lower = roots.root(certain)
-        if not roots.is_proper(lower):
-            raise NumericalError(
-                "the posterior's covariances are indefinite or not finite, so that nothing can be "
-                "drawn from them; use a lineariser with positive weights, or a prior that says "
-                "what is known"
-            )
-        regular = bool((roots.determined(lower) == ~free).all())
-        return cls(matrix, offset, lower, regular)
-
-    @cached_property
-    def _fixed(self) -> Mask:
-        return roots.determined(self.lower)
-
-    def white(
-        self, row: int, count: int, rng: np.random.Generator, away: Mask | None = None
-    ) -> Array:
-        """White noise s, (runs, S, n), zero where determined; of Student's t where `away`."""
-        lower = self.lower[row]
-        white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
-        if away is not None:
-            stretch(white, away, rng)
-        fixed = self._fixed[row]
-        return np.where(fixed[:, None, :], 0.0, white) if fixed.any() else white
-
-    def values(self, row: int, given: Array, white: Array) -> Array:
-        """The draws (runs, S, n) given others (runs, S, m), of white noise."""
-        return self._mean(row, given) + white @ transpose(self.lower[row])
-
-    def whitened(self, row: int, given: Array, values: Array) -> Array:
-        """The white noise (runs, S, n) of draws."""
-        off = values - self._mean(row, given)
-        if self._inverse is None:
-            return normal_density.whitened(self.lower[row], off)[0]
-        white: Array = off @ transpose(self._inverse[row])
-        return white
-
-    @cached_property
-    def _inverse(self) -> Array | None:
-        return normal_density.whitener(self.lower)
-
-    @cached_property
-    def _constants(self) -> tuple[Integers, Array]:
-        """The number of free components, and the constant of the Gaussian's log-density."""
-        size = (~self._fixed).sum(axis=-1)
-        return size, -0.5 * (solving.log_determinant(self.lower) + size * LOG_2PI)
-
-    def log_density(self, row: int, squared: Array) -> Array:
-        """The log-density (runs, S) of draws by the Gaussian, at their |s|²."""
-        value: Array = self._constants[1][row][:, None] - 0.5 * squared
-        return value
-
-    def log_tails(self, row: int, squared: Array) -> Array:
-        """The log-density (runs, S) by Student's t, less that by the Gaussian."""
-        return log_ratio(self._constants[0][row][:, None], squared)
-
-    def _mean(self, row: int, given: Array) -> Array:
-        mean: Array = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
-        return mean
-
-
-# Degrees of freedom: four moments, and still eight times the mass of a Gaussian beyond three
-# deviations of a plane.
-FREEDOM = 5.0
-
-
-def stretch(white: Array, where: Mask, rng: np.random.Generator) -> None:
-    """Turn Gaussian noise (..., n) into that of a multivariate Student t, in place, where said."""
-    white[where] *= np.sqrt(FREEDOM / rng.chisquare(FREEDOM, (int(where.sum()), 1)))
-
-
-def log_ratio(size: Integers, squared: Array) -> Array:
-    """The log-density of Student's t less the Gaussian's, at |s|² of so many components."""
-    constant = np.array([_log_constant(k) for k in range(int(size.max(initial=0)) + 1)])[size]
-    power = 0.5 * (FREEDOM + size)
-    value: Array = constant - power * np.log1p(squared / FREEDOM) + 0.5 * squared
-    return value
-
-
-def _log_constant(size: int) -> float:
-    gammas = lgamma(0.5 * (FREEDOM + size)) - lgamma(0.5 * FREEDOM)
-    return gammas + 0.5 * size * (LOG_2PI - log(FREEDOM * pi))
-
-
-# The stages of a draw: before its excursion, on one of two kinds, and after it.
-BEFORE, PREDICTION, TAILS, AFTER = range(4)
-# The part of excursions that follow the model itself; the others have Student tails.
-PREDICTED = 0.75
-# The probability that the first slice begins one, where there are more.
-AT_FIRST = 0.5
-# The probability that a slice is an excursion's last.
-END = 0.125
-
-
-@dataclass(frozen=True)
-class Excursions:
-    """One excursion a draw: slices k to l leave the Gaussian, those around them follow it.
-
-    The first slice begins it with a probability of ½, all others alike; each of its slices is the
-    last one with a probability of ⅛. The part `predicted` of them follow the model, the others have
-    Student tails. The density of a draw, of all excursions that may have led to it, is summed up
-    slice by slice, over the four stages.
-    """
-
-    slices: int
-    predicted: float = PREDICTED
-
-    def _begin(self, index: int) -> float:
-        """The probability that a slice begins the excursion, if none before has."""
-        if index == 0 and self.slices > 1:
-            return AT_FIRST
-        return 1.0 / (self.slices - index)
-
-    def start(self, runs: int, count: int) -> Integers:
-        """The stage before the first slice, (runs, S)."""
-        return np.full((runs, count), BEFORE)
-
-    def advance(self, index: int, stage: Integers, rng: np.random.Generator) -> Integers:
-        """Draw the stages of a slice given those of the slice before, (runs, S)."""
-        chance = rng.random(stage.shape)
-        begin = self._begin(index)
-        kind = np.where(chance < begin * self.predicted, PREDICTION, TAILS)
-        begun = np.where(chance < begin, kind, BEFORE)
-        return np.where(
-            stage == BEFORE, begun, np.where((stage != AFTER) & (chance < END), AFTER, stage)
-        )
-
-    def begin(self, shape: tuple[int, int]) -> Density:
-        """The density before the first slice."""
-        shares = np.zeros((4, *shape))
-        shares[BEFORE] = 1.0
-        return Density(np.zeros(shape), shares)
-
-    def extend(
-        self, index: int, so_far: Density, gaussian: Array, predicted: Array, tails: Array
-    ) -> Density:
-        """The density of draws up to a slice, given the log-densities of that, (runs, S).
-
-        By the Gaussian, by the model, and with Student tails less the Gaussian's.
-        """
-        begin, before = self._begin(index), so_far.shares
-        scale = np.maximum(np.maximum(predicted, gaussian), gaussian + tails)
-        by_gaussian = np.exp(gaussian - scale)
-        shares = np.empty_like(before)
-        shares[BEFORE] = (1.0 - begin) * before[BEFORE] * by_gaussian
-        for kind, part in ((PREDICTION, self.predicted), (TAILS, 1.0 - self.predicted)):
-            shares[kind] = (1.0 - END) * before[kind] + begin * part * before[BEFORE]
-        shares[PREDICTION] *= np.exp(predicted - scale)
-        shares[TAILS] *= np.exp(gaussian + tails - scale)
-        shares[AFTER] = before[AFTER] + END * (before[PREDICTION] + before[TAILS])
-        shares[AFTER] *= by_gaussian
-        return Density(so_far.scale + scale, shares)
-
-
-class Density(NamedTuple):
-    """The density of draws so far: shares of the stages (4, runs, S) times exp(scale), (runs, S).
-
-    A share that is too small for float64 beside another stays so: whatever follows one may follow
-    the other.
-    """
-
-    scale: Array
-    shares: Array
-
-    def log(self) -> Array:
-        """The log-density of whole draws, whose excursion has begun."""
-        total: Array = self.scale + np.log(self.shares[PREDICTION:].sum(axis=0))
-        return total
-
-
-class Afresh(NamedTuple):
-    """Defensive draws that a CPD draws itself, where (runs, S) says so."""
-
-    where: Mask
-    rng: np.random.Generator
+from pgm.inference.audit.density import Afresh
+from pgm.inference.audit.excursions import PREDICTION, TAILS, Excursions
+from pgm.inference.audit.modes import Modes
+from pgm.inference.audit.proposal import Path
+from pgm.kernels.arrays import Array, Integers
 
 
 class Draws(NamedTuple):
@@ -226,8 +29,30 @@ class Draws(NamedTuple):
 
 @dataclass(eq=False)
 class Strand:
-    """Draws in the making, slice by slice, of the Gaussian answer or defensive ones."""
+    """Draws in the making, slice by slice, of the Gaussian answer or defensive ones.
 
+    A defensive draw leaves the answer for an excursion, or is of another mode's Gaussian:
+
+        d = (1 − Σ_k m_k) d_excursion + Σ_k m_k q_k
+
+    with the modes' shares m_k. All densities are summed up over the slices.
+
+    answer : Path
+        The Gaussian answer q.
+    modes : Modes
+        The other Gaussians q_k, and their shares.
+    excursions : Excursions
+    shape : tuple of int
+        (runs, S).
+    rng : Generator
+    defensive : bool
+        Whether these are draws of d, or of q.
+    relative : bool
+        Whether densities are divided by those of the linearised model, so that q's is one.
+    """
+
+    answer: Path
+    modes: Modes
     excursions: Excursions
     shape: tuple[int, int]
     rng: np.random.Generator
@@ -238,25 +63,40 @@ class Strand:
         self.gaussian = np.zeros(self.shape)
         self._density = self.excursions.begin(self.shape)
         self._stage: Integers = self.excursions.start(*self.shape)
+        self._by_mode = np.zeros((len(self.modes.paths), *self.shape))
+        self._excursion = np.ones(self.shape, dtype=bool)
+        if self.defensive and self.modes.paths:
+            self._mode = self.modes.drawn(self.shape[1], self.rng)
+            self._excursion = self._mode == len(self.modes.paths)
         self._white = np.zeros(0)
         self._index = 0
 
-    def propose(self, proposal: Proposal, row: int, given: Array) -> tuple[Array, Afresh | None]:
-        """Draw a slice by a row of a proposal, and say which of them the model draws."""
+    def propose(self, given: Array) -> tuple[Array, Afresh | None]:
+        """Draw the next slice given the states before, and say which of them the model draws."""
+        proposal, row = self.answer.at(self._index)
         tails = afresh = None
         if self.defensive:
             self._stage = self.excursions.advance(self._index, self._stage, self.rng)
-            tails = self._stage == TAILS
-            afresh = Afresh(self._stage == PREDICTION, self.rng)
-        self._white = proposal.white(row, self.shape[1], self.rng, tails)
-        return proposal.values(row, given, self._white), afresh
+            tails = (self._stage == TAILS) & self._excursion
+            afresh = Afresh((self._stage == PREDICTION) & self._excursion, self.rng)
+        white = proposal.white(row, self.shape[1], self.rng, tails)
+        values = proposal.values(row, given, white)
+        if not self._excursion.all():
+            for k, path in enumerate(self.modes.paths):
+                other, place = path.at(self._index)
+                here = self._mode == k
+                values = np.where(here[..., None], other.values(place, given, white), values)
+        self._white = white
+        return values, afresh
 
-    def weigh(
-        self, proposal: Proposal, row: int, given: Array, values: Array, predicted: Array
-    ) -> None:
-        """Take in the densities of a slice, (runs, S, n); `predicted` is that by the model."""
+    def weigh(self, given: Array, values: Array, predicted: Array) -> None:
+        """Take in the densities of a slice, (runs, S, n).
+
+        `predicted` (runs, S) is its log-density by the model, with Student's tails.
+        """
+        proposal, row = self.answer.at(self._index)
         white = self._white
-        away = self._stage == PREDICTION
+        away = (self._stage == PREDICTION) | ~self._excursion
         if away.any():
             again = proposal.whitened(row, given, values)
             white = np.where(away[..., None], again, white)
@@ -269,8 +109,19 @@ class Strand:
             self._index, self._density, gaussian, predicted, tails
         )
         self.gaussian += gaussian
+        for k, path in enumerate(self.modes.paths):
+            other, place = path.at(self._index)
+            white = other.whitened(place, given, values)
+            self._by_mode[k] += other.log_density(place, np.einsum("rsi,rsi->rs", white, white))
         self._index += 1
 
     def drawn(self, target: Array, values: list[Array]) -> Draws:
         """The draws, once all slices are taken in."""
-        return Draws(target, self.gaussian, self._density.log(), values)
+        defensive = self._density.log()
+        if self.modes.paths:
+            shares = self.modes.shares
+            rest = np.log1p(-shares.sum(axis=0))[:, None]
+            with np.errstate(divide="ignore"):  # no draw is of a mode that a run has not
+                each = np.log(shares)[..., None] + self._by_mode
+            defensive = np.logaddexp.reduce([defensive + rest, *each])
+        return Draws(target, self.gaussian, defensive, values)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -11,86 +10,45 @@ import numpy as np
 from pgm.display import Listing, Shown, Summary, number
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable
-from pgm.inference.audit.estimates import Compared, Mixture
-from pgm.inference.chain.innovations import Innovations, autocorrelation, whitened
+from pgm.inference.audit.corrected import Compared
+from pgm.inference.audit.innovation_checks import InnovationCheck
+from pgm.inference.audit.mixture import Mixture
+from pgm.inference.audit.modes import Modes
 from pgm.inference.summaries import spread
-from pgm.kernels.arrays import Array, Mask, frozen
+from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.variables import Variable
-
-# Standard deviations of a normal within which it is with a probability of 99 %.
-BAND = 2.576
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class InnovationCheck(Shown):
-    """The innovations of one sensor beside those of a right model, whose filter is exact.
-
-    nis: (...): the normalised innovation squared for each component read, its mean over the steps
-        of a run; 1 is right, more where measurements are further off than the model says: outliers,
-        too small a noise, a wrong motion. NaN where nothing was read.
-    overall: The same of all runs.
-    autocorrelation: Of whitened innovations one measurement apart; 0 is right. NaN without two
-        measurements of a run.
-    band, autocorrelation_band: How far `overall` and `autocorrelation` are from that with a
-        probability of 99 % if the model is right.
-    """
-
-    sensor: Variable
-    nis: Array
-    overall: float
-    band: float
-    autocorrelation: float
-    autocorrelation_band: float
-
-    @classmethod
-    def of(cls, sensor: Variable, found: Innovations) -> InnovationCheck:
-        """Sum up the innovations of a sensor."""
-        squares, dof = np.nansum(found.nis, axis=-1), found.dof.sum(axis=-1)
-        read = dof.sum()
-        white = whitened(found)
-        correlation, deviation = autocorrelation(white[:-1], white[1:])
-        return cls(
-            sensor,
-            frozen(np.where(dof > 0, squares / np.maximum(dof, 1), np.nan)),
-            float(squares.sum() / read) if read else np.nan,
-            BAND * float(np.sqrt(2.0 / read)) if read else np.nan,
-            correlation,
-            BAND * deviation,
-        )
-
-    @property
-    def fits(self) -> bool:
-        """Whether neither number speaks against the model."""
-        apart = abs(self.overall - 1.0) > self.band
-        return not apart and not abs(self.autocorrelation) > self.autocorrelation_band
-
-    @property
-    def _title(self) -> str:
-        return f"InnovationCheck({self})"
-
-    def __str__(self) -> str:
-        verdict = "" if self.fits else ", which speaks against the model or its linearisation"
-        return (
-            f"{self.sensor.name} NIS {self.overall:.3g} a component (right: 1 ± {self.band:.2g}), "
-            f"autocorrelation {self.autocorrelation:.2g} (right: 0 ± "
-            f"{self.autocorrelation_band:.2g}){verdict}"
-        )
-
-
-def checks(innovations: Mapping[Variable, Innovations]) -> dict[Variable, InnovationCheck]:
-    """A check of each sensor that was read."""
-    return {
-        sensor: InnovationCheck.of(sensor, found)
-        for sensor, found in innovations.items()
-        if found.dof.any()
-    }
-
 
 # Above this shape of the weights' tail no estimate made of them is to be trusted.
 UNTRUSTED = 0.7
 # Nats that moments are from the exact ones, or log-evidence is off by beyond so many standard
 # errors, to be suspect; and effective draws that an estimate to be trusted is made of.
 SUSPECT, ERRORS, ENOUGH = 0.5, 3.0, 10.0
+
+
+# The part of the mass that modes not drawn from may have where an audit is to be trusted.
+MISSED = 0.01
+
+
+def _is_trusted(mixture: Mixture, modes: Modes) -> Mask:
+    """Whether the estimates of runs can be used, (runs,): enough draws, no mode left out."""
+    draws = (mixture.pareto_k <= UNTRUSTED) & (mixture.effective_draws >= ENOUGH)
+    return np.asarray(draws & (modes.missed <= MISSED))
+
+
+def _is_suspect(
+    mixture: Mixture, compared: Sequence[Compared], correction: Array, trusted: Mask
+) -> Mask:
+    """Whether moments or the log-evidence are off by more than chance may leave, (runs,).
+
+    A mean of weights is t nats too high with a probability of e^−t at most, whatever their tail
+    (Markov's inequality), and too low by any number of nats: a `correction` downwards counts where
+    the estimates are trusted.
+    """
+    beyond = np.abs(correction) - ERRORS * mixture.evidence.standard_error
+    found: Mask = (trusted | (correction > 0.0)) & (beyond > SUSPECT)
+    for each in compared:
+        found = found | (each.excess(mixture.effective_draws) > SUSPECT)
+    return found
 
 
 class Audit(Shown, Immutable):
@@ -130,8 +88,9 @@ class Audit(Shown, Immutable):
         than 0.5 nats and three standard errors; a negative one counts where `trusted`, since few
         draws tell too low an evidence.
     trusted : ndarray of bool
-        (...): whether ten draws or more are effective, and the tail of their weights allows
-        estimates; where not, nothing follows from `suspect` being False.
+        (...): whether ten draws or more are effective, the tail of their weights allows estimates,
+        and no more than a hundredth is `missed`; where not, nothing follows from `suspect` being
+        False. A mode that no start has led to is not known of: see `audit`.
     pareto_k : ndarray
         (...): the shape of the tail of the weights p/r at the Gaussian's draws. Below 0.5 their
         variance is finite; above about 0.7 neither the standard error nor the effective sample
@@ -139,6 +98,13 @@ class Audit(Shown, Immutable):
     undefined : ndarray
         (...): the part of defensive draws at which a function was NaN or infinite, which count as
         impossible.
+    modes : ndarray of int
+        (...): modes beside the answer's that smoothers from other starts have found, and that a
+        part of the defensive draws is of.
+    missed : ndarray
+        (...): the part of the evidence of all modes found, by Laplace's method, that belongs to
+        modes not drawn from: beyond the likeliest eight, or beside a sensor without noise. NaN
+        where no smoother arrived, so that others may be there.
     log_weights : ndarray
         (..., S): ln w.
     innovations : mapping of Variable to InnovationCheck
@@ -178,6 +144,8 @@ class Audit(Shown, Immutable):
     trusted: Mask
     pareto_k: Array
     undefined: Array
+    modes: Integers
+    missed: Array
     log_weights: Array
     innovations: Mapping[Variable, InnovationCheck]
     _furthest: tuple[float, str]
@@ -188,32 +156,30 @@ class Audit(Shown, Immutable):
         gaussian_log_evidence: Array,
         compared: Sequence[Compared] = (),
         innovations: Mapping[Variable, InnovationCheck] = MappingProxyType({}),
+        modes: Modes | None = None,
     ) -> None:
         known = np.array(gaussian_log_evidence, dtype=float)
         lead = known.shape
+        modes = modes or Modes.none(known.size)
+        trusted = _is_trusted(mixture, modes)
+        correction = mixture.evidence.log - known.reshape(-1)
         found = {
-            "log_evidence": mixture.log_evidence,
-            "standard_error": mixture.standard_error,
-            "effective_sample_size": mixture.gaussian_sample_size,
+            "log_evidence": mixture.evidence.log,
+            "standard_error": mixture.evidence.standard_error,
+            "effective_sample_size": mixture.effective_sample_size,
             "effective_draws": mixture.effective_draws,
-            "divergence": mixture.divergence,
-            "divergence_error": mixture.divergence_error,
-            "inclusive_divergence": mixture.inclusive_divergence,
-            "inclusive_error": mixture.inclusive_error,
+            "divergence": mixture.divergence.value,
+            "divergence_error": mixture.divergence.error,
+            "inclusive_divergence": mixture.inclusive.value,
+            "inclusive_error": mixture.inclusive.error,
             "pareto_k": mixture.pareto_k,
             "undefined": mixture.undefined,
-            "log_weights": mixture.gaussian_log_weights,
-            "suspect": np.zeros(mixture.peak.shape, dtype=bool),
-            "trusted": (mixture.pareto_k <= UNTRUSTED) & (mixture.effective_draws >= ENOUGH),
+            "log_weights": mixture.weighed.plain,
+            "modes": (modes.shares > 0.0).sum(axis=0),
+            "missed": modes.missed,
+            "suspect": _is_suspect(mixture, compared, correction, trusted),
+            "trusted": trusted,
         }
-        for each in compared:
-            found["suspect"] |= each.excess(mixture.effective_draws) > SUSPECT
-        correction = mixture.log_evidence - known.reshape(-1)
-        # A mean of weights is t nats too high with a probability of e^−t at most, whatever their
-        # tail (Markov's inequality), and too low by any number of nats.
-        sure = found["trusted"] | (correction > 0.0)
-        beyond = np.abs(correction) - ERRORS * mixture.standard_error
-        found["suspect"] |= sure & (beyond > SUSPECT)
         reshaped = {
             name: frozen(value.reshape((*lead, *value.shape[1:]))) for name, value in found.items()
         }
@@ -269,6 +235,7 @@ class Audit(Shown, Immutable):
                 *self._verdict(),
                 Listing(("", ""), rows),
                 f"Pareto shape {k:.2g} (to be below {UNTRUSTED}){trust}",
+                *self._others(),
                 *self._gaps(),
                 "The model against its data:" + " not seen by this audit" * (not seen),
                 *seen,
@@ -288,6 +255,16 @@ class Audit(Shown, Immutable):
             return [told]
         runs = f" in {self.suspect.sum()} of {self.suspect.size} runs" if self.suspect.ndim else ""
         return [f"SUSPECT{runs}: {told}"]
+
+    def _others(self) -> list[str]:
+        """Lines about other modes: how many, which part of their mass is left out, or no search."""
+        found, missed = int(self.modes.max(initial=0)), float(np.nanmax(self.missed, initial=0.0))
+        told = [f"other modes found: {found}{' at the most' * (self.modes.ndim > 0)}"] * (found > 0)
+        if missed > MISSED:
+            told.append(f"modes with {missed:.2g} of the mass were found, and not drawn from")
+        if np.isnan(self.missed).any():
+            told.append("other modes were not looked for: no smoother arrived")
+        return told
 
     def _gaps(self) -> list[str]:
         share = float(self.undefined.max(initial=0.0))

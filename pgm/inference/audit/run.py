@@ -1,26 +1,25 @@
-"""Auditing a posterior: estimates of draws that are made in batches."""
+"""Auditing a posterior."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from pgm.arguments import public
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
-from pgm.inference.audit.draws import Draws
-from pgm.inference.audit.estimates import Compared, Mixture, Sums, weigh
-from pgm.inference.audit.joints import ChainDraws, TreeDraws
-from pgm.inference.audit.result import Audit, checks
+from pgm.inference.audit.batches import estimate
+from pgm.inference.audit.chain import ChainDraws
+from pgm.inference.audit.innovation_checks import checks
+from pgm.inference.audit.result import Audit
+from pgm.inference.audit.tree import TreeDraws
 from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
-from pgm.kernels.arrays import quiet
-from pgm.progress import Progress, counted, reporting
+from pgm.progress import Progress, reporting
 
 
 @public
@@ -51,14 +50,23 @@ def audit(
 
         r = (q + d)/2,    Z = mean of p/r − β (mean of q/r − 1).
 
-    A draw of d leaves q for one excursion: from some slice on and for some slices it follows the
-    model's own CPDs, with Student's t₅ for their noise, or q's conditionals with such tails. In a
-    network without time it is all from the prior, or q with tails. The control q/r has mean one,
-    and for a linear model leaves no error. A result whose beliefs or log-evidence are off is
-    `suspect`.
+    Other modes are looked for first, by some twenty short smoothers that start elsewhere: at
+    mirror images 2ρ − μ of the answer's means μ about the motion ρ of the prior's mean (all
+    components, or one of them, from step 0 or from the middle on), and at drives of the model from
+    points of the prior. Where they arrive at fixed points further than a deviation from the answer
+    and from one another, half of d's draws come from the Gaussians there. A mode needs no weight
+    for this: all draws are weighed by the exact density.
 
-    A mode that draws of the prediction hardly reach, or that is told from the other only by many
-    steps of readings, or in a network of many variables, may escape it.
+    The other draws of d leave q for one excursion: from some slice on and for some slices they
+    follow the model's own CPDs, with Student's t₅ for their noise, or q's conditionals with such
+    tails. In a network without time they are all from the prior, or q with tails. The control q/r
+    has mean one, and for a linear model leaves no error. A result whose beliefs or log-evidence are
+    off is `suspect`.
+
+    No audit knows of a mode that none of its starts leads to: one where most of many symmetric
+    choices, each made at another time or in another part of a network, have to be made otherwise at
+    once; or one in a region that the prior hardly reaches and no mirror image hits. Beside sensors
+    without noise other modes are found and not drawn from: the audit is then not `trusted`.
 
     Residuals of measurements of angles are wrapped, and an angle that a function wraps is taken on
     the branch of the linearisation, so that wrapping it or not gives the same.
@@ -118,7 +126,7 @@ def audit(
     with reporting(progress):
         mixture, compared = estimate(draws, known.size, samples, generator)
     seen = checks(posterior.innovations) if isinstance(posterior, ChainPosterior) else {}
-    return Audit(mixture, known, compared, seen)
+    return Audit(mixture, known, compared, seen, draws.modes)
 
 
 def _advice(posterior: Any) -> str:
@@ -132,60 +140,3 @@ def _advice(posterior: Any) -> str:
         f"audit takes a posterior of pgm.filter, pgm.smooth or pgm.infer, not "
         f"{type(posterior).__name__}"
     )
-
-
-# Numbers drawn at once: what stays near the processor, and what whole draws may take.
-BATCH, ROOM = 2**18, 2**24
-
-
-class Drawing(Protocol):
-    """The source of draws: a chain, or a tree."""
-
-    @property
-    def width(self) -> int:
-        """Numbers that one draw of one run takes at a time."""
-
-    @property
-    def length(self) -> int:
-        """Numbers of a whole draw."""
-
-    def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """So many new draws a run."""
-
-    def sums(self) -> list[Sums]:
-        """Empty sums, one a hidden variable and one a cluster of several."""
-
-
-def estimate(
-    drawing: Drawing, runs: int, samples: int, rng: np.random.Generator
-) -> tuple[Mixture, list[Compared]]:
-    """Draw so often from the Gaussian, and as often defensively, and sum up, batch by batch."""
-    size = max(
-        1, min(BATCH // max(drawing.width, 1), ROOM // max(drawing.length, 1)) // max(runs, 1)
-    )
-    shape = (runs, 2 * samples)
-    log_weights, control, log_ratio = np.empty(shape), np.empty(shape), np.empty(shape)
-    lost, peak = np.zeros(runs), np.full(runs, -np.inf)
-    sums = drawing.sums()
-    for part, defensive in counted(list(_parts(samples, size)), "batches of draws"):
-        with quiet():  # a residual too large to be squared has no weight
-            drawn = drawing.draw(part.stop - part.start, rng, defensive=defensive)
-            logs, share = weigh(drawn)
-        log_weights[:, part], control[:, part] = logs, share
-        log_ratio[:, part] = drawn.target - drawn.gaussian
-        lost += np.isnan(drawn.target).sum(axis=-1)
-        before, peak = peak, np.maximum(peak, logs.max(axis=-1))
-        level = np.where(np.isfinite(peak), peak, 0.0)
-        fading = np.exp(np.where(np.isfinite(before), before - level, 0.0))
-        pair = np.stack([np.exp(logs - level[:, None]), share])
-        for each in sums:
-            each.add(drawn.values, pair, fading)
-    mixture = Mixture.make(log_weights, control, log_ratio, lost / samples)
-    return mixture, [each.compared(mixture) for each in sums]
-
-
-def _parts(samples: int, size: int) -> Iterator[tuple[slice, bool]]:
-    for defensive in (False, True):
-        for first in range(0, samples, size):
-            last = min(first + size, samples)
-            yield slice(first + defensive * samples, last + defensive * samples), defensive

@@ -30,6 +30,7 @@ from pgm.inference.chain.careful_belief import (
     diagonal,
     moments,
     rounded,
+    rounded_belief,
     through,
 )
 from pgm.inference.chain.plan import ChainPlan
@@ -92,11 +93,12 @@ class Back(NamedTuple):
 class Smooth(NamedTuple):
     """A slice given the measurements up to a last step.
 
-    `here` is the message of all that is read from its step on; `back` is where in some run the
+    `here` is the message of all that is read from its `step` on; `back` is where in some run the
     belief was found from that of the slice after it; `parts` (runs, n) are those of variances that
     rounding may have changed.
     """
 
+    step: int
     belief: Belief
     here: Later
     back: Back | None
@@ -108,30 +110,39 @@ class CarefulSmoothed:
     """Both passes in twice the digits.
 
     `slices` are given all measurements, or those up to a lag after each; `beliefs` their moments,
-    rounded.
+    rounded, and `proper` (T+1, runs, n, n) their covariances along all directions that are known,
+    where variances are infinite.
     """
 
     careful: Careful
     slices: list[Smooth]
     beliefs: Beliefs
     layout: SliceLayout
+    proper: Array | None = None
 
     @classmethod
     def of(cls, plan: ChainPlan, careful: Careful, lag: int | None = None) -> CarefulSmoothed:
         """The backward pass, from the last step, or to each step from a lag after it."""
         shape = careful.forward.mean.shape
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
+        proper: dict[int, Array] = {}
         last = shape[0] - 1
         lag = last if lag is None else lag
         slices = smoothed(careful, last, max(last - lag, 0))
         slices = [smoothed(careful, step + lag, step)[0] for step in range(last - lag)] + slices
         for step, each in enumerate(slices):
             known = careful.steps[min(step + lag, last)].taken
-            mean, cov = moments(each.belief, known.unknown)
-            if not np.isfinite(mean.sum()) or np.isnan(cov.sum()):
+            mean, spread = rounded_belief(each.belief, known.unknown)
+            if not np.isfinite(mean.sum() + spread.cov.sum()):
                 refusals.infinite("the smoothed belief", plan.first + step)
-            beliefs.mean[step], beliefs.cov[step] = mean, cov
-        return cls(careful, slices, beliefs, plan.layout)
+            beliefs.mean[step], beliefs.cov[step] = mean, spread.shown
+            if spread.open.any():
+                proper[step] = spread.cov
+        whole = None
+        if proper:
+            whole = beliefs.cov.copy()
+            whole[list(proper)] = list(proper.values())
+        return cls(careful, slices, beliefs, plan.layout, whole)
 
     @property
     def error(self) -> Array:
@@ -148,7 +159,7 @@ class CarefulSmoothed:
     def point(self) -> Point:
         """The moments of slices and of pairs, as a point of linearisation."""
         pairs = None if self.layout.single else self.pairs()
-        return Point(self.beliefs.mean, self.beliefs.cov, pairs)
+        return Point(self.beliefs.mean, self.beliefs.cov, pairs, self.proper)
 
     def pairs(self) -> Array:
         """The covariances of the states before each step with its slice."""
@@ -191,7 +202,7 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
             belief = _either(back.lost, other, belief)
             parts = np.where(lost[:, None], error[:, None], parts)
         here = later.before(taken.components)
-        out.append(Smooth(belief, here, back, parts))
+        out.append(Smooth(step, belief, here, back, parts))
         if move is not None:
             later = here.back(move.matrix)
     return out[::-1]
@@ -199,20 +210,22 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
 
 @quiet()
 def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Array, Array]:
-    """Moments (runs, k n) of slices at k ascending steps, given the measurements up to the last.
+    """Moments (runs, k n) of slices at k ascending steps, given the measurements up to a last step.
 
-    With Φ the product of A (1 − G h) from one step to another, the errors of two predictions have
-    the covariance P Φᵀ, of which the measurements from the second step on leave P Φᵀ (1 − N P).
+    `slices` are those from some step up to the last: of the steps between the first and the latest
+    wanted ones all are gone through, of others none.
     """
-    known = careful.steps[len(slices) - 1].taken.unknown
+    last = slices[-1].step
+    begin, known = slices[0].step, careful.steps[last].taken.unknown
     runs, size = careful.forward.mean.shape[1:]
     mean = np.empty((runs, len(steps), size))
     cov = np.empty((runs, len(steps), size, len(steps), size))
-    for i, first in enumerate(steps):
-        mean[:, i], cov[:, i, :, i] = moments(slices[first].belief, known)
-        for j, second in enumerate(steps[i + 1 :], i + 1):
-            across = _across(careful, slices, first, second)
-            across = across + known.between(slices[first].belief, slices[second].belief)
+    for j, second in enumerate(steps):
+        later = slices[second - begin]
+        mean[:, j], cov[:, j, :, j] = moments(later.belief, known)
+        found = _across(careful, slices, steps[0], second) if j else {}
+        for i, first in enumerate(steps[:j]):
+            across = found[first] + known.between(slices[first - begin].belief, later.belief)
             cov[:, i, :, j], cov[:, j, :, i] = across.hi, across.mT.hi
     whole = len(steps) * size
     total = cov.reshape(runs, whole, whole)
@@ -222,23 +235,31 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
     return mean.reshape(runs, whole), total
 
 
-def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> Twofold:
-    across = careful.steps[first].taken.belief.cov
-    for step in range(first + 1, second + 1):
-        move, predicted, taken = careful.steps[step]
-        assert move is not None
-        across = across @ move.matrix.mT
-        if step < second:
-            for component in taken.components:
-                across = across @ component.keep.mT
-    across = across - across @ slices[second].here.matrix @ predicted.cov
-    back = slices[first].back
-    if back is None:
-        return across
-    rest = slices[second].belief.cov
-    if first + 1 < second:
-        rest = _across(careful, slices, first + 1, second)
-    return extended.where(back.lost, back.gain @ rest, across)
+def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> dict[int, Twofold]:
+    """The covariances (runs, n, n) of the slices from a first step on with that at a second one.
+
+    With Φ the product of A (1 − G h) from one step to another, the errors of two predictions have
+    the covariance P Φᵀ, of which the measurements from the second step on leave P Φᵀ (1 − N P). A
+    slice that was found from the one after it has that one's covariance, times its gain.
+    """
+    begin = slices[0].step
+    move, predicted, _ = careful.steps[second]
+    assert move is not None
+    across, found = slices[second - begin].belief.cov, {}
+    said = slices[second - begin].here.matrix
+    weight = move.matrix.mT
+    weight = weight - weight @ said @ predicted.cov
+    for step in range(second - 1, first - 1, -1):
+        move, _, taken = careful.steps[step]
+        back, own = slices[step - begin].back, taken.belief.cov @ weight
+        across = own if back is None else extended.where(back.lost, back.gain @ across, own)
+        found[step] = across
+        if step > first:
+            assert move is not None
+            for component in reversed(taken.components):
+                weight = component.keep.mT @ weight
+            weight = move.matrix.mT @ weight
+    return found
 
 
 def _given(known: Belief, later: Later) -> tuple[Belief, Array]:

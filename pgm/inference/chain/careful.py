@@ -28,12 +28,13 @@ from pgm.inference.chain.careful_belief import (
     Move,
     Solved,
     decorrelated,
-    moments,
     predicted,
+    rounded_belief,
     solved,
     take,
 )
 from pgm.inference.chain.certificate import is_flat
+from pgm.inference.chain.diffuse import Diffuse
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iterated_update import IteratedUpdate, UpdateProblem, iterated
 from pgm.inference.chain.likelihoods import shortened
@@ -97,6 +98,7 @@ def sweep(
     """
     out = Forward.empty(plan)
     steps: list[Step] = []
+    ahead: list[Diffuse] = []
     record: list[Array] = []
     converged = np.ones(plan.runs, dtype=bool)
     if begin is None:
@@ -117,9 +119,13 @@ def sweep(
                 move = every.at(step - 1 if len(every.matrix.hi) > 1 else 0)
             belief = predicted(belief, move)
         before = belief
-        mean, cov = out.predicted_mean[step], out.predicted_cov[step]
-        mean[...], cov[...] = moments(belief, unknown)
-        reading = CarefulReading.of(plan, step, (mean, cov), belief, information, schedule, gated)
+        mean, spread = rounded_belief(belief, unknown)
+        out.predicted_mean[step], out.predicted_cov[step] = mean, spread.shown
+        if spread.open.shape[-1]:
+            ahead.append(spread)
+        reading = CarefulReading.of(
+            plan, step, mean, spread, belief, information, schedule, gated=gated
+        )
         if schedule is None:
             found = reading.solve(None if anchor is None else anchor.at(step))
         else:
@@ -133,6 +139,8 @@ def sweep(
         out.log_density[step] = found.log_density
         steps.append(Step(move, before, found))
         refusals.belief(plan, plan.first + step, before[:2], belief[:2])
+    if any(spread.open.any() for spread in ahead):
+        out = replace(out, diffuse=Diffuse(*map(np.stack, zip(*ahead, strict=True))))
     return Careful(out, steps), Status.of(record, converged, plan.lead)
 
 
@@ -148,7 +156,8 @@ def update(
 ) -> tuple[Belief, IteratedUpdate[CarefulUpdate], Sequence[Reading]]:
     """The belief of an online filter given the measurements of its step, as it read them."""
     nothing = Twofold.zeros((plan.runs, 1, 1))
-    reading = CarefulReading.of(plan, 0, known.moments, known, nothing, schedule)
+    mean, spread = rounded_belief(known, solved(nothing))
+    reading = CarefulReading.of(plan, 0, mean, spread, known, nothing, schedule)
     taken = iterated(reading, schedule)
     found = taken.solution.at(taken.mean).belief
     refusals.belief(plan, step, found[:2])
@@ -159,12 +168,12 @@ def update(
 class CarefulUpdate:
     """The belief that an update leaves, mean (runs, n), and the log-density of its measurements.
 
-    `components` are in the order in which they were taken in; `information` (runs, 1 + q, 1 + q) is
-    Σ [v V]ᵀ[v V] / S of all so far.
+    `spread` is its covariance. `components` are in the order in which they were taken in;
+    `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S of all so far.
     """
 
     mean: Array
-    cov: Array
+    spread: Diffuse
     log_density: Array
     belief: Belief
     components: list[Component]
@@ -177,9 +186,14 @@ class CarefulUpdate:
         return self.mean[None]
 
     @property
+    def cov(self) -> Array:
+        """The covariance, (runs, n, n), infinite where nothing is known."""
+        return self.spread.shown
+
+    @property
     def point(self) -> Point:
         """The moments, as a point of linearisation."""
-        return Point(self.mean[None], self.cov[None])
+        return Point(self.mean[None], self.cov[None], None, self.spread.cov[None])
 
     def at(self, mean: Array) -> CarefulUpdate:
         """The same with the mean that a step control kept."""
@@ -199,14 +213,16 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         cls,
         plan: ChainPlan,
         step: int,
-        moments: tuple[Array, Array],
+        mean: Array,
+        spread: Diffuse,
         belief: Belief,
         information: Twofold,
         schedule: Filtering | None,
+        *,
         gated: gate.Asked | None = None,
     ) -> CarefulReading:
-        """The measurements of a step, at a belief of these moments, (runs, n) and (runs, n, n)."""
-        chain, at = MomentChain(plan, schedule, gated=gated), Moments.of(plan, *moments)
+        """The measurements of a step, at a belief of this mean, (runs, n), and covariance."""
+        chain, at = MomentChain(plan, schedule, gated=gated), Moments.of(plan, mean, spread.shown)
         parts = chain.readings(step)
         made = cls(parts, plan.first + step, at.mean, at.cov)
         made.belief, made.information = belief, information
@@ -215,7 +231,8 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         if chain.gate is not None:
             if schedule is not None:
                 made.linearise(made.predicted, None)
-            gate.decide(chain.gate, parts, made.measured, at.mean, at.cov)
+            unknown = spread if spread.open.any() else None
+            gate.decide(chain.gate, parts, made.measured, at.mean, at.cov, unknown)
         return made
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
@@ -266,7 +283,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
             information = information + row.mT @ (row * component.weight[:, None, None])
         unknown = solved(information)
         log_density = log_density + unknown.log_weight - solved(self.information).log_weight
-        found = moments(belief, unknown)
+        found = rounded_belief(belief, unknown)
         return CarefulUpdate(*found, log_density, belief, components, information, unknown)
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pgm.inference.chain.diffuse import Diffuse
 from pgm.inference.chain.vector import Measured
 from pgm.kernels import extended, semidefinite
 from pgm.kernels.arrays import (
@@ -234,17 +235,19 @@ def solved(whole: Twofold) -> Solved:
 
 def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
     """Mean and covariance; the variance of a component of which nothing is known is infinite."""
+    mean, spread = rounded_belief(belief, unknown)
+    return mean, spread.shown
+
+
+def rounded_belief(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
+    """Mean (runs, n) and covariance in float64, P + D M⁺ Dᵀ, beside D O of what is open."""
     mean, cov = (belief.columns @ unknown.weights).hi[..., 0], belief.cov
-    if not unknown.open.shape[-1]:
-        return mean, semidefinite.semidefinite(cov.hi, 1.0 / CLEAR)
-    total = semidefinite.semidefinite((cov + unknown.between(belief, belief)).hi, 1.0 / CLEAR)
+    if unknown.open.shape[-1]:
+        cov = cov + unknown.between(belief, belief)
     slope = belief.columns.hi[..., 1:]
-    reach, size = np.abs(slope @ unknown.open), np.abs(slope) @ np.abs(unknown.open)
-    lost = np.any(reach > NEGLIGIBLE * size, axis=-1)
-    if lost.any():
-        total = np.where(lost[..., None] | lost[..., None, :], 0.0, total)
-        np.einsum("...ii->...i", total)[lost] = np.inf
-    return mean, total
+    found, size = slope @ unknown.open, np.abs(slope) @ np.abs(unknown.open)
+    open_ = np.where(np.abs(found) > NEGLIGIBLE * size, found, 0.0)
+    return mean, Diffuse(semidefinite.semidefinite(cov.hi, 1.0 / CLEAR), open_, size)
 
 
 class Component(NamedTuple):

@@ -43,7 +43,7 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
     for sensor in plan.sensors:
         steps = sensor.family.step - plan.first
         if sensor.robust:
-            total += _robust(sensor, at.mean[steps], at.cov[steps])
+            total += _robust(sensor, at.mean[steps], at.known_cov[steps])
         else:
             total += readings(sensor, slice(None), at.mean[steps], at.cov[steps])
     return total

@@ -79,7 +79,7 @@ def _obeyed(relations: list[Relation], mean: Array) -> Mask:
 
 
 def _equations(relations: list[Relation], mean: Array, unit: Array, weight: float) -> Tridiagonal:
-    """Of the moves ξ, in units, that minimise |ξ|² + w |relations missed|²."""
+    """The equations of the moves ξ, in units, that minimise |ξ|² + w |relations missed|²."""
     steps, runs, size = mean.shape
     diagonal = np.zeros((steps, runs, size, size)) + np.eye(size)
     above, right = np.zeros((steps - 1, runs, size, size)), np.zeros((steps, runs, size))

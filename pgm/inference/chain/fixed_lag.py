@@ -8,7 +8,7 @@ counts twice; in twice the digits where float64 has too few.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Begin, Careful
 from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.compiled import sweep as compiled
+from pgm.inference.chain.diffuse import Diffuse
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.moments import largest
 from pgm.inference.chain.plan import ChainPlan
@@ -121,6 +122,7 @@ class _Record:
         self.residuals: list[Array] = []
         self.converged = np.ones(plan.runs, dtype=bool)
         self.error: Array | None = None
+        self.diffuse: Diffuse | None = None
 
     def leave(self, window: Window) -> None:
         self.left = self.left + window.ahead.log_density[:2].sum(axis=0)
@@ -133,6 +135,7 @@ class _Record:
         out.predicted_mean[new] = ahead.predicted_mean[begun:]
         out.predicted_cov[new] = ahead.predicted_cov[begun:]
         out.log_density[new] = ahead.log_density[begun:]
+        self._keep_open(new, ahead, begun)
         self.beliefs.mean[known], self.beliefs.cov[known] = beliefs.mean, beliefs.cov
         self.newest.mean[step], self.newest.cov[step] = beliefs.mean[-1], beliefs.cov[-1]
         self.log_evidence[step] = self.left + ahead.log_density.sum(axis=0)
@@ -142,10 +145,25 @@ class _Record:
             error = window.careful.error
             self.error = error if self.error is None else np.maximum(self.error, error)
 
+    def _keep_open(self, new: slice, ahead: Forward, begun: int) -> None:
+        """Keep what is open in the predictions of some steps, if anything is or was."""
+        if ahead.diffuse is not None and self.diffuse is None:
+            shape, size = self.forward.mean.shape, ahead.diffuse.open.shape[-1]
+            cov = stacked(shape[:2], shape[2:] * 2)
+            cov[...] = self.forward.predicted_cov
+            self.diffuse = Diffuse(cov, np.zeros((*shape, size)), np.zeros((*shape, size)))
+        if self.diffuse is not None:
+            cov, open_, size_ = self.diffuse
+            if ahead.diffuse is None:
+                cov[new], open_[new] = ahead.predicted_cov[begun:], 0.0
+            else:
+                cov[new], open_[new], size_[new] = ahead.diffuse.at(slice(begun, None))
+
     @property
     def found(self) -> tuple[Lagged, Status]:
         windows = Windows(self.newest, self.log_evidence, self.error is None)
-        found = Lagged(self.forward, self.beliefs, windows=windows, error=self.error)
+        ahead = replace(self.forward, diffuse=self.diffuse)
+        found = Lagged(ahead, self.beliefs, windows=windows, error=self.error)
         return found, Status.of(self.residuals, self.converged, self.lead)
 
 

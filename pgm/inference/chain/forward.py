@@ -16,6 +16,7 @@ from pgm.inference.chain import gate
 from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.compiled.sweep import Swept
 from pgm.inference.chain.cost import require_cost
+from pgm.inference.chain.diffuse import Diffuse
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments, Room
@@ -44,7 +45,8 @@ class Forward:
 
     Controls at step 0 are zero. `log_density` is of each step's measurements given those before.
     `closest` is that of the `Watch`, or zero where nothing has watched; `far` whether a mean may be
-    10⁸ deviations from zero, or nothing has looked.
+    10⁸ deviations from zero, or nothing has looked. `diffuse` has the covariances before
+    measurements by what is open in them, where a flat prior leaves anything open.
     """
 
     predicted_mean: Array
@@ -54,6 +56,7 @@ class Forward:
     log_density: Array
     closest: float = 0.0
     far: bool = True
+    diffuse: Diffuse | None = None
 
     @classmethod
     def empty(cls, plan: ChainPlan) -> Forward:

@@ -3,8 +3,9 @@ r"""Gates: sightings too far from their prediction say nothing.
 At the predicted belief N(μ, P) of a step, a sighting z that is linearised as ẑ + H (x − μ) + n has
 the innovation ν = z − ẑ with S = H P Hᵀ + noise. It is rejected where νᵀS⁻¹ν exceeds the χ²
 quantile of the gate's probability, of as many degrees of freedom as components were measured: not
-taken, in this run, for all that follows, which the plan says. What an infinite variance predicts is
-not judged (Bar-Shalom, Li & Kirubarajan, 2001, 5.4).
+taken, in this run, for all that follows, which the plan says (Bar-Shalom, Li & Kirubarajan, 2001,
+5.4). Directions of which nothing is known yet are not judged, and no degrees of freedom: see
+`diffuse`.
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ import numpy as np
 
 from pgm.errors import EvidenceError
 from pgm.factors.scope import namesake
+from pgm.inference.chain.diffuse import Diffuse
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Reading
 from pgm.inference.chain.sensor import GateRecord
 from pgm.inference.chain.vector import Measured
+from pgm.inference.chain.weights import by_sighting, own_blocks
 from pgm.inference.gates import gate_of
 from pgm.kernels import mahalanobis
-from pgm.kernels.arrays import Array, Integers, Mask, within
+from pgm.kernels.arrays import Array, Integers, Mask, independent, within
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -59,19 +62,36 @@ def prepare(plan: ChainPlan, gate: Asked | None) -> None:
 
 
 def decide(
-    gate: Asked, parts: Sequence[Reading], seen: Sequence[Measured], mean: Array, cov: Array
+    gate: Asked,
+    parts: Sequence[Reading],
+    seen: Sequence[Measured],
+    mean: Array,
+    cov: Array,
+    diffuse: Diffuse | None = None,
 ) -> list[Measured]:
-    """Gate the measurements of a step; rejected ones are not taken, in the plan too."""
+    """Gate the measurements of a step; rejected ones are not taken, in the plan too.
+
+    The predicted belief has a mean (n, *batch) and a covariance (n, n, *batch), or, where anything
+    is unknown, the covariance `diffuse` with the runs first.
+    """
     return [
         part_seen
         if (own := gate_of(gate, part.sensor.variable)) is None
-        else _decided(own, part, part_seen, mean, cov)
+        else _decided(own, part, part_seen, mean, cov, diffuse)
         for part, part_seen in zip(parts, seen, strict=True)
     ]
 
 
-def _decided(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured:
-    if mean.ndim == 1 and seen.taken is None and len(seen.value) == part.sensor.height:
+def _decided(
+    gate: float,
+    part: Reading,
+    seen: Measured,
+    mean: Array,
+    cov: Array,
+    diffuse: Diffuse | None,
+) -> Measured:
+    one_run = mean.ndim == 1 and diffuse is None
+    if one_run and seen.taken is None and len(seen.value) == part.sensor.height:
         one = _one(gate, part, seen, mean, cov)
         if one is not None:
             return one
@@ -82,7 +102,11 @@ def _decided(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array
     if record is not None:  # which an earlier attempt may have written to
         taken = sensor._flat(record.given[rows])
         taken = None if taken.all() else taken
-    square, number = squares(seen._replace(taken=taken), mean, cov, count)
+    given = seen._replace(taken=taken)
+    if diffuse is None:
+        square, number = squares(given, mean, cov, count)
+    else:
+        square, number = _diffuse_squares(given, mean, diffuse)
     rejected = square > _limits(gate, height)[number]
     square = np.where(number > 0, square, np.nan)
     part.gate, part.gated = gate, (rejected, square)
@@ -142,21 +166,13 @@ _WELL = 1e-6
 
 
 def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:
-    """Squared lengths (count, *batch) of a sensor's innovations, and their components.
-
-    A component that depends on one of infinite variance does not count.
-    """
+    """Squared lengths (count, *batch) of a sensor's innovations, and their components."""
     sensor, height = seen.sensor, len(seen.value) // count
     if not sensor.whole:
         mean, cov = mean[sensor.parents], within(cov, sensor.parents)
     batch = mean.shape[1:]
     matrix = seen.matrix.reshape(count, height, *seen.matrix.shape[1:])
     taken = None if seen.taken is None else seen.taken.reshape(count, height, *seen.taken.shape[1:])
-    infinite = ~np.isfinite(np.einsum("ii...->i...", cov))
-    if infinite.any():
-        open_ = ((matrix != 0.0) & infinite).any(axis=2)
-        taken = ~open_ if taken is None else taken & ~open_
-        cov = np.where(infinite[:, None] | infinite[None], 0.0, cov)
     if batch:
         spread = np.einsum("kinr,nmr,kjmr->kijr", matrix, cov, matrix, optimize=_PATH)
     else:
@@ -171,6 +187,30 @@ def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array,
     eye = np.eye(height).reshape(1, height, height, *(1 for _ in batch))
     square = mahalanobis.squares(np.where(taken, residual, 0.0), np.where(both, spread, eye))
     return square, np.broadcast_to(taken.sum(axis=1), (count, *batch))
+
+
+def _diffuse_squares(seen: Measured, mean: Array, belief: Diffuse) -> tuple[Array, Integers]:
+    """The same at a belief of which something is unknown, (runs, n, n): of what is known of each.
+
+    Directions of a sighting that are unknown do not count.
+    """
+    sensor, batch = seen.sensor, mean.shape[1:]
+    height = sensor.height
+    matrix = by_sighting(seen.matrix, height, 1)
+    residual = by_sighting(seen.residual(mean[sensor.parents]), height, 0)
+    noise = own_blocks(seen.noise, height)
+    number: Integers | int = height
+    if seen.taken is not None:
+        taken = by_sighting(seen.taken, height, 0)
+        matrix = np.where(taken[..., None], matrix, 0.0)
+        residual, noise = np.where(taken, residual, 0.0), independent(noise, taken)
+        number = taken.sum(axis=-1)
+    residual, spread, unknown = belief.of(sensor.parents).innovations(matrix, residual, noise)
+    square = mahalanobis.squares(
+        np.moveaxis(residual, -1, 1), np.moveaxis(spread, (-2, -1), (1, 2))
+    )
+    count = np.broadcast_to(number - unknown, square.shape)
+    return square.reshape(-1, *batch), count.reshape(-1, *batch)
 
 
 # Along the covariance first, then along the rows.

@@ -29,18 +29,20 @@ class Innovations(Shown, NoArray):
     Attributes
     ----------
     residual : ndarray
-        (..., M, d): measurement less prediction; NaN in components not taken, and where the
-        prediction still has an infinite variance.
+        (..., M, d): measurement less prediction; NaN in components not taken, and in those that
+        depend on a direction of which nothing is known yet, given a flat prior.
     cov : ndarray
         (..., M, d, d): its predictive covariance, S = H P Hᵀ + noise; NaN in rows and columns of
-        components not taken.
+        the same components.
     step : ndarray of int
         (M,).
     nis : ndarray
         (..., T+1): the normalised innovation squared of each step, rᵀS⁻¹r with the joint
-        covariance of all components that were read at the step; NaN without any.
+        covariance of all components that were read at the step; NaN without any. While a
+        direction is unknown it is the limit of that of wide priors.
     dof : ndarray of int
-        (..., T+1): the number of components read at each step.
+        (..., T+1): the number of components read at each step, less the number of directions of
+        them of which nothing was known.
     rejected : ndarray of bool
         (..., M): sightings that a gate has rejected: they have a residual and a covariance, and no
         part in `nis` and `dof`.
@@ -91,15 +93,16 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
     family, parents, lead = sensor.family, sensor.parents, plan.lead
     mean = forward.predicted_mean[family.step][..., parents]
     residual = sensor.moved - family.value(slice(None), mean)
-    spread = block(forward.predicted_cov[family.step], parents, parents)
+    ahead = forward.predicted_cov if forward.diffuse is None else forward.diffuse.cov
+    spread = block(ahead[family.step], parents, parents)
     given = sensor.taken if sensor.gated is None else sensor.gated.given
     taken = np.broadcast_to(True if given is None else given, residual.shape)
     rejected = np.zeros(residual.shape[:2], dtype=bool)
     if sensor.gated is not None:
         rejected |= sensor.gated.rejected
-    if (improper := np.isinf(spread)).any():
-        spread = np.where(improper, 0.0, spread)
-        taken = taken & ~np.any(improper, axis=(-2, -1), keepdims=True)[..., 0]
+    if forward.diffuse is not None:
+        reach = forward.diffuse.at(family.step).of(parents).reach(family.matrix)
+        taken = taken & ~reach.any(axis=-1)
     cov = sandwich(family.matrix, spread) + family.noise
     nis, dof = by_step(plan, [sensor], forward)
     back = np.argsort(sensor.order)
@@ -124,13 +127,14 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
     shape = plan.steps + 1, plan.runs
     nis, dof = np.full(shape, np.nan), np.zeros(shape, dtype=np.intp)
     for steps, matrix, residual, noise, missing in stacks(plan, sensors, forward.predicted_mean):
-        spread = forward.predicted_cov[steps]
-        # Of a prediction that still has an infinite variance there are no innovations.
-        read = [block(spread, sensor.parents, sensor.parents) for sensor in sensors]
-        proper = np.logical_and.reduce([np.isfinite(own).all(axis=(-2, -1)) for own in read])
-        lower = roots.root(sandwich(matrix, np.where(np.isinf(spread), 0.0, spread)) + noise)
-        white = solving.whiten(lower, residual)
-        seen = np.where(proper, residual.shape[-1] - missing, 0)
+        unknown: Integers | int = 0
+        if forward.diffuse is None:
+            spread = sandwich(matrix, forward.predicted_cov[steps]) + noise
+        else:
+            ahead = forward.diffuse.at(steps)
+            residual, spread, unknown = ahead.innovations(matrix, residual, noise)
+        white = solving.whiten(roots.root(spread), residual)
+        seen = white.shape[-1] - missing - unknown
         dof[steps] = seen
         nis[steps] = np.where(seen > 0, inner(white, white), np.nan)
     return nis, dof

@@ -197,11 +197,21 @@ class ChainPosterior(Innovated, Posterior):
             cov.reshape(*shape, *cov.shape[1:]),
         )
 
+    @cached_property
+    def _careful_slices(self) -> list[adjoint.Smooth] | None:
+        """All slices given all measurements, in twice the digits; None if none knows all."""
+        if self._careful is None or self.kind != SMOOTHED:
+            return None
+        return adjoint.smoothed(self._careful, self.graph.steps)
+
     def _careful_joint(self, careful: Careful, variables: Scope) -> Gaussian:
         steps = [variable.step for variable in variables if variable.step is not None]
         distinct = sorted(set(steps))
         last = self.kind.last(distinct[-1], self.graph.steps)
-        mean, cov = adjoint.joint(careful, distinct, adjoint.smoothed(careful, last))
+        slices = self._careful_slices
+        if slices is None:
+            slices = adjoint.smoothed(careful, last, distinct[0])
+        mean, cov = adjoint.joint(careful, distinct, slices)
         if self.kind == SMOOTHED:  # a step control may have kept other means
             mean = np.concatenate(list(self._beliefs.mean[distinct]), axis=-1)
         layout, size = self.graph.layout, self.graph.layout.slice_size

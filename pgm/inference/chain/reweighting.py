@@ -19,7 +19,7 @@ def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:
     for sensor in plan.robust:
         family = sensor.family
         error = None if family.taylor else family.noise - family.own_noise
-        square = squares(sensor, at.mean, at.cov, plan.first, error)
+        square = squares(sensor, at.mean, at.known_cov, plan.first, error)
         sensor.weights.take(square, active)
         noise = sensor.weights.scaled(family.own_noise)
         if error is not None:

@@ -41,6 +41,11 @@ class TableMessages:
         self.logs = np.repeat(equal[:, None], self.runs, axis=1)
         self._proposed = np.empty_like(self.logs)
 
+    @property
+    def bounded(self) -> bool:
+        """A probability changes by one at the most."""
+        return True
+
     def round(self, messages: Sequence[int]) -> Sequence[Group]:
         """Lay out the computation of some messages."""
         if messages == range(len(self.directed)):
@@ -86,7 +91,7 @@ class TableMessages:
             found = [self.storage.graph.clusters[k] for k in clusters.tolist()]
             raise contradicted(empty, found, self.evidence.lead)
 
-    def accept(self, round: Sequence[Group], active: Mask) -> None:
+    def accept(self, round: Sequence[Group], active: Mask, lost: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active, (runs,)."""
         for group in round:
             for outlet in group.outlets:

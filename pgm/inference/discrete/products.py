@@ -58,7 +58,7 @@ class BlockProduct:
 
     @classmethod
     def of(cls, child: int, place: Place, sepset: States, first: int) -> BlockProduct:
-        """From a child, with the message's columns from one on."""
+        """The product of a large table and a child's message, whose columns begin at `first`."""
         source = slice(first, first + math.prod(sizes(sepset)))
         view = place.merged(sepset)
         wide = len(view.shape)

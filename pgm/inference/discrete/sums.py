@@ -31,7 +31,7 @@ class GatheredSum:
 
     @classmethod
     def of(cls, sources: Sequence[tuple[Place, States]], start: int) -> GatheredSum:
-        """Of tables to some of their variables each, with the sums from a place on."""
+        """The sums of tables over all but the wanted variables of each, kept from `start` on."""
         matrices = []
         for place, wanted in sources:
             positions = place.positions((*without(place.scope, wanted), *wanted))
@@ -61,7 +61,7 @@ class BlockSum:
 
     @classmethod
     def of(cls, place: Place, wanted: States, start: int) -> BlockSum:
-        """With the sums from a place on."""
+        """The sums of one large table over all but the wanted variables, kept from `start` on."""
         target = slice(start, start + math.prod(sizes(wanted)))
         view = place.merged(wanted)
         return cls(place.entries, view, AxisSums.of(view.shape, view.others), target)
@@ -106,7 +106,7 @@ class Marginals:
 
     @classmethod
     def of(cls, sources: Mapping[Discrete, Place], length: int) -> Marginals:
-        """From where to sum the probabilities of each variable, in a storage of some length."""
+        """The sums of the marginals of all variables, each from the table of its home."""
         # A large table is summed by itself, others with those of as many entries for each state.
         together: dict[Discrete | int, list[tuple[Place, States]]] = {}
         for variable, place in sources.items():
@@ -163,7 +163,7 @@ class AxisSums:
 
     @classmethod
     def of(cls, shape: tuple[int, ...], axes: tuple[int, ...]) -> AxisSums:
-        """Choose what sums the last axes."""
+        """The quickest way to sum a table of this shape over some axes."""
         for first in axes:
             block = shape[first:]
             kept = tuple(1 if k in axes else n for k, n in enumerate(block, first))

@@ -42,12 +42,12 @@ class Places:
 
     @cached_property
     def starts(self) -> Integers:
-        """Of each cluster's means."""
+        """The places of clusters' means in the vector of all."""
         return np.cumsum([0, *self.sizes])
 
     @cached_property
     def block_starts(self) -> Integers:
-        """Of each cluster's covariance."""
+        """The places of clusters' covariances in the vector of all."""
         return np.cumsum([0, *(size * size for size in self.sizes)])
 
     def means(self, clusters: Integers, columns: Integers) -> Integers:
@@ -92,7 +92,7 @@ class Beliefs:
 
     @classmethod
     def empty(cls, places: Places, frame: Frame, stacked: int, sides: int) -> Beliefs:
-        """To be filled in."""
+        """Beliefs whose arrays are still to be filled in."""
         return cls(
             places,
             frame,
@@ -172,7 +172,7 @@ class Flat(NamedTuple):
 
     @classmethod
     def of(cls, matrices: list[Array], rights: list[Array]) -> Flat:
-        """Of stacks (V, B, k, n) and (V, B, k, N)."""
+        """All entries and sides of stacks (V, B, k, n) and (V, B, k, N) in one vector each."""
         return cls(
             np.concatenate([part.reshape(part.shape[0], -1) for part in matrices], axis=1),
             np.concatenate(

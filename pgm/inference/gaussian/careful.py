@@ -81,7 +81,10 @@ def predictive(
     shared: bool,
     start: Array | None = None,
 ) -> Frame:
-    """As `prior_predictive` without a start, but that moments are rounded once, at the end."""
+    """The prior predictive moments in decimals, rounded once, at the end.
+
+    See `prior_predictive`, without a start.
+    """
     conditionals = Conditionals(layout, families, runs, shared)
     with decimals.precision(MANY):
         joint = Joint.empty(

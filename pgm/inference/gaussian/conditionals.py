@@ -128,7 +128,7 @@ class Root:
 
     @classmethod
     def of(cls, noise: Decimals) -> Root | None:
-        """Of a covariance, largest pivots first; None where it is indefinite."""
+        """The root of a covariance, largest pivots first; None where that is indefinite."""
         size = len(noise)
         variance = np.diagonal(noise).copy()
         least = variance * Decimal(roots.NEGLIGIBLE)

@@ -11,7 +11,7 @@ import numpy as np
 from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, Places, relinearise
 from pgm.inference.gaussian.rounds import Stack
 from pgm.inference.gaussian.row_buffer import Buffer
-from pgm.inference.loopy import LOST, Directed
+from pgm.inference.loopy import Directed
 from pgm.kernels import moments, row_messages
 from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.rows import Rows, eliminate
@@ -57,6 +57,11 @@ class RowMessages:
         """Number of runs."""
         return self.buffer.model.runs
 
+    @property
+    def bounded(self) -> bool:
+        """Means may move any number of deviations."""
+        return False
+
     def round(self, messages: Sequence[int]) -> RowRound:
         """Lay out some messages, in stacks of one shape."""
         return RowRound(list(messages), self.buffer.rounds.messages(messages))
@@ -75,19 +80,17 @@ class RowMessages:
             change[stack.members] = row_messages.change(old, done.rest, against)
         return change[round.messages]
 
-    def accept(self, round: RowRound, active: Mask) -> None:
+    def accept(self, round: RowRound, active: Mask, lost: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active.
 
         Runs that share matrices go on together: else the right sides of one would no longer fit
-        matrices that settle further for another.
+        matrices that settle further for another. Only those that are lost stay behind.
         """
         for stack, new in self._proposed:
             old = self.buffer.messages(stack.members, stack.kept)
             mixed = row_messages.damped(old, new, self.damping) if self.damping else new
             mixed = row_messages.steady(old, mixed)
-            going = active
-            if mixed.matrix.shape[0] == 1:
-                going = active | (np.abs(mixed.right).max(axis=(0, 1, 2), initial=0.0) < LOST)
+            going = ~lost if mixed.matrix.shape[0] == 1 else active
             if not going.all():
                 mixed = row_messages.choose(going, mixed, old)
             self.buffer.store(stack, mixed, None)
@@ -99,7 +102,7 @@ class RowMessages:
             return None
         found, _ = self.beliefs()
         mean, std = found.components()
-        move = moments.marginal_error(mean[None], self._point[None], std[None])
+        move = moments.moved(mean[None], self._point[None], std[None])
         self._point = np.where(active[:, None], mean, self._point)
         # What runs that are still on their way are linearised at is thrown away, but must exist.
         at = np.where(active[:, None, None], found.mean, 0.0)

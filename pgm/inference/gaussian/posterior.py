@@ -18,6 +18,7 @@ from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.gaussian.tree import TreePlan
+from pgm.inference.gaussian.walks import spectral_radius
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
@@ -216,6 +217,23 @@ class GaussianPosterior(Posterior):
         if model.exact:
             return "exact"
         return "laplace" if model.taylor and bool(self.status.converged.all()) else "linearised"
+
+    @quiet()
+    def _why_unsettled(self) -> str:
+        """Whether the network is walk-summable, of the run that is furthest from settled."""
+        if self._sent is None or not len(self.status.residuals):
+            return ""
+        last = np.where(self.status.converged, -1.0, self.status.residuals[-1])
+        radius = spectral_radius(self._sent, int(last.argmax()))
+        if radius is None:
+            return ""
+        about = "the spectral radius of |R|, R = I - D^(-1/2) J D^(-1/2) of its information J,"
+        if radius >= 1.0:
+            return (
+                f"The network is not walk-summable: {about} is {radius:.3g}, and from 1 on "
+                "messages round loops may diverge. "
+            )
+        return f"The network is walk-summable ({about} is {radius:.4g}): the nearer 1, the slower. "
 
     @property
     def _title(self) -> str:

@@ -9,7 +9,7 @@ from pgm.inference.gaussian.model import Model
 
 
 def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
-    """Of measurements that an exact model excludes."""
+    """The error that measurements contradict an exact model, with the CPD to blame."""
     scope = model.layout.graph.clusters[cluster].scope
     which = f", run {run}" if model.lead else ""
     return NumericalError(
@@ -21,7 +21,7 @@ def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
 
 
 def indefinite_noise(cpd: CPD) -> NumericalError:
-    """Of a noise that is none."""
+    """The error that a noise covariance is not semidefinite."""
     return NumericalError(
         f"the noise of {cpd!r} plus the lineariser's approximation error is indefinite; use a "
         "rule with positive weights, or more samples",

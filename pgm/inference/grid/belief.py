@@ -287,7 +287,7 @@ class GridBelief(PointMassBelief):
 
     @cached_property
     def _moments(self) -> list[tuple[Array, Array, Array]]:
-        """Of each axis: a place about which offsets count, the offsets, and their mean."""
+        """For each axis: a reference, the offsets of centres from it, and their mean."""
         found = []
         for k, axis in enumerate(self._parts):
             marginal = self._marginal((k,))

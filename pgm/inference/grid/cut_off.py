@@ -18,6 +18,8 @@ from pgm.kernels.arrays import Array
 TINY = 1e-15
 # An edge with more than this was not cut: the belief ends there.
 _TAIL = 1e-13
+# So much likelier the last cells at a bound have to become to speak for what is beyond.
+_REMARKABLE = 30.0
 # Evidence that is less likely than its best by this is compared with that of all cells.
 _DOUBT = 20.0
 
@@ -34,7 +36,8 @@ class Tails:
 
     The cut part is taken to become as much likelier as the last cells within. If the model is true
     these gains are a martingale: a share of ε becomes one of 10⁻³ with a probability of 10³ε at the
-    most (Ville's inequality).
+    most (Ville's inequality). So is what left the bounds at a step, where its measurements make the
+    last cells much likelier.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -43,10 +46,14 @@ class Tails:
         self._share = np.full(ends, TINY)
         self._cells = np.zeros(ends, dtype=np.intp)
         self._open = np.zeros(ends, dtype=bool)
+        self._left = np.zeros(ends)
         self._before = self._taken = np.ones(ends)
 
-    def predicted(self, marginals: list[Array]) -> None:
-        """Look at a predicted belief, by its marginals along the axes of the lattice."""
+    def predicted(self, marginals: list[Array], left: float) -> None:
+        """Look at a predicted belief, by its marginals along the axes of the lattice.
+
+        `left` is the share of it that is beyond the bounds.
+        """
         for k, (axis, marginal) in enumerate(zip(self.lattice.axes, marginals, strict=True)):
             (used,) = np.nonzero(marginal > TINY / axis.cells * marginal.sum())
             gap = 0
@@ -58,10 +65,11 @@ class Tails:
                 self._open[k] = 0 < used.size < axis.cells
             else:
                 self._open[k] = self._cells[k, 0] > 0, self._cells[k, 1] + 1 < axis.cells
+            self._left[k] = 0.0 if axis.angle else np.where(self._open[k], 0.0, left)
         self._before = self._at(marginals)
         # Motion leads away from an end that was not cut, as a wall is.
-        left = np.minimum(self._before / np.maximum(self._taken, 1e-300), 1.0)
-        kept = np.where(self._before > _TAIL, self._share * left, self._share)
+        fallen = np.minimum(self._before / np.maximum(self._taken, 1e-300), 1.0)
+        kept = np.where(self._before > _TAIL, self._share * fallen, self._share)
         self._share = np.maximum(kept, TINY)
 
     def taken(self, marginals: list[Array]) -> float:
@@ -69,7 +77,8 @@ class Tails:
         self._taken = self._at(marginals)
         gain = self._taken / np.maximum(self._before, 1e-300)
         self._share = np.minimum(self._share * gain, 1.0)
-        return float(self._share.max(initial=0.0, where=self._open))
+        beyond = np.where(gain > _REMARKABLE, np.minimum(self._left * gain, 1.0), 0.0)
+        return max(float(self._share.max(initial=0.0, where=self._open)), float(beyond.max()))
 
     def _at(self, marginals: list[Array]) -> Array:
         """The shares (axes, 2) of the marginals in the last cells in use at either end."""

@@ -294,7 +294,7 @@ class _Maker:
 
     @property
     def _allowed(self) -> float:
-        """By how much a sum over centres may differ from one: what shifting the centres makes."""
+        """The difference from one that shifting the centres allows a sum over them."""
         return 2.0 * self.share + _ROUNDING
 
     def _error(self, found: str, reason: str) -> ModelError:

@@ -73,10 +73,7 @@ class DensitySensor(MeasuredSensor):
         return found
 
     def _apart(self, cpd: CPD, cells: Integers, known: Known, row: int, run: int) -> float:
-        """By how many deviations a CPD's Gaussian parts differ from the first cell, at most.
-
-        Of an open sighting those are of the candidate with the fewest.
-        """
+        """The most deviations between a CPD's Gaussian parts at a cell and at the first one."""
         if isinstance(cpd, UnidentifiedCPD):
             each = ({**known, cpd.parent: candidate} for candidate in cpd.candidates)
             return min(self._apart(cpd.sensor, cells, own, row, run) for own in each)

@@ -98,5 +98,5 @@ class MeasuredSensor:
         raise NotImplementedError
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """By how many deviations a measurement differs from a cell to the next, along any axis."""
+        """The deviations between the values at a cell and the next, along the sharpest axis."""
         raise NotImplementedError

@@ -27,7 +27,7 @@ class Operator(Protocol):
         ...
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance that the lattice adds to these probabilities, in cells."""
+        """The variance that the lattice adds to these probabilities, in squared cells by axis."""
         ...
 
 
@@ -181,7 +181,7 @@ class Split:
         return total.reshape(-1)
 
     def _taps(self, node: int) -> list[list[tuple[Integers, Array]]]:
-        """By moved axis, each of three taps: its part of the flat target, and its weight."""
+        """Three taps for each axis moved: their part of the flat target, and their weight."""
         counts = [span.length for span in self.target]
         found = []
         for target, axis, variance in zip(self.place(node), self.axes, self.variance, strict=True):

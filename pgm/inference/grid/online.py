@@ -226,9 +226,11 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
 
     def _updated(self, belief: OnlineGridBelief, bound: BoundEvidence) -> OnlineGridBelief:
         step = belief.step
+        lost = belief.status.outside_by_step[..., -1]
+        left = np.broadcast_to(lost, bound.lead).reshape(bound.runs)
 
         def taken(slices: GridSlices, values: Array) -> tuple[Array, float]:
-            slices.begin(step, values)
+            slices.begin(step, values, float(left[slices.run]))
             weights, scale = slices.likelihood(step)
             joint = values if weights is None else values * weights
             slices.look(step, joint)
@@ -280,6 +282,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         log_density = np.array([density for *_, density in found]).reshape(lead)
         outside = np.array([s.outside.get(step, 0.0) for s, *_ in found]).reshape(*lead, 1)
         worst = reduce(Worst.of, (s.worst for s, *_ in found))
+        unresolved = np.sqrt([s.unresolved for s, *_ in found]).reshape(lead)
         added = {
             axis.label: np.array([s.added[k] * axis.width**2 for s, *_ in found]).reshape(lead)
             for k, axis in enumerate(lattice.axes)
@@ -295,7 +298,8 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
             past = np.broadcast_to(past, (*lead, past.shape[-1]))
             outside = past.copy() if kind == FILTERED else np.concatenate([past, outside], axis=-1)
             worst = worst.of(before.status._worst)
-        status = GridStatus(outside, added, worst, sorted(split))
+            unresolved = np.hypot(unresolved, before.status.unresolved)
+        status = GridStatus(outside, added, unresolved, worst, sorted(split))
         status.warn(None if before is None else before.status)
         values = values.reshape(*lead, *lattice.shape)
         log_density = np.asarray(log_density)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from typing import Any
@@ -99,6 +100,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
     filtered = np.zeros(shape, dtype=grid.dtype)
     smoothed = np.zeros(shape, dtype=grid.dtype) if smoothing else None
     log_evidence, outside = np.zeros(bound.runs), np.zeros((bound.runs, bound.steps + 1))
+    unresolved = np.zeros(bound.runs)
     added = np.zeros((bound.runs, len(lattice.axes)))
     worst, split = Worst(), frozenset[int]()
     for k in counted(range(bound.runs), "runs"):
@@ -114,6 +116,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         log_evidence[k] = float(chain.log_density.sum())
         outside[k] = [slices.outside[step] for step in range(bound.steps + 1)]
         added[k] = slices.added
+        unresolved[k] = math.sqrt(slices.unresolved)
         worst = worst.of(slices.worst)
         split |= slices.split
     lead = bound.lead
@@ -123,6 +126,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
             axis.label: (added[:, k] * axis.width**2).reshape(lead)
             for k, axis in enumerate(lattice.axes)
         },
+        unresolved.reshape(lead),
         worst,
         tuple(axis.label for k, axis in enumerate(lattice.axes) if k in split),
     )

@@ -15,6 +15,7 @@ from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
 from pgm.inference.argument_checks import require_density
+from pgm.inference.grid import resolution
 from pgm.inference.grid.cut_off import TINY, Cut, Tails, bound, doubtful
 from pgm.inference.grid.densities import EVEN, Uneven
 from pgm.inference.grid.density_sensors import DensitySensor
@@ -25,7 +26,7 @@ from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.measured import MeasuredSensor, Shape, Sharpness
 from pgm.inference.grid.motion import Motion
 from pgm.inference.grid.prior import start
-from pgm.inference.grid.sensors import GridSensor, likelihood
+from pgm.inference.grid.sensors import GridSensor, Weights, likelihood
 from pgm.kernels.arrays import Array
 from pgm.kernels.lattice import Span
 from pgm.networks import DynamicBayesianNetwork
@@ -132,6 +133,8 @@ class GridSlices:
         cut off.
     added: (axes,): the variance that the lattice has added in all steps, in cells.
     worst: The sensor, beliefs and density that the cells have served the least so far.
+    unresolved: The expected square of the error of the log-evidence, since centres stand where they
+        do; see `resolution`.
     """
 
     lead: tuple[int, ...] = ()
@@ -143,11 +146,14 @@ class GridSlices:
         self.added = np.zeros(len(self.lattice.axes))
         self.split: frozenset[int] = frozenset()
         self.worst, self._tails = Worst(), Tails(self.lattice)
+        self.unresolved = 0.0
         # By step, where something was measured: the density of no residuals, and how many numbers.
         self._ceilings: dict[int, tuple[float, int]] = {}
         # By step: the windows before and after its motion, and the weights of its measurements.
         self.windows: dict[int, tuple[Window, Window]] = {}
         self._weights: dict[int, tuple[Array | None, float]] = {}
+        # The belief that waits for the measurements of its step, in its window.
+        self._awaiting: tuple[int, Window, Array] | None = None
 
     def prior(self) -> Array:
         """See `Slices`."""
@@ -161,14 +167,16 @@ class GridSlices:
                 f"run {self.run}: the prior has {total:.2g} of its probability inside the grid, "
                 f"{self._bounds()}; widen the bounds, or move them to where the states begin"
             )
-        self.begin(0, found)
+        self.begin(0, found, self.outside[0])
         return found
 
-    def begin(self, step: int, predicted: Array) -> None:
-        """Go on from the predicted belief of a step."""
+    def begin(self, step: int, predicted: Array, left: float) -> None:
+        """Go on from the predicted belief of a step, of which a share has left the bounds."""
         each = marginals(predicted)
-        self.windows[step] = (active(self.lattice, each)[0],) * 2
-        self._tails.predicted(each)
+        window = active(self.lattice, each)[0]
+        self.windows[step] = (window,) * 2
+        self._awaiting = step, window, self.lattice.cut(predicted, window)
+        self._tails.predicted(each, left)
 
     def look(self, step: int, belief: Array) -> Window:
         """The window of a step's belief, whose deviations are looked at."""
@@ -209,13 +217,15 @@ class GridSlices:
                 run=self.run,
             )
         self.windows[step] = source, made.target
+        self._awaiting = step, made.target, part
         self._tails.predicted(
             [
                 spread(each, span, axis.cells)
                 for each, span, axis in zip(
                     marginals(part), made.target, self.lattice.axes, strict=True
                 )
-            ]
+            ],
+            self.outside[step],
         )
         return self.lattice.put(part, made.target)
 
@@ -237,12 +247,23 @@ class GridSlices:
             if weights is not None:
                 self._ceilings[step] = found.ceiling, found.components
             self._note(sharpest=found.sharpest)
+            self._resolve(step, found, target)
             if self._keep is not None:
                 kept: Array | None = None
                 if weights is not None:
                     kept = weights.astype(self._keep, copy=False)
                 self._weights[step] = kept, scale
         return None if weights is None else self.lattice.put(weights, target), scale
+
+    def _resolve(self, step: int, found: Weights, window: Window) -> None:
+        """Add the error of a step's evidence, once, on the way there."""
+        waiting, self._awaiting = self._awaiting, None
+        if waiting is None or self.unresolved >= resolution.ENOUGH**2:
+            return
+        awaited, own, predicted = waiting
+        if (awaited, own) == (step, window):
+            given = self.model.sensors, predicted, found, window, step, self.run
+            self.unresolved += resolution.error(*given)
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
         """See `Slices`."""

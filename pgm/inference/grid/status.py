@@ -23,6 +23,9 @@ from pgm.variables import Variable
 MUCH = 1e-3
 # A share that may have been cut off and is told.
 REMARKABLE = 1e-9
+# The error of the log-evidence, in nats, above which cells are too wide for the measurements; and
+# that which is told.
+COARSE, TOLD = 0.25, 0.01
 # Deviations between neighbouring centres above which a sensor is sharper than half a cell.
 SHARP = 2.0
 # The share above which a density has another shape on the cells.
@@ -66,6 +69,11 @@ class GridStatus(Shown, Immutable):
     added : mapping of str to ndarray
         By component, (*runs): the variance that the lattice has added in all, in squared units of
         the component, where a displacement has a variance of less than f(1 − f)h².
+    unresolved : ndarray
+        (*runs): the expected error of the log-evidence, in nats, for want of narrower cells: sums
+        over centres change by so much with where between centres the measurements stand. Beyond
+        ten it is not counted on. Above .25 a `GridWarning` has said so; beliefs are then no better
+        than a cell.
     sharpest : Sharpness
         The sensor whose measurement differs by the most deviations from one cell to the next, where
         it is the likeliest. Above two it is sharper than half a cell, and the density at centres
@@ -77,9 +85,11 @@ class GridStatus(Shown, Immutable):
     cut : Cut
         The belief of which the most may have been cut off, as a share, and its step. Beliefs are
         carried up to 10⁻¹⁵ along each axis, and motion up to 8.5 deviations; a state further from
-        the belief is not found again, whatever the evidence. Above 10⁻³ beliefs and log-evidence
-        are those of the wrong places, and a `GridWarning` has said so. It is an estimate, without
-        second places that were given up at 10⁻¹⁵ and would be made likelier little by little.
+        the belief is not found again, whatever the evidence; nor is one beyond the bounds, which
+        counts where the last cells have become 30 times likelier at once. Above 10⁻³ beliefs and
+        log-evidence are those of the wrong places, and a `GridWarning` has said so. It is an
+        estimate, without second places that were given up at 10⁻¹⁵ and would be made likelier
+        little by little.
     split : tuple of str
         The components that were moved cell by cell, since none could be moved before the others on
         which they depend, as of a rotation. Means and variances are exact all the same, densities
@@ -110,6 +120,7 @@ class GridStatus(Shown, Immutable):
     outside: Array
     outside_by_step: Array
     added: Mapping[str, Array]
+    unresolved: Array
     sharpest: Sharpness
     narrowest: Narrowness
     cut: Cut
@@ -122,6 +133,7 @@ class GridStatus(Shown, Immutable):
         self,
         outside_by_step: Array,
         added: Mapping[str, Array],
+        unresolved: Array,
         worst: Worst,
         split: Sequence[str] = (),
         refinements: Sequence[Refinement] = (),
@@ -129,12 +141,14 @@ class GridStatus(Shown, Immutable):
     ) -> None:
         added = {name: np.asarray(value) for name, value in added.items()}
         outside = np.asarray(1.0 - np.prod(1.0 - outside_by_step, axis=-1))
-        for array in (outside, outside_by_step, *added.values()):
+        unresolved = np.asarray(unresolved)
+        for array in (outside, outside_by_step, unresolved, *added.values()):
             array.flags.writeable = False
         self._set(
             outside=outside,
             outside_by_step=outside_by_step,
             added=MappingProxyType(added),
+            unresolved=unresolved,
             **worst._asdict(),
             split=tuple(split),
             refinements=tuple(refinements),
@@ -151,9 +165,14 @@ class GridStatus(Shown, Immutable):
         """The sensor that is sharper than half a cell; None if none is."""
         return self.sharpest.variable if self.sharpest.cells > SHARP else None
 
+    @property
+    def coarse(self) -> bool:
+        """Whether the cells resolve the measurements of a run so little that it is to be told."""
+        return bool((self.unresolved > COARSE).any())
+
     def refined(self, refinements: Sequence[Refinement], converged: bool) -> GridStatus:
         """The same status with the resolutions that led there."""
-        found = self.outside_by_step, self.added, self._worst, self.split
+        found = self.outside_by_step, self.added, self.unresolved, self._worst, self.split
         return GridStatus(*found, refinements, converged)
 
     @property
@@ -182,9 +201,9 @@ class GridStatus(Shown, Immutable):
         -----
         GridWarning
             If more than 10⁻³ has left in a run, or may have been cut off, a density is narrow for
-            the cells, or refining has not converged.
+            the cells, measurements are too sharp for them, or refining has not converged.
         """
-        told = before or GridStatus(np.zeros((1, 1)), {}, Worst())
+        told = before or GridStatus(np.zeros((1, 1)), {}, np.zeros(1), Worst())
         if self.rough and not told.rough:
             _warn(
                 f"the density of {self.uneven.variable!r} at step {self.uneven.step} is narrow for "
@@ -192,12 +211,21 @@ class GridStatus(Shown, Immutable):
                 "where between centres it stands (status.uneven): take narrower cells, or a "
                 "Gaussian CPD, or a mixture of such, which is moved by displacements"
             )
+        if self.coarse and not told.coarse and not self.lost:  # which piles a belief up at its edge
+            _warn(
+                "measurements are too sharp for the cells: the log-evidence may be off by "
+                f"{float(self.unresolved.max()):.2g}, in {int((self.unresolved > COARSE).sum())} "
+                f"of {self.unresolved.size} runs (status.unresolved), since {self._sharpness}; "
+                'take narrower cells, which refine="log_evidence" finds, particles, or a Gaussian '
+                "belief"
+            )
         if self.lost and not told.lost:
             _warn(
                 f"the evidence at step {self.cut.step} is so far from what was believed that up to "
                 f"{self.cut.share:.2g} of the belief stands where it had been cut off "
                 "(status.cut): beliefs and log-evidence are wrong from there on; look for a "
-                "mistaken measurement, or give the prior or the motion more noise"
+                "mistaken measurement, widen the bounds if it is true, or give the prior or the "
+                "motion more noise"
             )
         if self.much and not told.much:
             steps = self.outside_by_step.reshape(-1, self.outside_by_step.shape[-1]).max(axis=0)
@@ -212,6 +240,16 @@ class GridStatus(Shown, Immutable):
                 f"the figure of refine= still changes by {last.change:.2g} at {last.cells} cells "
                 "(status.refinements): allow more doublings, or a larger tolerance"
             )
+
+    @property
+    def _sharpness(self) -> str:
+        if self.sharp is None:
+            near = self.narrowest
+            return f"{near.component} at step {near.step} is known to {near.cells:.2g} cells"
+        return (
+            f"{self.sharp!r} at step {self.sharpest.step} differs by {self.sharpest.cells:.2g} "
+            "deviations from a cell to the next"
+        )
 
     @property
     def _title(self) -> str:
@@ -243,6 +281,8 @@ class GridStatus(Shown, Immutable):
                 f"{self.narrowest.component} at step {self.narrowest.step} is known to "
                 f"{self.narrowest.cells:.2g} cells"
             )
+        if (self.unresolved > TOLD).any():
+            parts.append(f"log-evidence known to {float(self.unresolved.max()):.2g}")
         if self.uneven.share > MUCH:
             parts.append(
                 f"sums of the density of {self.uneven.variable!r} uneven by {self.uneven.share:.2g}"

@@ -108,11 +108,7 @@ class BackwardChain:
         return self.slices.backward(step + 1, message)
 
     def back(self, step: int, message: Array) -> Array:
-        """The same, but zero where the filtered belief is, and of sum one elsewhere.
-
-        So scaled it loses but states whose probability given all is too small for a number, however
-        much likelier what comes later would be after an impossible state.
-        """
+        """The backward message of sum one, and zero where the filtered belief is zero."""
         found, zero = self._passed(step, message), self.semiring.zero
         return self._scaled(np.where(self.known[step] > zero, found, zero))
 
@@ -150,7 +146,7 @@ class StateChain(BackwardChain):
         )
 
     def run(self) -> StateChain:
-        """The same, its forward sweep done."""
+        """Make the forward sweep, and return the chain itself."""
         sweep.forward(self, self.slices.steps, self)
         return self
 

@@ -42,7 +42,7 @@ class Held(NamedTuple):
         return SUM_PRODUCT if self.linear else LOG_SUM_PRODUCT
 
     def within(self, semiring: Semiring) -> Held:
-        """The same, in another semiring."""
+        """The held tables and weights, with entries of another semiring."""
         if semiring.linear == self.linear:
             return self
         weights = None if self.weights is None else semiring.entries(self.weights)

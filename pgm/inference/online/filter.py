@@ -22,6 +22,7 @@ from pgm.inference.chain.gate import prepare as prepare_gates
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
+from pgm.inference.convergence import tell_online
 from pgm.inference.engine import PointMasses, online_points
 from pgm.inference.gates import Gate
 from pgm.inference.grid.online import OnlineGrid
@@ -320,7 +321,10 @@ class OnlineFilter(InCode, Immutable):
         step, behind = belief.step + 1, belief.behind
         if isinstance(behind, Sliding):
             bound = step_evidence.inputs(self.model, belief, inputs)
+            unread = behind.window is None  # of a step without readings the window is settled here
             behind = behind.on(self._windows, bound.transition, bound.lead)
+            if unread and behind.before is not None:
+                tell_online(behind.before.converged, self.schedule)
             return slid(
                 self._windows, step, behind, np.broadcast_to(belief.log_evidence, bound.lead)
             )
@@ -392,6 +396,11 @@ class OnlineFilter(InCode, Immutable):
             As of `predict`.
         NumericalError
             If a measurement contradicts an exact model, or a number does not exist.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If two or more iterations were asked for and end before they settle.
         """
         require_own(belief, self.model, self.schedule, self._behind)
         if type(readings) is not dict:
@@ -405,6 +414,7 @@ class OnlineFilter(InCode, Immutable):
             bound = step_evidence.readings(self.model, belief, readings)
             behind = behind.read(self._windows, bound.readings, bound.lead)
             made = slid(self._windows, belief.step, behind, belief.log_evidence)
+            tell_online(made.status.converged, self.schedule)
             return made.judged(*of_window(belief.watch, behind.settled(self._windows)))
         if is_plain(belief):
             ordinary = self._updated(belief, readings)
@@ -416,6 +426,7 @@ class OnlineFilter(InCode, Immutable):
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
+        tell_online(status.converged, self._filtering)
         behind = None if behind is None else behind._replace(imprecise=True)
         made = careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
         return made.judged(*of_update(belief.watch, parts, Moments.of(plan, *known.moments)))
@@ -444,6 +455,7 @@ class OnlineFilter(InCode, Immutable):
             log_evidence = np.array(belief.log_evidence.item() + float(log_density))
         if chain.residuals or plan.lead or plan.robust:
             status = Status.of(chain.residuals, chain.converged, plan.lead)
+            tell_online(status.converged, self._filtering)
         else:
             status = _DONE if plan.linear else _LINEARISED
         made = belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)

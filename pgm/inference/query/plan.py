@@ -45,7 +45,7 @@ class EliminationPlan:
 
     @classmethod
     def of(cls, requisite: Requisite, wanted: States) -> EliminationPlan:
-        """By the smaller weighted fill next, or the smaller fill where that is cheaper."""
+        """The plan by weighted min-fill; of a dear one the cheaper of that and plain min-fill."""
         hidden = requisite.hidden
         place = {v: k for k, v in enumerate(hidden)}
         families = [tuple(place[v] for v in scope) for scope in requisite.open]

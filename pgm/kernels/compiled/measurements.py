@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from pgm.kernels.arrays import LOG_2PI
+from pgm.kernels.arrays import LAST_PLACES, LOG_2PI
 from pgm.kernels.compiled import tables as t
 from pgm.kernels.compiled.algebra import (
     add,
@@ -62,7 +62,9 @@ def taken(fields, step, run, mean, cov, known, spread, work):
             variance, size_of = spread[i * wide + i], abs(known[i])
             unit = where(size_of > 1.0, size_of, 1.0)
             unit = where(variance > 0.0, sqrt(variance), unit)
-            moved = abs(known[i] - point[i]) / unit
+            larger = where(abs(known[i]) > abs(point[i]), abs(known[i]), abs(point[i]))
+            moved = abs(known[i] - point[i]) - LAST_PLACES * larger
+            moved = where(moved < 0.0, 0.0, moved) / unit  # NaN stays
             residual = where(residual > moved, residual, moved)
         settled = settled | (residual <= tolerance)
         _at_most(record, (iteration - 1) * apart, residual, known)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.inference.audit.joints import ChainDraws
+from pgm.inference.audit.chain import ChainDraws
 
 a, z, glance = pgm.variables("a z glance")
 GRID = np.linspace(-12.0, 12.0, 1601)

@@ -4,17 +4,9 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.inference.audit.draws import (
-    AFTER,
-    BEFORE,
-    END,
-    FREEDOM,
-    PREDICTION,
-    TAILS,
-    Excursions,
-    log_ratio,
-)
-from pgm.inference.audit.joints import ChainDraws
+from pgm.inference.audit.chain import ChainDraws
+from pgm.inference.audit.excursions import AFTER, BEFORE, END, PREDICTION, TAILS, Excursions
+from pgm.inference.audit.student import FREEDOM, log_ratio
 
 a, z = pgm.variables("a z")
 

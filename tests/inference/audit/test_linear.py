@@ -8,7 +8,7 @@ from test_linear_dense import x as rolled
 from textbooks import assert_log
 
 import pgm
-from pgm.inference.audit.joints import ChainDraws
+from pgm.inference.audit.chain import ChainDraws
 
 x = pgm.Variable("x", components=("a", "b", "c"))
 y = pgm.Variable("y", components=("p", "q"))

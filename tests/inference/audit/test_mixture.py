@@ -5,7 +5,7 @@ import pytest
 
 import pgm
 from pgm.inference.audit.draws import Draws
-from pgm.inference.audit.estimates import Mixture, weigh
+from pgm.inference.audit.mixture import Mixture, weigh
 
 S = 400
 
@@ -47,17 +47,17 @@ def test_the_evidence_is_the_regression_written_out():
     cov = sum(np.cov(one, other, ddof=0)[0, 1] for one, other in zip(y, v, strict=True))
     beta = cov / sum(np.var(one) for one in v)
     due = np.mean(y) - beta * (np.mean(v) - 1.0)
-    np.testing.assert_allclose(found.log_evidence, np.log(due))
+    np.testing.assert_allclose(found.evidence.log, np.log(due))
     left = [one - beta * other for one, other in zip(y, v, strict=True)]
     error = np.sqrt(sum(np.var(each, ddof=1) / S for each in left)) / 2.0
-    np.testing.assert_allclose(found.standard_error, error / due)
+    np.testing.assert_allclose(found.evidence.standard_error, error / due)
     np.testing.assert_allclose(found.effective_draws, np.sum(y) ** 2 / np.sum(np.square(y)))
 
 
 def test_a_multiple_of_the_gaussian_is_found_without_error():
     found = estimated(draws(2, lambda x: 5.0 + normal(x, 0.0, 1.0)))
-    np.testing.assert_allclose(found.log_evidence, 5.0, atol=1e-12)
-    for value in (found.standard_error, found.divergence, found.inclusive_divergence):
+    np.testing.assert_allclose(found.evidence.log, 5.0, atol=1e-12)
+    for value in (found.evidence.standard_error, found.divergence.value, found.inclusive.value):
         assert np.abs(value).max() < 1e-12
     assert (found.pareto_k == -np.inf).all()
 
@@ -67,13 +67,18 @@ def test_errors_are_those_of_many_estimates():
     p, q = np.exp(bimodal(x) - 3.0), np.exp(normal(x, 0.0, 1.0))
     spacing = x[1] - x[0]
     due = {
-        "log_evidence": (3.0, "standard_error"),
-        "divergence": ((q * np.log(q / p)).sum() * spacing, "divergence_error"),
-        "inclusive_divergence": ((p * np.log(p / q)).sum() * spacing, "inclusive_error"),
+        "log_evidence": 3.0,
+        "divergence": (q * np.log(q / p)).sum() * spacing,
+        "inclusive_divergence": (p * np.log(p / q)).sum() * spacing,
     }
     found = estimated(draws(3, bimodal, runs=3000))
-    for name, (value, error) in due.items():
-        values, errors = getattr(found, name), getattr(found, error)
+    estimates = {
+        "log_evidence": (found.evidence.log, found.evidence.standard_error),
+        "divergence": found.divergence,
+        "inclusive_divergence": found.inclusive,
+    }
+    for name, value in due.items():
+        values, errors = estimates[name]
         spread = values.std()
         assert values.mean() == pytest.approx(value, abs=0.15 * spread + 4 * spread / 3000**0.5)
         assert np.sqrt((errors**2).mean()) == pytest.approx(spread, rel=0.1), name
@@ -85,9 +90,9 @@ def test_draws_that_are_lost_have_no_weight():
     holes = parts[1].target.copy()
     holes[0, :3] = np.nan
     found = estimated([parts[0], parts[1]._replace(target=holes)], lost=3 / S)
-    assert (found.weights[0, S : S + 3] == 0.0).all()
-    assert np.isfinite(found.log_evidence).all()
-    assert np.isfinite(found.inclusive_divergence).all()
+    assert (found.weighed.weights[0, S : S + 3] == 0.0).all()
+    assert np.isfinite(found.evidence.log).all()
+    assert np.isfinite(found.inclusive.value).all()
 
 
 def test_functions_that_are_not_defined_everywhere_tell_how_often():

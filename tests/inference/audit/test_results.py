@@ -8,8 +8,9 @@ from textbooks import refusal
 
 import pgm
 from pgm import GraphError, LinearisationError, ModelError, NumericalError
-from pgm.inference.audit import run
-from pgm.inference.audit.estimates import Mixture, pareto_shape
+from pgm.inference.audit import batches
+from pgm.inference.audit.mixture import Mixture
+from pgm.inference.audit.pareto import pareto_shape
 
 a, b, z, fix = pgm.variables("a b z fix")
 pair = pgm.Variable("pair", components=("p", "q"))
@@ -73,7 +74,7 @@ def test_batches_of_draws_are_of_one_law(monkeypatch):
     """Many small batches, whose estimate is within the error of one large one's."""
     given = posterior((2,))
     whole = pgm.audit(given, samples=4000, rng=1)
-    monkeypatch.setattr(run, "BATCH", 100)
+    monkeypatch.setattr(batches, "BATCH", 100)
     parts = pgm.audit(given, samples=4000, rng=2)
     gap = np.abs(whole.log_evidence - parts.log_evidence)
     assert (gap > 0).all()

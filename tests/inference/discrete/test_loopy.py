@@ -135,6 +135,7 @@ def test_a_batch_equals_its_runs(schedule):
         np.testing.assert_allclose(whole.log_evidence[run], single.log_evidence, atol=1e-9)
 
 
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # seven rounds are enough to compare
 def test_small_batches_are_the_same(monkeypatch):
     net = network(40, count=10)
     graph = pgm.compile(net, method=pgm.Bethe())
@@ -165,7 +166,8 @@ def test_the_wet_grass():
 def test_a_run_that_is_not_given_enough_iterations_says_so():
     graph, _, sensors = four_cycle(0)
     states = dict.fromkeys(sensors, 1)
-    posterior = pgm.infer(graph, states, schedule=pgm.Flooding(iterations=2))
+    with pytest.warns(pgm.ConvergenceWarning, match="after 2 rounds: the last changed one by"):
+        posterior = pgm.infer(graph, states, schedule=pgm.Flooding(iterations=2))
     assert not posterior.status.converged
     assert posterior.status.iterations == 2
 

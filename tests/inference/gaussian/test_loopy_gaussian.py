@@ -69,9 +69,12 @@ def sweep(seeds, kind, damping, most):
     return exact, open_
 
 
+# Rounds are few here, and some networks are drawn whose messages diverge.
+unsettled = pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
 MOST = {pgm.Flooding: 150, pgm.Sequential: 150, pgm.Residual: 40}
 
 
+@unsettled
 @kinds
 @dampings
 def test_means_are_exact_wherever_messages_converge(kind, damping):
@@ -82,11 +85,12 @@ def test_means_are_exact_wherever_messages_converge(kind, damping):
     assert max(exact) <= 1e-6
     for status in open_:
         assert status.residuals[-1] > TOLERANCE
-        diverged = status.residuals[-1] >= 1e100
+        diverged = status.residuals[-1] > 1e4 * status.residuals.min()
         assert diverged or status.iterations == MOST[kind]
 
 
 @pytest.mark.slow
+@unsettled
 @kinds
 @dampings
 def test_means_are_exact_wherever_messages_converge_at_length(kind, damping):
@@ -96,6 +100,7 @@ def test_means_are_exact_wherever_messages_converge_at_length(kind, damping):
     assert max(exact) <= 1e-6
 
 
+@unsettled
 def test_at_least_half_converge_and_some_do_not():
     exact, open_ = sweep(range(20), pgm.Flooding, 0.0, 60)
     assert 10 <= len(exact) < 20
@@ -103,21 +108,22 @@ def test_at_least_half_converge_and_some_do_not():
     assert all(status.residuals[-1] > TOLERANCE for status in open_)
 
 
+@unsettled
 def test_a_network_whose_messages_diverge():
     """Six sources in four precise readings, all alike: the loops amplify."""
     rng = np.random.default_rng(39)
     net, seen = mixture_network(rng, 6, 4, 0.5, 1e-4)
     graph = pgm.compile(net, method=pgm.Bethe())
     evidence = draw_evidence(net, rng, seen)
-    status = pgm.infer(graph, evidence, schedule=pgm.Flooding(iterations=40)).status
-    assert not status.converged
-    assert status.iterations == 40
-    assert status.residuals[-1] > status.residuals[5]
     # Far beyond, numbers would overflow: the run is stopped before, and says so.
-    found = pgm.infer(graph, evidence, schedule=pgm.Sequential(iterations=5000))
-    assert not found.status.converged
-    assert found.status.iterations < 5000
-    assert np.isfinite(found[net.variables[0]].mean).all()
+    for schedule in (pgm.Flooding(iterations=5000), pgm.Sequential(iterations=5000)):
+        found = pgm.infer(graph, evidence, schedule=schedule)
+        residuals = found.status.residuals
+        assert not found.status.converged
+        assert found.status.iterations < 300
+        assert residuals[-1] > 1e4 * residuals.min()
+        assert residuals[-2] <= 1e4 * residuals.min()
+        assert np.isfinite(found[net.variables[0]].mean).all()
     # Damping brings it to the exact means.
     damped = pgm.infer(graph, evidence, schedule=pgm.Sequential(damping=0.3))
     assert damped.status.converged
@@ -234,6 +240,7 @@ def signed(rng):
 BATCHES = {pgm.Flooding: range(20), pgm.Sequential: range(40, 70), pgm.Residual: range(26, 30)}
 
 
+@unsettled
 @kinds
 def test_batches_whose_runs_converge_at_different_times(kind):
     """Runs share matrices: the right sides of the first to converge must go on fitting them."""
@@ -278,6 +285,7 @@ def test_a_batch_is_its_single_runs(kind):
                 np.testing.assert_allclose(found[v].cov[run], alone[v].cov, rtol=1e-8, atol=1e-12)
 
 
+@unsettled
 def test_a_run_that_diverges_spoils_no_other():
     """Its beliefs leave the domain of a function, at which they are not linearised."""
     rng = np.random.default_rng(1)
@@ -310,6 +318,7 @@ def bent_case(seed):
             return net, graph, draw_evidence(net, rng, observed(net, rng))
 
 
+@unsettled
 @pytest.mark.parametrize(
     ("kind", "damping"),
     [(pgm.Flooding, 0.0), (pgm.Flooding, 0.3), (pgm.Sequential, 0.0), (pgm.Sequential, 0.7)],
@@ -337,6 +346,7 @@ def test_relinearised_means_are_a_map(kind, damping):
     assert converged >= 3
 
 
+@unsettled
 def test_nothing_is_linearised_before_messages_have_settled():
     """A relinearisation calls the function of each CPD; iterations of messages do not."""
     net, graph, evidence = bent_case(6)
@@ -391,6 +401,7 @@ def exact_case(seed, least=4, most=7):
             return net, graph, linear_joint(nodes), draw_evidence(net, rng, observed(net, rng))
 
 
+@unsettled
 @kinds
 def test_exact_relations_in_loops_are_right_or_honest(kind):
     converged = 0
@@ -430,6 +441,7 @@ def copies(noise):
     )
 
 
+@unsettled
 @kinds
 @pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-6])
 def test_a_ring_of_copies_gives_no_false_certainty(kind, noise):
@@ -452,6 +464,7 @@ def test_a_contradiction_round_a_ring(kind):
         pgm.infer(graph, {x: 1.0, w: 6.0}, schedule=kind())
 
 
+@unsettled
 @pytest.mark.parametrize("kind", [pgm.Flooding, pgm.Sequential])
 def test_certainties_that_loops_feed_back_stay_what_they_are(kind):
     """Round the ring a rounding error grows; it must not come to a contradiction."""

@@ -216,6 +216,7 @@ def test_numbers_of_any_size_leak_no_warnings(chunk):
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", pgm.PrecisionWarning)
+                warnings.simplefilter("ignore", pgm.ConvergenceWarning)
                 posterior = pgm.infer(
                     graph, evidence, schedule=schedule, lineariser=rules[seed % 4]
                 )

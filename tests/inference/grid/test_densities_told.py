@@ -176,7 +176,8 @@ def test_a_sharp_sensor_is_told():
         sharp = pgm.SampledCPD(
             z, x, log_density=lambda c, y, d=density: d.logpdf((c - y)[..., 0], scale=0.02)
         )
-        found = pgm.filter(model(observation=[sharp]), {z: [[0.05]]}, belief=line())
+        with pytest.warns(pgm.GridWarning, match="too sharp for the cells"):
+            found = pgm.filter(model(observation=[sharp]), {z: [[0.05]]}, belief=line())
         assert_allclose(found.status.sharpest.cells, due, rtol=1e-6)
         assert found.status.sharp == z
 

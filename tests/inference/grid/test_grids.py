@@ -132,7 +132,8 @@ def test_a_sharp_sensor_is_told():
     blunt = pgm.filter(line(), {reading: [[0.1]]}, belief=on).status
     assert blunt.sharp is None
     assert_allclose(blunt.sharpest.cells, 0.2 / 0.2**0.5)
-    sharp = pgm.filter(line(sensor=0.05**2), {reading: [[0.1]]}, belief=on).status
+    with pytest.warns(pgm.GridWarning, match="too sharp for the cells"):
+        sharp = pgm.filter(line(sensor=0.05**2), {reading: [[0.1]]}, belief=on).status
     assert sharp.sharp == reading
     assert_allclose(sharp.sharpest.cells, 0.2 / 0.05)
     assert "sharper than half a cell" in repr(sharp)

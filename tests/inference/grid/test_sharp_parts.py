@@ -27,7 +27,8 @@ def filtered(sensor, given):
 @pytest.mark.parametrize("weight", [0.9, 0.1])
 def test_the_sharp_part_of_a_mixture_is_told(weight):
     mixed = pgm.MixtureCPD([sensor(0.2), sensor(1e-9)], [1.0 - weight, weight])
-    status = filtered(mixed, [[0.1], [0.1]])
+    with pytest.warns(pgm.GridWarning, match="too sharp for the cells"):
+        status = filtered(mixed, [[0.1], [0.1]])
     # .03 m a cell, and a deviation of √1e-9 m.
     np.testing.assert_allclose(status.sharpest.cells, 0.03 / np.sqrt(1e-9))
     assert status.sharp == z
@@ -39,6 +40,7 @@ def test_the_sharp_part_of_a_mixture_is_told(weight):
 @pytest.mark.parametrize("association", ["likelihood", "sum"])
 def test_sightings_that_are_spurious_for_want_of_narrow_cells_are_told(association):
     named = {"spurious": 0.1, "volume": 20.0, "association": association}
-    status = filtered(sensor(1e-9), pgm.unknown([[0.1], [0.77]], **named))
+    with pytest.warns(pgm.GridWarning, match="too sharp for the cells"):
+        status = filtered(sensor(1e-9), pgm.unknown([[0.1], [0.77]], **named))
     assert status.sharp == z
     assert filtered(sensor(0.2), pgm.unknown([[0.1], [0.77]], **named)).sharp is None

@@ -90,7 +90,10 @@ def test_what_may_be_cut_bounds_the_error():
 def test_evidence_of_the_model_is_not_doubted(cov, noise):
     net = line(cov=cov, noise=noise)
     drawn = net.sample({}, steps=200, rng=5)
-    found = pgm.filter(net, drawn.evidence, belief=GRID)
+    with warnings.catch_warnings():
+        # Of a place that is known exactly, but stands between two centres, these cells know less.
+        warnings.filterwarnings("ignore" if cov == noise == 0.0 else "error", "measurements are")
+        found = pgm.filter(net, drawn.evidence, belief=GRID)
     assert found.status.cut.share < 1e-9
 
 

@@ -1,4 +1,4 @@
-"""Draws of all variables, with their weights: trajectories of a chain, networks without time."""
+"""Draws of the trajectories of a chain, with their log-densities."""
 
 from __future__ import annotations
 
@@ -6,39 +6,52 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.errors import GraphError, NumericalError
+from pgm.compile import SliceLayout
+from pgm.errors import NumericalError
 from pgm.factors.scope import positions
-from pgm.inference.audit.density import Term, has_exact
-from pgm.inference.audit.draws import PREDICTED, Draws, Excursions, Proposal, Strand
-from pgm.inference.audit.estimates import Sums
+from pgm.inference.audit import chain_modes
+from pgm.inference.audit.corrected import Sums
+from pgm.inference.audit.density import Links, Term, has_exact
+from pgm.inference.audit.draws import Draws, Strand
+from pgm.inference.audit.excursions import PREDICTED, Excursions
+from pgm.inference.audit.modes import MOST, Modes
+from pgm.inference.audit.proposal import Path, Proposal
 from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse
-from pgm.inference.chain.plan import ChainPlan, Link
+from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
-from pgm.inference.gaussian.model import Model
-from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.status import SMOOTHED
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
 from pgm.kernels.moments import Conditional
-
-Links = list[tuple[Link, Term]]
 
 
 @dataclass(frozen=True, eq=False)
 class ChainDraws:
     """Trajectories from the smoothed Gaussian, drawn forward in time, with their log-weights.
 
-    Proposals are of the states at step 0, `first`, and of each later slice given the states before.
-    `reference` (runs,) is common to all log-weights: the linearised model's evidence, where they
-    are `relative` to its densities. `judged` (T+1,) are the steps whose beliefs know all
-    measurements; `onward` are the conditionals of slices, with their fixed components.
+    plan : ChainPlan
+    answer : Path
+        The law of the smoothed trajectories.
+    modes : Modes
+    prior, transition, sensors : list
+        The CPDs in their places, with their densities.
+    reference : ndarray
+        (runs,): common to all log-weights: the linearised model's evidence, where they are
+        `relative` to its densities.
+    relative : bool
+    beliefs : Beliefs
+        The smoothed moments of all slices.
+    judged : ndarray
+        (T+1,): whether the belief that was asked for knows all measurements.
+    onward : Conditional
+        (T, runs, ...): each slice given the states before, with its fixed components.
     """
 
     plan: ChainPlan
-    first: Proposal
-    later: Proposal
+    answer: Path
+    modes: Modes
     prior: Links
     transition: Links
     sensors: list[tuple[Sensor, Term]]
@@ -59,7 +72,7 @@ class ChainDraws:
         steps = range(plan.steps + 1)
         judged = np.array([posterior.kind.last(k, plan.steps) == plan.steps for k in steps])
         draws = cls._make(plan, beliefs, reverse, None, judged)
-        if not exact and draws.first.regular and draws.later.regular:
+        if not exact and draws.answer.regular:
             return draws
         # The draws' support is the linearised model's: weights are relative to its densities, with
         # its own means, which step control may have held back.
@@ -83,23 +96,16 @@ class ChainDraws:
             [(link, Term.make(link.family, relative=relative)) for link in links]
             for links in (plan.prior, plan.transition)
         )
-        states, front = plan.layout.state_places, plan.layout.state_size
-        mean = beliefs.mean[..., states]
-        cov = block(beliefs.cov, states, states)
-        nothing = np.zeros((1, *cov.shape[1:-1], 0))
-        later = moments.reverse(
-            beliefs.mean[1:],
-            beliefs.cov[1:],
-            reverse.states.matrix,
-            reverse.states.cov,
-            mean[:-1],
-            cov[:-1],
-        )
-        free = _free(transition, (plan.steps, *beliefs.mean.shape[1:]), front)
+        law = _Law(plan.layout, prior, transition)
+        answer = law.path(beliefs, reverse.states)
+        modes = Modes.none(plan.runs)
+        if relative or answer.regular:
+            most = 0 if relative else MOST
+            modes = chain_modes.find(plan, beliefs, reverse.states, law.path, most)
         return cls(
             plan,
-            Proposal.make(Conditional(nothing, mean[:1], cov[:1]), _free(prior, mean[:1].shape, 0)),
-            Proposal.make(later, free),
+            answer,
+            modes,
             prior,
             transition,
             [
@@ -110,7 +116,7 @@ class ChainDraws:
             relative,
             beliefs,
             judged,
-            later,
+            law.onward(beliefs, reverse.states),
         )
 
     @property
@@ -166,21 +172,29 @@ class ChainDraws:
         plan, layout = self.plan, self.plan.layout
         shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
         total = np.repeat(self.reference[:, None], count, axis=1)
-        strand = Strand(self.excursions, shape, rng, defensive, self.relative)
+        strand = Strand(
+            self.answer, self.modes, self.excursions, shape, rng, defensive, self.relative
+        )
         states, values = np.zeros((*shape, 0)), []
         for step in range(plan.steps + 1):
-            links, proposal = (self.transition, self.later) if step else (self.prior, self.first)
+            links = self.transition if step else self.prior
             row = max(step - 1, 0)
-            fresh, afresh = strand.propose(proposal, row, states)
+            fresh, afresh = strand.propose(states)
             vector = np.concatenate([states, fresh], axis=-1)
             start = states.shape[-1]
             predicted = np.zeros(shape)
             for link, term in links:
-                drawn = term.child(row, vector[..., link.parents], vector[..., link.child], afresh)
+                drawn = term.child(
+                    row,
+                    vector[..., link.parents],
+                    vector[..., link.child],
+                    afresh,
+                    strict=not defensive,
+                )
                 vector[..., link.child] = drawn.values
                 predicted += drawn.log_tails
                 total += np.where(drawn.lost, np.nan, drawn.log_density)
-            strand.weigh(proposal, row, states, vector[..., start:], predicted)
+            strand.weigh(states, vector[..., start:], predicted)
             if step:
                 pair = vector
             else:
@@ -193,6 +207,7 @@ class ChainDraws:
         return strand.drawn(total, values)
 
     def _readings(self, step: int, slices: Array, *, strict: bool) -> Array:
+        """The log-density of a step's measurements at its slices (runs, S, n), (runs, S)."""
         total = np.zeros(slices.shape[:2])
         for sensor, term in self.sensors:
             rows = sensor.rows(step)
@@ -214,7 +229,39 @@ class ChainDraws:
         return Excursions(self.plan.steps + 1, 0.0 if self.relative else PREDICTED)
 
 
+@dataclass(frozen=True, eq=False)
+class _Law:
+    """From smoothed moments to the law of trajectories, drawn forward in time."""
+
+    layout: SliceLayout
+    prior: Links
+    transition: Links
+
+    def onward(self, beliefs: Beliefs, states: Conditional) -> Conditional:
+        """Each later slice given the states before, by Bayes' rule for the reversed chain."""
+        mean, cov, places = beliefs.mean, beliefs.cov, self.layout.state_places
+        before = block(cov[:-1], places, places)
+        return moments.reverse(
+            mean[1:], cov[1:], states.matrix, states.cov, mean[:-1][..., places], before
+        )
+
+    def path(self, beliefs: Beliefs, states: Conditional) -> Path:
+        """The law of trajectories, of smoothed slices and states given the slice after them."""
+        places, front = self.layout.state_places, self.layout.state_size
+        mean, cov = beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places)
+        start = Conditional(np.zeros((1, *cov.shape[1:-1], 0)), mean, cov)
+        free = _free(self.transition, (len(beliefs.mean) - 1, *beliefs.mean.shape[1:]), front)
+        return Path(
+            Proposal.make(start, _free(self.prior, mean.shape, 0)),
+            Proposal.make(self.onward(beliefs, states), free),
+        )
+
+
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
+    """Components of slices that their parents leave open, of a shape (rows, runs, n).
+
+    `start` is where the slice begins in the vector in which the links' children stand.
+    """
     free = np.zeros(shape, dtype=bool)
     for link, term in links:
         free[..., link.child.start - start : link.child.stop - start] = term.free()
@@ -222,6 +269,7 @@ def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
 
 
 def _refuse_grouped(plan: ChainPlan) -> None:
+    """Refuse grouped sensors, whose correlated errors a ratio of CPDs one by one does not hold."""
     for sensor in plan.sensors:
         if sensor.cross:
             raise NumericalError(
@@ -232,105 +280,3 @@ def _refuse_grouped(plan: ChainPlan) -> None:
                 variable=sensor.variable,
                 cpd=sensor.family.cpd,
             )
-
-
-@dataclass(frozen=True, eq=False)
-class TreeDraws:
-    """Draws from the joint Gaussian of a calibrated tree, all at once; see `ChainDraws`."""
-
-    model: Model
-    proposal: Proposal
-    terms: list[Term]
-    reference: Array
-    relative: bool
-    mean: Array
-    cov: Array
-
-    @classmethod
-    def make(cls, posterior: GaussianPosterior) -> TreeDraws:
-        """Prepare to draw from the joint of a posterior."""
-        if posterior.log_evidence_kind == "bethe":
-            raise GraphError(
-                f"{posterior._title}: an audit draws from the joint of all variables, which only a "
-                "calibrated tree has; infer on pgm.compile(network)"
-            )
-        model = posterior._model
-        every = zip(model.layout.groups, model.families, strict=True)
-        exact = has_exact(family for group, family in every if group.observed)
-        draws = cls._make(posterior, relative=False)
-        if exact or not draws.proposal.regular:
-            return cls._make(posterior, relative=True)
-        return draws
-
-    @classmethod
-    def _make(cls, posterior: GaussianPosterior, *, relative: bool) -> TreeDraws:
-        model = posterior._model
-        layout, runs = model.layout, model.runs
-        mean, cov = np.zeros((runs, 0)), np.zeros((runs, 0, 0))
-        if layout.size:
-            joint = posterior.joint(*layout.hidden)
-            mean, cov = joint.mean.reshape(runs, -1), joint.cov.reshape(runs, *joint.cov.shape[-2:])
-        terms = [
-            Term.make(family, relative=relative, taken=taken)
-            for family, taken in zip(model.families, model.taken, strict=True)
-        ]
-        free = np.zeros((1, *mean.shape), dtype=bool)
-        for group, term in zip(layout.groups, terms, strict=True):
-            mask = term.free()
-            for row, child in enumerate(() if group.observed else group.child):
-                free[0][:, child] = mask[row if mask.shape[0] > 1 else 0]
-        proposal = Proposal.make(
-            Conditional(np.zeros((1, *mean.shape, 0)), mean[None], cov[None]), free
-        )
-        known = posterior.log_evidence.reshape(runs) if relative else np.zeros(runs)
-        return cls(model, proposal, terms, known, relative, mean[None], cov[None])
-
-    @property
-    def width(self) -> int:
-        """See `Drawing`."""
-        return 3 * self.model.layout.size
-
-    @property
-    def length(self) -> int:
-        """See `Drawing`."""
-        return self.model.layout.size
-
-    def sums(self) -> list[Sums]:
-        """See `Drawing`."""
-        layout, every = self.model.layout, np.ones(1, dtype=bool)
-        alone = [(variable,) for variable in layout.hidden]
-        sums = []
-        for scope in dict.fromkeys([*alone, *filter(None, layout.scopes)]):
-            places = layout.components(scope)
-            cov = block(self.cov, places, places)
-            sums.append(Sums(scope, places, 0, self.mean[..., places], cov, every, timed=False))
-        return sums
-
-    def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """So many draws a run: defensive ones follow the prior, or have Student tails."""
-        model = self.model
-        total = np.repeat(self.reference[:, None], count, axis=1)
-        excursions = Excursions(1, 0.0 if self.relative else PREDICTED)
-        strand = Strand(excursions, total.shape, rng, defensive, self.relative)
-        nothing = np.zeros((*total.shape, 0))
-        values, afresh = strand.propose(self.proposal, 0, nothing)
-        predicted = np.zeros(total.shape)
-        for g, row in model.layout.order:
-            group, term = model.layout.groups[g], self.terms[g]
-            parents = values[..., group.parents[row]]
-            if group.observed:
-                given, moved = model.readings[g], model.moved[g]
-                assert given is not None
-                assert moved is not None
-                rows = slice(row, row + 1)
-                total += term.readings(
-                    rows, parents[None], given[rows], moved[rows], strict=not defensive
-                )
-            else:
-                child = group.child[row]
-                drawn = term.child(row, parents, values[..., child], afresh)
-                values[..., child] = drawn.values
-                predicted += drawn.log_tails
-                total += np.where(drawn.lost, np.nan, drawn.log_density)
-        strand.weigh(self.proposal, 0, nothing, values, predicted)
-        return strand.drawn(total, [values])

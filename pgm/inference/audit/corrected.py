@@ -1,0 +1,171 @@
+"""Exact moments of beliefs, estimated from weighed draws, beside those of the Gaussian answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import log, sqrt
+
+import numpy as np
+
+from pgm.factors import Gaussian
+from pgm.inference.audit.mixture import Mixture
+from pgm.kernels import roots, solving
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import (
+    Array,
+    Index,
+    Integers,
+    Mask,
+    frozen,
+    symmetric,
+    transpose,
+)
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Exact moments of a belief, estimated, beside the Gaussian's, (steps, runs, ...).
+
+    The divergence is KL(N(mean, cov) ‖ the Gaussian), infinite where draws left no covariance;
+    `judged` (steps,) are beliefs that know all measurements, as q does.
+    """
+
+    scope: tuple[Variable, ...]
+    steps: Integers | None
+    mean: Array
+    cov: Array
+    divergence: Array
+    judged: Mask
+
+    def excess(self, draws: Array) -> Array:
+        """The largest divergence judged, less what chance may leave, (runs,).
+
+        Moments of n effective draws are χ²/2n nats off, with a degree of freedom for each of them;
+        the largest of m is bounded as by Laurent & Massart (2000, lemma 1).
+        """
+        size = self.mean.shape[-1]
+        freedom, spread = 0.5 * size * (size + 3), log(max(int(self.judged.sum()), 1))
+        chance = (0.5 * freedom + sqrt(freedom * spread) + spread) / draws
+        return np.asarray(self._known.max(axis=0, initial=0.0) - chance)
+
+    @property
+    def _known(self) -> Array:
+        """Divergences (steps, runs) of beliefs that are judged and of finite moments; else zero."""
+        known = self.judged[:, None] & np.isfinite(self.divergence)
+        return np.where(known, self.divergence, 0.0)
+
+    def furthest(self, lead: tuple[int, ...]) -> tuple[float, str]:
+        """The largest divergence judged, and where it is, in words."""
+        found = self._known
+        if not found.size:
+            return 0.0, ""
+        step, run = np.unravel_index(int(found.argmax()), found.shape)
+        scope = self.scope
+        if self.steps is not None:
+            scope = tuple(each.at(int(self.steps[step])) for each in scope)
+        where = ", ".join(str(k) for k in np.unravel_index(run, lead))
+        of = f" of run {where}" if lead else ""
+        return float(found[step, run]), f"{', '.join(map(repr, scope))}{of}"
+
+    def gaussian(self, lead: tuple[int, ...]) -> Gaussian:
+        """The exact moments, stacked over runs, and over steps where there are any."""
+        mean, cov = self._stacked(self.mean, lead), self._stacked(self.cov, lead)
+        return Gaussian._make(self.scope, mean, cov, self.steps)
+
+    def divergences(self, lead: tuple[int, ...]) -> Array:
+        """The divergence, (*lead, steps), or (*lead) in a network without time."""
+        return frozen(self._stacked(self.divergence, lead))
+
+    def _stacked(self, values: Array, lead: tuple[int, ...]) -> Array:
+        """From (steps, runs, ...) to (*lead, steps, ...), or (*lead, ...) without time."""
+        tail = values.shape[2:]
+        if self.steps is None:
+            return np.asarray(values[0].reshape((*lead, *tail)))
+        return np.asarray(values.swapaxes(0, 1).reshape((*lead, len(values), *tail)))
+
+
+@dataclass(eq=False)
+class Sums:
+    """Sums over draws of variables at `places` of the vector, whose Gaussian moments are given."""
+
+    scope: tuple[Variable, ...]
+    places: Index
+    first: int
+    mean: Array
+    cov: Array
+    judged: Mask
+    timed: bool
+    _offsets: Array = field(init=False)
+    _squares: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._offsets = np.zeros((2, *self.mean.shape))
+        self._squares = np.zeros((2, *self.cov.shape))
+
+    def add(self, values: list[Array], pair: Array, fading: Array) -> None:
+        """Take in draws, (runs, S, n) a step, weighed by y and v, (2, runs, S).
+
+        `fading` (runs,) is by how much the largest weight has grown; angles are wrapped.
+        """
+        self._offsets[0] *= fading[:, None]
+        self._squares[0] *= fading[:, None, None]
+        angles = np.concatenate([each.angle_mask for each in self.scope])
+        for row, drawn in enumerate(values[self.first :]):
+            off = difference(drawn[..., self.places], self.mean[row][:, None], angles)
+            for kind, weights in enumerate(pair):
+                weighted = transpose(off * weights[..., None])
+                self._offsets[kind, row] += weighted.sum(axis=-1)
+                self._squares[kind, row] += weighted @ off
+
+    def compared(self, mixture: Mixture) -> Compared:
+        """The exact moments beside the Gaussian's, which are the control, as for the evidence.
+
+        Where that leaves no covariance, moments are weighted without it. Components in which the
+        Gaussian has no variance are not compared.
+        """
+        weights, evidence = mixture.weighed.weights, mixture.evidence
+        lower, slope = roots.root(self.cov), evidence.slope
+        total = weights.shape[-1] * evidence.value
+        own = (slope / evidence.value)[:, None, None] * self.cov
+        offset, cov = _moments(
+            (self._offsets[0] - slope[:, None] * self._offsets[1]) / total[:, None],
+            (self._squares[0] - slope[:, None, None] * self._squares[1]) / total[:, None, None]
+            + own,
+        )
+        divergence = _from_gaussian(lower, offset, cov)
+        lost = ~np.isfinite(divergence)
+        if lost.any():
+            total = weights.sum(axis=-1)
+            plain = _moments(
+                self._offsets[0] / total[:, None], self._squares[0] / total[:, None, None]
+            )
+            offset = np.where(lost[..., None], plain[0], offset)
+            cov = np.where(lost[..., None, None], plain[1], cov)
+            divergence = np.where(lost, _from_gaussian(lower, *plain), divergence)
+        steps = np.arange(self.first, self.first + len(cov)) if self.timed else None
+        mean = self.mean + offset
+        return Compared(self.scope, steps, mean, cov, divergence, self.judged)
+
+
+def _moments(offsets: Array, squares: Array) -> tuple[Array, Array]:
+    """Mean E d and covariance E d dᵀ − E d E dᵀ of offsets d, from E d and E d dᵀ."""
+    return offsets, symmetric(squares - offsets[..., :, None] * offsets[..., None, :])
+
+
+def _from_gaussian(lower: Array, offset: Array, cov: Array) -> Array:
+    """KL(N(m, C) ‖ N(0, L Lᵀ)) (...), of offsets m (..., d), and C (..., d, d).
+
+    With A = L⁻¹ C L⁻ᵀ and its eigenvalues a it is ½ (Σ (a − 1 − ln a) + |L⁻¹ m|²), infinite where
+    C is no covariance. Components that L leaves without variance are not compared.
+    """
+    fixed = roots.determined(lower)
+    white = solving.whiten(lower, offset)
+    inner = solving.solve_lower(lower, transpose(solving.solve_lower(lower, cov)))
+    alone = fixed[..., :, None] | fixed[..., None, :]
+    inner = np.where(alone, fixed[..., None] * np.eye(fixed.shape[-1]), symmetric(inner))
+    values = np.linalg.eigvalsh(inner)
+    proper = (values > 0.0).all(axis=-1)
+    logs = np.log(np.where(values > 0.0, values, 1.0))
+    total = (values - 1.0 - logs).sum(axis=-1) + (white * white).sum(axis=-1)
+    return np.where(proper, 0.5 * total, np.inf)

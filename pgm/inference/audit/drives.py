@@ -1,0 +1,91 @@
+"""Drives from which smoothers of a chain look for other modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.inference.audit.density import Term
+from pgm.inference.audit.starts import images, white_points
+from pgm.inference.chain.plan import ChainPlan
+from pgm.kernels.arrays import Array, Integers
+
+# Drives that follow the motion from points of the prior, without its noise and with it.
+STEADY, NOISY = 8, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Lanes:
+    """White noise of C drives that the model's own CPDs make, beside one another.
+
+    first : ndarray
+        (C, n₀): of the states at step 0.
+    noise : ndarray
+        (C,): how much of the motion's noise a drive has, from 0 to 1.
+    leave : ndarray
+        (C,): the last step at which a drive is the answer itself, which it then leaves; −1 of those
+        that begin in the prior.
+    """
+
+    first: Array
+    noise: Array
+    leave: Integers
+
+
+def starts(plan: ChainPlan, answer: Array) -> Array:
+    """Trajectories (T+1, runs, C, n) from which smoothers start, the answer's means first.
+
+    With ρ the motion of the prior's mean without noise, and ρ_k that of the answer μ from step k
+    on, they are
+
+    - μ itself, and ρ;
+    - mirror images 2ρ − μ, of all components together and of one after another; and, after the
+      middle of the drive alone, 2ρ_k − μ;
+    - drives from points that fill the prior, without noise and with it.
+
+    They are the same in each call. Drives that are not finite are the answer.
+    """
+    half = plan.steps // 2
+    first = np.zeros((2 + STEADY + NOISY, plan.layout.state_size))
+    first[2:] = white_points(STEADY + NOISY, plan.layout.state_size)
+    noise, leave = np.repeat([0.0, 1.0], [2 + STEADY, NOISY]), np.full(len(first), -1)
+    leave[1] = half
+    driven = drives(plan, answer, Lanes(first, noise, leave))
+    reckoned, late = driven[:, :, 0], driven[:, :, 1]
+    mirrored = images(answer, reckoned)
+    if half:
+        mirrored += images(answer, late)
+    found = np.concatenate(
+        [np.stack([answer, reckoned, *mirrored], axis=2), driven[:, :, 2:]], axis=2
+    )
+    finite = np.isfinite(found).all(axis=(0, 3))
+    return np.where(finite[..., None], found, answer[:, :, None])
+
+
+def drives(plan: ChainPlan, answer: Array, lanes: Lanes) -> Array:
+    """The trajectories (T+1, runs, C, n) that the model's own CPDs make of white noise."""
+    layout, count = plan.layout, len(lanes.first)
+    size, front, places = layout.slice_size, layout.state_size, layout.state_places
+    prior, transition = (
+        [(link, Term.make(link.family, relative=False)) for link in links]
+        for links in (plan.prior, plan.transition)
+    )
+    rng, found = np.random.default_rng(0), np.zeros((plan.steps + 1, plan.runs, count, size))
+    states = np.zeros((plan.runs, count, 0))
+    for step in range(plan.steps + 1):
+        links, row = (transition, step - 1) if step else (prior, 0)
+        white = lanes.noise[:, None] * rng.standard_normal((count, size)) if step else lanes.first
+        start = states.shape[-1]
+        vector = np.concatenate([states, np.zeros((plan.runs, count, white.shape[1]))], axis=-1)
+        for link, term in links:
+            own = white[:, link.child.start - start : link.child.stop - start]
+            vector[..., link.child] = term.sampled(row, vector[..., link.parents], own)
+        if step:
+            found[step] = vector[..., front:]
+        else:
+            found[0][..., places] = vector
+        held = lanes.leave >= step
+        found[step][:, held] = answer[step][:, None]
+        states = found[step][..., places]
+    return found

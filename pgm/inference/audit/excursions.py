@@ -1,0 +1,113 @@
+"""Excursions: where a defensive draw leaves the Gaussian answer, and the density of such draws."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.kernels.arrays import Array, Integers
+
+# The stages of a draw: before its excursion, on one of two kinds, and after it.
+BEFORE, PREDICTION, TAILS, AFTER = range(4)
+# The part of excursions that follow the model itself; the others have Student tails.
+PREDICTED = 0.75
+# The probability that the first slice begins one, where there are more.
+AT_FIRST = 0.5
+# The probability that a slice is an excursion's last.
+END = 0.125
+
+
+@dataclass(frozen=True)
+class Excursions:
+    """One excursion a draw: slices k to l leave the Gaussian, those around them follow it.
+
+    The first slice begins it with a probability of ½, all others alike; each of its slices is the
+    last one with a probability of ⅛. The density of a draw, of all excursions that may have led to
+    it, is summed up slice by slice, over the four stages.
+
+    slices : int
+        Of a draw, 1 or more.
+    predicted : float
+        The part of excursions that follow the model; the others have Student tails.
+    """
+
+    slices: int
+    predicted: float = PREDICTED
+
+    def _begin(self, index: int) -> float:
+        """The probability that a slice begins the excursion, if none before has."""
+        if index == 0 and self.slices > 1:
+            return AT_FIRST
+        return 1.0 / (self.slices - index)
+
+    def start(self, runs: int, count: int) -> Integers:
+        """The stage before the first slice, (runs, S)."""
+        return np.full((runs, count), BEFORE)
+
+    def advance(self, index: int, stage: Integers, rng: np.random.Generator) -> Integers:
+        """Draw the stages of a slice given those of the slice before, (runs, S)."""
+        chance = rng.random(stage.shape)
+        begin = self._begin(index)
+        kind = np.where(chance < begin * self.predicted, PREDICTION, TAILS)
+        begun = np.where(chance < begin, kind, BEFORE)
+        return np.where(
+            stage == BEFORE, begun, np.where((stage != AFTER) & (chance < END), AFTER, stage)
+        )
+
+    def begin(self, shape: tuple[int, int]) -> Density:
+        """The density before the first slice."""
+        shares = np.zeros((4, *shape))
+        shares[BEFORE] = 1.0
+        return Density(np.zeros(shape), shares)
+
+    def extend(
+        self, index: int, so_far: Density, gaussian: Array, predicted: Array, tails: Array
+    ) -> Density:
+        """The density of draws up to a slice.
+
+        With b the probability that the slice begins the excursion, e that one ends, π the part of
+        its kind, and p the slice's own density in a stage, the shares a become
+
+            before: (1 − b) a_before p_q,
+            of either kind: ((1 − e) a_kind + b π a_before) p_kind,
+            after: (a_after + e Σ a_kind) p_q.
+
+        Parameters
+        ----------
+        index : int
+        so_far : Density
+        gaussian, predicted : ndarray
+            (runs, S): the log-density of the slice by the Gaussian, and by the model.
+        tails : ndarray
+            (runs, S): that with Student tails, less the Gaussian's.
+        """
+        begin, before = self._begin(index), so_far.shares
+        scale = np.maximum(np.maximum(predicted, gaussian), gaussian + tails)
+        by_gaussian = np.exp(gaussian - scale)
+        shares = np.empty_like(before)
+        shares[BEFORE] = (1.0 - begin) * before[BEFORE] * by_gaussian
+        for kind, part in ((PREDICTION, self.predicted), (TAILS, 1.0 - self.predicted)):
+            shares[kind] = (1.0 - END) * before[kind] + begin * part * before[BEFORE]
+        shares[PREDICTION] *= np.exp(predicted - scale)
+        shares[TAILS] *= np.exp(gaussian + tails - scale)
+        shares[AFTER] = before[AFTER] + END * (before[PREDICTION] + before[TAILS])
+        shares[AFTER] *= by_gaussian
+        return Density(so_far.scale + scale, shares)
+
+
+class Density(NamedTuple):
+    """The density of draws so far: shares of the stages (4, runs, S) times exp(scale), (runs, S).
+
+    A share that is too small for float64 beside another stays so: whatever follows one may follow
+    the other.
+    """
+
+    scale: Array
+    shares: Array
+
+    def log(self) -> Array:
+        """The log-density of whole draws, whose excursion has begun."""
+        total: Array = self.scale + np.log(self.shares[PREDICTION:].sum(axis=0))
+        return total

@@ -1,0 +1,81 @@
+"""The check of a model against its innovations, one sensor at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.display import Shown
+from pgm.inference.chain.innovations import Innovations, autocorrelation, whitened
+from pgm.kernels.arrays import Array, frozen
+from pgm.variables import Variable
+
+# Standard deviations of a normal within which it is with a probability of 99 %.
+BAND = 2.576
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InnovationCheck(Shown):
+    """The innovations of one sensor beside those of a right model, whose filter is exact.
+
+    nis: (...): the normalised innovation squared for each component read, its mean over the steps
+        of a run; 1 is right, more where measurements are further off than the model says: outliers,
+        too small a noise, a wrong motion. NaN where nothing was read.
+    overall: The same of all runs.
+    autocorrelation: Of whitened innovations one measurement apart; 0 is right. NaN without two
+        measurements of a run.
+    band, autocorrelation_band: How far `overall` and `autocorrelation` are from that with a
+        probability of 99 % if the model is right.
+    """
+
+    sensor: Variable
+    nis: Array
+    overall: float
+    band: float
+    autocorrelation: float
+    autocorrelation_band: float
+
+    @classmethod
+    def of(cls, sensor: Variable, found: Innovations) -> InnovationCheck:
+        """Sum up the innovations of a sensor."""
+        squares, dof = np.nansum(found.nis, axis=-1), found.dof.sum(axis=-1)
+        read = dof.sum()
+        white = whitened(found)
+        correlation, deviation = autocorrelation(white[:-1], white[1:])
+        return cls(
+            sensor,
+            frozen(np.where(dof > 0, squares / np.maximum(dof, 1), np.nan)),
+            float(squares.sum() / read) if read else np.nan,
+            BAND * float(np.sqrt(2.0 / read)) if read else np.nan,
+            correlation,
+            BAND * deviation,
+        )
+
+    @property
+    def fits(self) -> bool:
+        """Whether neither number speaks against the model."""
+        apart = abs(self.overall - 1.0) > self.band
+        return not apart and not abs(self.autocorrelation) > self.autocorrelation_band
+
+    @property
+    def _title(self) -> str:
+        return f"InnovationCheck({self})"
+
+    def __str__(self) -> str:
+        verdict = "" if self.fits else ", which speaks against the model or its linearisation"
+        return (
+            f"{self.sensor.name} NIS {self.overall:.3g} a component (right: 1 ± {self.band:.2g}), "
+            f"autocorrelation {self.autocorrelation:.2g} (right: 0 ± "
+            f"{self.autocorrelation_band:.2g}){verdict}"
+        )
+
+
+def checks(innovations: Mapping[Variable, Innovations]) -> dict[Variable, InnovationCheck]:
+    """A check of each sensor that was read."""
+    return {
+        sensor: InnovationCheck.of(sensor, found)
+        for sensor, found in innovations.items()
+        if found.dof.any()
+    }

@@ -1,0 +1,211 @@
+"""Log-evidence and divergences from the Gaussian's draws and as many defensive ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.errors import NumericalError
+from pgm.inference.audit.draws import Draws
+from pgm.inference.audit.pareto import EQUAL, pareto_shape
+from pgm.kernels.arrays import Array
+
+
+def weigh(draws: Draws) -> tuple[Array, Array]:
+    """The log-weights ln p/r, −∞ where p is NaN, and the control q/r, r = (q + d)/2, (runs, S)."""
+    log_mixture = np.logaddexp(draws.gaussian, draws.defensive) - np.log(2.0)
+    log_weights = np.where(np.isnan(draws.target), -np.inf, draws.target - log_mixture)
+    return log_weights, np.exp(draws.gaussian - log_mixture)
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """Importance weights of S draws from q, then of S from d, (runs, 2S).
+
+    Attributes
+    ----------
+    log_weights : ndarray
+        ln y = ln p/r; −∞ where a function was not finite.
+    control : ndarray
+        v = q/r.
+    log_ratio : ndarray
+        ln p/q; −∞ or NaN where p is zero or a function was not finite.
+    """
+
+    log_weights: Array
+    control: Array
+    log_ratio: Array
+
+    @cached_property
+    def peak(self) -> Array:
+        """The largest ln y, (runs,)."""
+        return np.asarray(self.log_weights.max(axis=-1))
+
+    @cached_property
+    def weights(self) -> Array:
+        """The weights y over the exponential of their peak, (runs, 2S)."""
+        return np.exp(self.log_weights - self.peak[:, None])
+
+    @property
+    def plain(self) -> Array:
+        """The log-weights ln w = ln p/q of q's own draws, (runs, S)."""
+        return self.log_ratio[:, : self.log_ratio.shape[-1] // 2]
+
+
+class Evidence(NamedTuple):
+    r"""The evidence of runs, by y and the control variate v, whose mean is known to be one.
+
+    .. math:: \hat Z = \bar y - β (\bar v - 1)
+
+    Attributes
+    ----------
+    slope : ndarray
+        (runs,): β, the slope of a regression of y on v within the draws of q and of d; over the
+        exponential of the weights' peak.
+    value : ndarray
+        (runs,): Ẑ, likewise.
+    log : ndarray
+        (runs,): ln Ẑ.
+    standard_error : ndarray
+        (runs,): of ln Ẑ, that of the mean of y − βv over Ẑ (the delta method).
+    """
+
+    slope: Array
+    value: Array
+    log: Array
+    standard_error: Array
+
+
+class Estimate(NamedTuple):
+    """A divergence in nats with its standard error, (runs,) each."""
+
+    value: Array
+    error: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """Estimates by importance sampling from the mixture r = (q + d)/2, in strata of equal size.
+
+    Where p is a multiple of q, no variance is left. Sources are those of an `Audit`.
+
+    weighed : Weighed
+    evidence : Evidence
+    divergence, inclusive : Estimate
+        KL(q ‖ p/Z) and KL(p/Z ‖ q).
+    undefined : ndarray
+        (runs,): the part of defensive draws at which a function was not finite.
+    """
+
+    weighed: Weighed
+    evidence: Evidence
+    divergence: Estimate
+    inclusive: Estimate
+    undefined: Array
+
+    @classmethod
+    def make(
+        cls, log_weights: Array, control: Array, log_ratio: Array, undefined: Array
+    ) -> Mixture:
+        """Estimate, from ln y, v and ln p/q, (runs, 2S), of the Gaussian's draws first."""
+        weighed = Weighed(log_weights, control, log_ratio)
+        _require_draws(weighed)
+        evidence = _evidence(weighed)
+        relative = weighed.weights / evidence.value[:, None]  # y/Z, whose mean is one as v's is
+        known = np.isfinite(log_ratio)
+        logs = np.where(known, log_ratio - evidence.log[:, None], 0.0)  # ln w/Z
+        surplus = _surplus(weighed, evidence)
+        divergence = _divergence(-control * logs, relative - control, surplus, 1.0)
+        divergence.value[~np.isfinite(weighed.plain).all(axis=-1)] = np.inf
+        inclusive = _divergence(relative * logs, relative - control, surplus, -1.0)
+        return cls(weighed, evidence, divergence, inclusive, undefined)
+
+    @cached_property
+    def effective_draws(self) -> Array:
+        """The number (Σ y)² / Σ y² of all draws, (runs,)."""
+        return _effective(self.weighed.weights)
+
+    @cached_property
+    def effective_sample_size(self) -> Array:
+        """The number (Σ w)² / Σ w² of q's own draws, w = p/q, (runs,)."""
+        plain = self.weighed.plain
+        return _effective(np.exp(plain - plain.max(axis=-1, keepdims=True)))
+
+    @cached_property
+    def pareto_k(self) -> Array:
+        """The shape of the tail of y at q's draws, (runs,); −∞ where all w are equal."""
+        plain = self.weighed.plain
+        equal = np.ptp(plain, axis=-1) <= EQUAL * np.maximum(1.0, np.abs(plain).max(axis=-1))
+        shape = pareto_shape(self.weighed.log_weights[:, : plain.shape[-1]])
+        return np.where(equal, -np.inf, shape)
+
+
+def _require_draws(weighed: Weighed) -> None:
+    """Refuse runs of which no draw, or none of q's own, has a density that is not zero."""
+    finite = np.isfinite(weighed.peak) & np.isfinite(weighed.plain.max(axis=-1))
+    if not finite.all():
+        run = int(np.flatnonzero(~finite)[0])
+        raise NumericalError(
+            f"run {run}: no draw from the Gaussian answer has a density under the model that "
+            "float64 can hold; are its units and noises of a size that fits the data?"
+        )
+
+
+def _evidence(weighed: Weighed) -> Evidence:
+    """The mean weight with its control variate; where that is not positive, the plain mean.
+
+    A regression through few weights may overshoot.
+    """
+    weights, control = weighed.weights, weighed.control
+    slope, mean = _slope(weights, control), weights.mean(axis=-1)
+    value = mean - slope * (control.mean(axis=-1) - 1.0)
+    proper = value > 0.0
+    slope, value = np.where(proper, slope, 0.0), np.where(proper, value, mean)
+    found = Evidence(slope, value, weighed.peak + np.log(value), np.zeros_like(value))
+    return found._replace(standard_error=_error(_surplus(weighed, found)))
+
+
+def _surplus(weighed: Weighed, evidence: Evidence) -> Array:
+    """What each draw adds to ln Ẑ: (y − βv)/Ẑ, (runs, 2S)."""
+    parts = (evidence.slope / evidence.value)[:, None] * weighed.control
+    return np.asarray(weighed.weights / evidence.value[:, None] - parts)
+
+
+def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> Estimate:
+    """The mean of values a_s with a control variate of mean zero, and its standard error.
+
+    The values are v ln Z/w, of KL(q ‖ p/Z), or (y/Z) ln w/Z, of KL(p/Z ‖ q); as ln Z grows, the
+    mean of the former grows by one, and that of the latter falls by one and the mean, which is the
+    `sign`. The error is that of a_s − slope · control_s + (that change) · surplus_s.
+    """
+    slope = _slope(values, control)
+    mean = np.maximum(values.mean(axis=-1) - slope * control.mean(axis=-1), 0.0)
+    by_evidence = slope + (1.0 if sign > 0.0 else -1.0 - mean)
+    rest = values - slope[:, None] * control + by_evidence[:, None] * surplus
+    return Estimate(mean, _error(rest))
+
+
+def _slope(values: Array, control: Array) -> Array:
+    """The slope of a regression within the two halves of the draws, (runs,)."""
+    halves = (len(values), 2, -1)
+    y, v = values.reshape(halves), control.reshape(halves)
+    about = v - v.mean(axis=-1, keepdims=True)
+    spread = (about * about).sum(axis=(1, 2))
+    found: Array = (about * y).sum(axis=(1, 2)) / np.where(spread > 0.0, spread, 1.0)
+    return found
+
+
+def _error(values: Array) -> Array:
+    """The standard error of a mean over both halves of the draws, (runs,)."""
+    halves = values.reshape(len(values), 2, -1)
+    samples = halves.shape[-1]
+    return np.asarray(np.sqrt(halves.var(axis=-1, ddof=1).sum(axis=-1) / (4.0 * samples)))
+
+
+def _effective(weights: Array) -> Array:
+    """The number (Σ w)² / Σ w² of draws (runs, S); that of all, exactly, where w are equal."""
+    size = weights.sum(axis=-1) ** 2 / (weights**2).sum(axis=-1)
+    return np.asarray(np.minimum(size, weights.shape[-1]))

@@ -1,0 +1,171 @@
+"""Other modes of a posterior: fixed points that smoothers reach from other starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.errors import NumericalError
+from pgm.inference.audit.proposal import Path
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Integers, Mask
+
+# Modes at the most that are drawn from, beside the answer.
+MOST = 8
+# Fixed points are two modes if some component of some slice differs by more deviations.
+APART = 1.0
+# Nats of log-evidence below the best fixed point from which on one has no mass that counts.
+NEGLIGIBLE = 10.0
+# The part of defensive draws that other modes get, and the part of these that all get alike.
+SHARE, EVEN = 0.5, 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Gaussians at other modes than the answer's, from which a part of defensive draws comes.
+
+    paths : sequence of Path
+        K laws of all variables, each of all runs.
+    shares : ndarray
+        (K, runs): the probability that a defensive draw is of this law; zero in runs without it.
+    missed : ndarray
+        (runs,): the part of the fixed points' evidence that belongs to modes not drawn from; NaN
+        where no smoother arrived, not even from the answer itself.
+    """
+
+    paths: Sequence[Path]
+    shares: Array
+    missed: Array
+
+    @classmethod
+    def none(cls, runs: int) -> Modes:
+        """No mode but the answer's."""
+        return cls((), np.zeros((0, runs)), np.zeros(runs))
+
+    @classmethod
+    def unknown(cls, runs: int) -> Modes:
+        """No mode, since the search has failed."""
+        return cls((), np.zeros((0, runs)), np.full(runs, np.nan))
+
+    @classmethod
+    def made(cls, laws: Iterable[tuple[Callable[[], Path], Array]], missed: Array) -> Modes:
+        """Modes of laws, each made by a call, with their shares (runs,).
+
+        One that has no density to be drawn from is missed, by its part of the other modes' draws.
+        """
+        paths, shares = [], []
+        for make, share in laws:
+            try:
+                path = make()
+            except NumericalError:
+                path = None
+            if path is None or not path.regular:
+                missed = missed + share / SHARE
+                continue
+            paths.append(path)
+            shares.append(share)
+        return cls(paths, np.array(shares).reshape(len(paths), len(missed)), missed)
+
+    def drawn(self, count: int, rng: np.random.Generator) -> Integers:
+        """The law of each of so many defensive draws, (runs, S); K of an excursion."""
+        runs = self.shares.shape[1]
+        if not self.paths:
+            return np.zeros((runs, count), dtype=np.intp)
+        chance, below = rng.random((runs, count)), np.cumsum(self.shares, axis=0)
+        return np.asarray((chance >= below[..., None]).sum(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPoints:
+    """Where smoothers have ended: C of each run, the answer's own first.
+
+    mean, std : ndarray
+        (C, runs, n): of all components of all slices.
+    log_evidence : ndarray
+        (C, runs): of the linearisation there, which is Laplace's of the mode; −∞ where a smoother
+        has failed.
+    angles : ndarray
+        (n,): the components that are angles; whole turns are no difference.
+    """
+
+    mean: Array
+    std: Array
+    log_evidence: Array
+    angles: Mask
+
+    def apart(self, mean: Array, std: Array) -> Array:
+        """The largest difference from other moments, (runs, n), in deviations, (C, runs)."""
+        off = np.abs(difference(self.mean, mean, self.angles))
+        spread = np.sqrt(0.5 * (self.std**2 + std**2))
+        apart = np.where(spread > 0.0, off / np.where(spread > 0.0, spread, 1.0), 0.0)
+        return np.asarray(apart.max(axis=-1, initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The distinct modes among fixed points.
+
+    index : ndarray
+        (K, runs): which fixed point each mode is; −1 where a run has fewer.
+    shares, missed : ndarray
+        As of `Modes`.
+    """
+
+    index: Integers
+    shares: Array
+    missed: Array
+
+
+def choose(points: FixedPoints, mean: Array, std: Array, most: int = MOST) -> Chosen:
+    """The likeliest distinct fixed points that are not the answer's mode.
+
+    Points are taken in the order of their evidence, each further than `APART` deviations from the
+    answer and from those taken before. Their masses are estimated by Laplace's method,
+
+        w_k ∝ exp(ln Z_k),
+
+    and the shares of draws are 0.5 (0.8 w_k + 0.2/K), w over the modes that are drawn from.
+
+    Parameters
+    ----------
+    points : FixedPoints
+    mean, std : ndarray
+        (runs, n): the answer's moments.
+    most : int
+        Modes at the most.
+    """
+    runs = points.log_evidence.shape[1]
+    every = np.arange(runs)
+    best = points.log_evidence.max(axis=0, initial=-np.inf)
+    level = np.where(np.isfinite(best), best, 0.0)
+    weight = np.exp(points.log_evidence - level)
+    own = points.apart(mean, std) <= APART
+    total = np.where(own, weight, 0.0).max(axis=0)  # the answer's mode, as far as it was found
+    open_ = ~own & (points.log_evidence > level - NEGLIGIBLE)
+    index: list[Integers] = []
+    weights: list[Array] = []
+    missed = np.zeros(runs)
+    while open_.any():
+        next_ = np.where(open_, points.log_evidence, -np.inf).argmax(axis=0)
+        there = open_[next_, every]
+        mass = np.where(there, weight[next_, every], 0.0)
+        if len(index) < most:
+            index.append(np.where(there, next_, -1))
+            weights.append(mass)
+        else:
+            missed += mass
+        total += mass
+        near = points.apart(points.mean[next_, every], points.std[next_, every]) <= APART
+        open_ &= ~(near & there)
+        open_[next_, every] = False
+    total = np.where(total > 0.0, total, 1.0)
+    missed = np.where(np.isfinite(best), missed / total, np.nan)
+    if not index:
+        return Chosen(np.zeros((0, runs), dtype=np.intp), np.zeros((0, runs)), missed)
+    found, mass = np.array(index), np.array(weights)
+    there = found >= 0
+    count, sum_ = np.maximum(there.sum(axis=0), 1), mass.sum(axis=0)
+    part = (1.0 - EVEN) * mass / np.where(sum_ > 0.0, sum_, 1.0) + EVEN * there / count
+    return Chosen(found, SHARE * part, missed)

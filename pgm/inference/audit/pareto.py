@@ -1,0 +1,51 @@
+"""The tail of importance weights: the shape of the generalised Pareto law that fits it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels.arrays import Array
+
+# Weights that differ by no more than this part are equal but for rounding, and have no tail.
+EQUAL = 1e-9
+# Draws below which a tail has too few points to be fitted.
+FEWEST = 25
+# The smallest share of the largest weight that the quartile of a tail to be fitted has.
+STEEP = 1e-12
+# The prior of the shape: this many draws' worth of ½.
+PRIOR = 10
+
+
+def pareto_shape(log_weights: Array) -> Array:
+    """The shape k of a generalised Pareto tail of weights, (runs, S) to (runs,).
+
+    The largest M = min(S/5, 3√S) weights less the next one are fitted with the density
+    (1 + k x/σ)^(−1/k − 1)/σ, by the posterior mean over a grid of the ratio −k/σ, and k is
+    regularised towards ½. Moments of order below 1/k exist. NaN for fewer than 25 draws, −∞ where
+    all weights are equal, ∞ where very few are all there is.
+
+    Source: Zhang & Stephens, A new and efficient estimation method for the generalized Pareto
+    distribution, 2009; Vehtari et al., of an `Audit`.
+    """
+    runs, count = log_weights.shape
+    if count < FEWEST:
+        return np.full(runs, np.nan)
+    size = int(min(count / 5, 3 * np.sqrt(count)))
+    top = np.sort(np.partition(log_weights, count - size - 1, axis=-1)[:, count - size - 1 :])
+    weights = np.exp(top - top[:, -1:])
+    excess = weights[:, 1:] - weights[:, :1]
+    place = int(size / 4 + 0.5) - 1
+    equal = excess[:, -1] <= EQUAL
+    steep = ~equal & (excess[:, place] <= STEEP * excess[:, -1])
+    excess[equal | steep] = np.arange(1, size + 1) / size  # these are not fitted
+    quartile, largest = excess[:, place], excess[:, -1]
+    grid = 30 + int(np.sqrt(size))
+    ratios = (1.0 - np.sqrt(grid / (np.arange(grid)[:, None] + 0.5))) / (3.0 * quartile)
+    ratios = ratios + 1.0 / largest
+    shapes = np.array([np.log1p(-ratio[:, None] * excess).mean(axis=-1) for ratio in ratios])
+    likelihood = size * (np.log(-ratios / shapes) - shapes - 1.0)
+    share = np.exp(likelihood - likelihood.max(axis=0))
+    ratio = (ratios * share).sum(axis=0) / share.sum(axis=0)
+    shape = np.log1p(-ratio[:, None] * excess).mean(axis=-1)
+    shape = (size * shape + 0.5 * PRIOR) / (size + PRIOR)
+    return np.where(equal, -np.inf, np.where(steep, np.inf, shape))

@@ -1,0 +1,129 @@
+"""Proposals: draws of the components that a model leaves open, from conditional Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgm.errors import NumericalError
+from pgm.inference.audit.student import log_ratio, stretch
+from pgm.kernels import moments, normal_density, roots, solving
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
+from pgm.kernels.moments import Conditional
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """Affine Gaussians, one a row: y = F x + b + L s, s ~ N(0, I), or multivariate Student t.
+
+    matrix : ndarray
+        (rows, runs, n, m): F; m is 0 where nothing is given.
+    offset : ndarray
+        (rows, runs, n): b.
+    lower : ndarray
+        (rows, runs, n, n): L, with zero rows for components that are not free.
+    regular : bool
+        Whether all free components vary, so that they have a density.
+    """
+
+    matrix: Array
+    offset: Array
+    lower: Array
+    regular: bool
+
+    @classmethod
+    def make(cls, conditional: Conditional, free: Mask) -> Proposal:
+        """Propose the free components, (rows, runs, n), of conditionals of all."""
+        matrix, offset, cov = conditional
+        # What an exact measurement determines may have a variance of zero less rounding.
+        certain = moments.certain(cov, np.where(free, 0.0, np.inf))
+        lower = roots.root(certain)
+        if not roots.is_proper(lower):
+            raise NumericalError(
+                "the posterior's covariances are indefinite or not finite, so that nothing can be "
+                "drawn from them; use a lineariser with positive weights, or a prior that says "
+                "what is known"
+            )
+        regular = bool((roots.determined(lower) == ~free).all())
+        return cls(matrix, offset, lower, regular)
+
+    @cached_property
+    def _fixed(self) -> Mask:
+        """Components without noise of their own, (rows, runs, n)."""
+        return roots.determined(self.lower)
+
+    def white(
+        self, row: int, count: int, rng: np.random.Generator, away: Mask | None = None
+    ) -> Array:
+        """White noise s, (runs, S, n), zero where determined; of Student's t where `away`."""
+        lower = self.lower[row]
+        white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
+        if away is not None:
+            stretch(white, away, rng)
+        fixed = self._fixed[row]
+        return np.where(fixed[:, None, :], 0.0, white) if fixed.any() else white
+
+    def values(self, row: int, given: Array, white: Array) -> Array:
+        """The draws (runs, S, n) given others (runs, S, m), of white noise."""
+        return self._mean(row, given) + white @ transpose(self.lower[row])
+
+    def whitened(self, row: int, given: Array, values: Array) -> Array:
+        """The white noise (runs, S, n) of draws."""
+        off = values - self._mean(row, given)
+        if self._inverse is None:
+            return normal_density.whitened(self.lower[row], off)[0]
+        white: Array = off @ transpose(self._inverse[row])
+        return white
+
+    @cached_property
+    def _inverse(self) -> Array | None:
+        """L⁻ᵀ of all rows, (rows, runs, n, n), where L is regular and well scaled; else None."""
+        return normal_density.whitener(self.lower)
+
+    @cached_property
+    def _constants(self) -> tuple[Integers, Array]:
+        """The number of free components, and the constant of the Gaussian's log-density."""
+        size = (~self._fixed).sum(axis=-1)
+        return size, -0.5 * (solving.log_determinant(self.lower) + size * LOG_2PI)
+
+    def log_density(self, row: int, squared: Array) -> Array:
+        """The log-density (runs, S) of draws by the Gaussian, at their |s|²."""
+        value: Array = self._constants[1][row][:, None] - 0.5 * squared
+        return value
+
+    def log_tails(self, row: int, squared: Array) -> Array:
+        """The log-density (runs, S) by Student's t, less that by the Gaussian."""
+        return log_ratio(self._constants[0][row][:, None], squared)
+
+    def _mean(self, row: int, given: Array) -> Array:
+        """F x + b at draws x (runs, S, m) of what is given, (runs, S, n)."""
+        mean: Array = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
+        return mean
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """The Gaussian law of all variables: of the first slice, and of each later one given the last.
+
+    first : Proposal
+        One row, of the states at step 0; in a network without time of all variables.
+    later : Proposal or None
+        T rows, of the slices at steps 1 to T given the states before.
+    """
+
+    first: Proposal
+    later: Proposal | None = None
+
+    def at(self, index: int) -> tuple[Proposal, int]:
+        """The proposal of a slice, and its row."""
+        if not index:
+            return self.first, 0
+        assert self.later is not None
+        return self.later, index - 1
+
+    @property
+    def regular(self) -> bool:
+        """Whether all free components of all slices have a density."""
+        return self.first.regular and (self.later is None or self.later.regular)

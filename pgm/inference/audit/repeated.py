@@ -1,0 +1,75 @@
+"""A chain with each of its runs several times, so that smoothers from many starts are one call."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.inference.chain.plan import ChainPlan, Link
+from pgm.inference.family import Family
+from pgm.kernels.arrays import Kind
+from pgm.linearisers import TAYLOR
+
+
+def repeated(plan: ChainPlan, count: int) -> ChainPlan:
+    """The plan with all its runs one after another `count` times: run r of copy c is c · runs + r.
+
+    Arrays that are the same for all runs are shared. Nonlinear CPDs are expanded to first order,
+    whose steps can be controlled by their cost, unless they have a lineariser of their own; what
+    gates have rejected stays so.
+    """
+    runs = plan.runs
+
+    def links(every: list[Link]) -> list[Link]:
+        return [replace(link, family=of_family(link.family, count, runs)) for link in every]
+
+    sensors = [
+        replace(
+            sensor,
+            family=of_family(sensor.family, count, runs),
+            taken=None if sensor.taken is None else tiled(sensor.taken, count),
+            values=tiled(sensor.values, count),
+            gated=None,
+            cross={},
+        )
+        for sensor in plan.sensors
+    ]
+    return replace(
+        plan,
+        lead=(count * runs,),
+        prior=links(plan.prior),
+        transition=links(plan.transition),
+        sensors=sensors,
+    )
+
+
+def of_family(family: Family, count: int, runs: int) -> Family:
+    """The family of a CPD with all runs `count` times, not linearised yet."""
+    rows, _, height, width = family.shape
+    own = tiled(family.own_noise, count)
+    total = count * runs
+    made = replace(
+        family,
+        inputs={parent: tiled(values, count) for parent, values in family.inputs.items()},
+        own_noise=own,
+        lineariser=getattr(family.cpd, "lineariser", None) or TAYLOR,
+        batch=() if total == 1 else (total,),
+        approximate=False,
+    )
+    made.noise = np.broadcast_to(own, (rows, total, height, height))
+    if family.exact:
+        constant, shift = family.affine
+        shift = tiled(shift, count)
+        made.affine = constant, shift
+        made.matrix = np.broadcast_to(constant, (rows, total, height, width))
+        made.offset = np.broadcast_to(shift, (rows, total, height))
+    return made
+
+
+def tiled(array: npt.NDArray[Kind], count: int) -> npt.NDArray[Kind]:
+    """An array (rows, runs or 1, ...) with its runs `count` times; one for all runs stays."""
+    if array.shape[1] == 1:
+        return array
+    return np.concatenate([array] * count, axis=1)

@@ -1,0 +1,33 @@
+"""Points from which smoothers look for other modes: mirror images, and points of the prior."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels.arrays import Array
+from pgm.linearisers.sampled import normal
+
+# Components of which the mirror image of one alone is a start of its own, at the most.
+ALONE = 4
+
+
+def white_points(count: int, dimension: int) -> Array:
+    """Points that fill N(0, I) evenly, (C, n), the same in each call.
+
+    Each component takes every of the C quantiles (k + ½)/C once, in an order of its own: a Latin
+    hypercube (McKay, Beckman & Conover, 1979).
+    """
+    order = np.random.default_rng(0).permuted(np.tile(np.arange(count), (dimension, 1)), axis=1)
+    return normal((order.T + 0.5) / count)
+
+
+def images(answer: Array, about: Array) -> list[Array]:
+    """Mirror images 2ρ − μ of means μ (..., n) about others ρ: of all components, then of each.
+
+    Where no more than one component is there, or a network's `ALONE` first are used up, there is
+    only the first.
+    """
+    image, size = 2.0 * about - answer, answer.shape[-1]
+    everywhere = np.arange(size)
+    alone = range(min(size, ALONE) if size > 1 else 0)
+    return [image, *(np.where(everywhere == k, image, answer) for k in alone)]

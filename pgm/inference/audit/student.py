@@ -1,0 +1,35 @@
+"""Student's t of five degrees of freedom in place of Gaussian noise: tails for defensive draws."""
+
+from __future__ import annotations
+
+from math import lgamma, log, pi
+
+import numpy as np
+
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+
+# Degrees of freedom: four moments, and still eight times the mass of a Gaussian beyond three
+# deviations of a plane.
+FREEDOM = 5.0
+
+
+def stretch(white: Array, where: Mask, rng: np.random.Generator) -> None:
+    """Turn Gaussian noise (..., n) into that of a multivariate Student t, in place, where said."""
+    white[where] *= np.sqrt(FREEDOM / rng.chisquare(FREEDOM, (int(where.sum()), 1)))
+
+
+def log_ratio(size: Integers, squared: Array) -> Array:
+    r"""The log-density of Student's t less the Gaussian's, at |s|² of so many components.
+
+    .. math:: c_n - \tfrac{ν + n}{2} \ln(1 + |s|^2/ν) + \tfrac12 |s|^2
+    """
+    constant = np.array([_log_constant(k) for k in range(int(size.max(initial=0)) + 1)])[size]
+    power = 0.5 * (FREEDOM + size)
+    value: Array = constant - power * np.log1p(squared / FREEDOM) + 0.5 * squared
+    return value
+
+
+def _log_constant(size: int) -> float:
+    """The logarithm of Γ((ν + n)/2) / (Γ(ν/2) (νπ)^(n/2)) (2π)^(n/2): the ratio at zero."""
+    gammas = lgamma(0.5 * (FREEDOM + size)) - lgamma(0.5 * FREEDOM)
+    return gammas + 0.5 * size * (LOG_2PI - log(FREEDOM * pi))

@@ -1,0 +1,118 @@
+"""Draws of all variables of a network without time, with their log-densities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.errors import GraphError
+from pgm.inference.audit import tree_modes
+from pgm.inference.audit.corrected import Sums
+from pgm.inference.audit.density import has_exact
+from pgm.inference.audit.draws import Draws, Strand
+from pgm.inference.audit.excursions import PREDICTED, Excursions
+from pgm.inference.audit.modes import MOST, Modes
+from pgm.inference.audit.proposal import Path, Proposal
+from pgm.inference.audit.tree_density import TreeDensity
+from pgm.inference.gaussian.posterior import GaussianPosterior
+from pgm.kernels.arrays import Array, block
+from pgm.kernels.moments import Conditional
+
+
+@dataclass(frozen=True, eq=False)
+class TreeDraws:
+    """Draws from the joint Gaussian of a calibrated tree, all at once.
+
+    answer : Path
+        The joint of all variables, one slice.
+    modes : Modes
+    density : TreeDensity
+        That of the model.
+    reference : ndarray
+        (runs,): common to all log-weights: the linearised network's evidence, where they are
+        `relative` to its densities.
+    relative : bool
+    mean, cov : ndarray
+        (1, runs, n) and (1, runs, n, n): the moments of `answer`.
+    """
+
+    answer: Path
+    modes: Modes
+    density: TreeDensity
+    reference: Array
+    relative: bool
+    mean: Array
+    cov: Array
+
+    @classmethod
+    def make(cls, posterior: GaussianPosterior) -> TreeDraws:
+        """Prepare to draw from the joint of a posterior."""
+        if posterior.log_evidence_kind == "bethe":
+            raise GraphError(
+                f"{posterior._title}: an audit draws from the joint of all variables, which only a "
+                "calibrated tree has; infer on pgm.compile(network)"
+            )
+        model = posterior._model
+        every = zip(model.layout.groups, model.families, strict=True)
+        exact = has_exact(family for group, family in every if group.observed)
+        if not exact:
+            draws = cls._make(posterior, relative=False)
+            if draws.answer.regular:
+                return draws
+        return cls._make(posterior, relative=True)
+
+    @classmethod
+    def _make(cls, posterior: GaussianPosterior, *, relative: bool) -> TreeDraws:
+        model = posterior._model
+        layout, runs = model.layout, model.runs
+        mean, cov = np.zeros((runs, 0)), np.zeros((runs, 0, 0))
+        if layout.size:
+            joint = posterior.joint(*layout.hidden)
+            mean, cov = joint.mean.reshape(runs, -1), joint.cov.reshape(runs, *joint.cov.shape[-2:])
+        density = TreeDensity.make(model, relative=relative)
+        free = density.free(mean.shape)
+
+        def path(mean: Array, cov: Array) -> Path:
+            given = np.zeros((1, *mean.shape, 0))
+            return Path(Proposal.make(Conditional(given, mean[None], cov[None]), free))
+
+        answer = path(mean, cov)
+        known = posterior.log_evidence.reshape(runs) if relative else np.zeros(runs)
+        modes = Modes.none(runs)
+        if relative or answer.regular:
+            most = 0 if relative else MOST
+            modes = tree_modes.find(posterior._plan, density, (mean, cov), path, most)
+        return cls(answer, modes, density, known, relative, mean[None], cov[None])
+
+    @property
+    def width(self) -> int:
+        """See `Drawing`."""
+        return 3 * self.density.model.layout.size
+
+    @property
+    def length(self) -> int:
+        """See `Drawing`."""
+        return self.density.model.layout.size
+
+    def sums(self) -> list[Sums]:
+        """See `Drawing`."""
+        layout, every = self.density.model.layout, np.ones(1, dtype=bool)
+        alone = [(variable,) for variable in layout.hidden]
+        sums = []
+        for scope in dict.fromkeys([*alone, *filter(None, layout.scopes)]):
+            places = layout.components(scope)
+            cov = block(self.cov, places, places)
+            sums.append(Sums(scope, places, 0, self.mean[..., places], cov, every, timed=False))
+        return sums
+
+    def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
+        """So many draws a run: defensive ones are of the prior, of q's tails, or of modes."""
+        shape = len(self.reference), count
+        excursions = Excursions(1, 0.0 if self.relative else PREDICTED)
+        strand = Strand(self.answer, self.modes, excursions, shape, rng, defensive, self.relative)
+        nothing = np.zeros((*shape, 0))
+        proposed, afresh = strand.propose(nothing)
+        found = self.density.at(proposed, afresh, strict=not defensive)
+        strand.weigh(nothing, found.values, found.log_tails)
+        return strand.drawn(self.reference[:, None] + found.log_density, [found.values])

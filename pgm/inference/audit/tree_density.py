@@ -1,0 +1,88 @@
+"""The log-density of a network without time at values of all its hidden variables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.inference.audit.density import Afresh, Term
+from pgm.inference.gaussian.model import Model
+from pgm.kernels.arrays import Array, Mask
+
+
+class Weighed(NamedTuple):
+    """Values (runs, S, n) of the hidden variables, and their log-densities, (runs, S).
+
+    `log_density` is ln p(x, z), NaN where a function was not finite; `log_tails` that of the hidden
+    variables alone, with Student's t for the noise of their CPDs.
+    """
+
+    values: Array
+    log_density: Array
+    log_tails: Array
+
+
+@dataclass(frozen=True, eq=False)
+class TreeDensity:
+    """The product of all CPDs of a network with its evidence.
+
+    model : Model
+    terms : list of Term
+        The densities of the CPDs, by group.
+    """
+
+    model: Model
+    terms: list[Term]
+
+    @classmethod
+    def make(cls, model: Model, *, relative: bool) -> TreeDensity:
+        """Of all CPDs; divided by that of the linearised ones if `relative`."""
+        every = zip(model.families, model.taken, strict=True)
+        return cls(model, [Term.make(f, relative=relative, taken=taken) for f, taken in every])
+
+    def free(self, shape: tuple[int, int]) -> Mask:
+        """The components of hidden variables that their parents leave open, (1, runs, n)."""
+        free = np.zeros((1, *shape), dtype=bool)
+        for group, term in zip(self.model.layout.groups, self.terms, strict=True):
+            mask = term.free()
+            for row, child in enumerate(() if group.observed else group.child):
+                free[0][:, child] = mask[row if mask.shape[0] > 1 else 0]
+        return free
+
+    def at(self, values: Array, afresh: Afresh | None = None, *, strict: bool) -> Weighed:
+        """Weigh values (runs, S, n), of which components that are not free follow from the others.
+
+        Those that `afresh` names the model draws itself, parents before children. If `strict`, a
+        function that is not finite is an error.
+        """
+        model, values = self.model, values.copy()
+        total, tails = np.zeros(values.shape[:2]), np.zeros(values.shape[:2])
+        for g, row in model.layout.order:
+            group, term = model.layout.groups[g], self.terms[g]
+            parents = values[..., group.parents[row]]
+            if group.observed:
+                given, moved = model.readings[g], model.moved[g]
+                assert given is not None
+                assert moved is not None
+                rows = slice(row, row + 1)
+                total += term.readings(rows, parents[None], given[rows], moved[rows], strict=strict)
+            else:
+                child = group.child[row]
+                drawn = term.child(row, parents, values[..., child], afresh, strict=strict)
+                values[..., child] = drawn.values
+                tails += drawn.log_tails
+                total += np.where(drawn.lost, np.nan, drawn.log_density)
+        return Weighed(values, total, tails)
+
+    def drawn(self, white: Array) -> Array:
+        """The values (runs, C, n) that the CPDs make of white noise (C, n)."""
+        layout = self.model.layout
+        found = np.zeros((self.model.runs, *white.shape))
+        for g, row in layout.order:
+            group = layout.groups[g]
+            if not group.observed:
+                child, parents = group.child[row], found[..., group.parents[row]]
+                found[..., child] = self.terms[g].sampled(row, parents, white[:, child])
+        return found

@@ -1,0 +1,170 @@
+"""Other modes of a network without time, found by calibrations that begin elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from pgm.errors import PgmError
+from pgm.factors.scope import angle_mask
+from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
+from pgm.inference.audit.proposal import Path
+from pgm.inference.audit.repeated import of_family, tiled
+from pgm.inference.audit.starts import images, white_points
+from pgm.inference.audit.tree_density import TreeDensity
+from pgm.inference.gaussian.beliefs import Calibrated
+from pgm.inference.gaussian.joints import joint_moments
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.prior import prior_predictive
+from pgm.inference.gaussian.row_buffer import Buffer
+from pgm.inference.gaussian.tree import TreePlan, calibrate
+from pgm.kernels.arrays import Array, deviation, quiet
+
+# Points of the prior; linearisations at the most, the parts of a step that are tried in each, and
+# the deviations within which it has arrived.
+POINTS, ITERATIONS, PARTS, TOLERANCE = 12, 12, (1.0, 0.5, 0.2, 0.05), 0.02
+
+# From the moments of all variables, (runs, n) and (runs, n, n), to their law.
+MakePath = Callable[[Array, Array], Path]
+
+
+@quiet()
+def find(
+    plan: TreePlan,
+    density: TreeDensity,
+    answer: tuple[Array, Array],
+    make: MakePath,
+    most: int = MOST,
+) -> Modes:
+    """The modes at which calibrations arrive that start elsewhere, beside the answer's.
+
+    Parameters
+    ----------
+    plan : TreePlan
+    density : TreeDensity
+        The network of all runs.
+    answer : tuple of ndarray
+        Mean (runs, n) and covariance (runs, n, n) of all variables.
+    make : callable
+    most : int
+        Modes at the most that are to be drawn from.
+    """
+    mean, cov = answer
+    runs, size = mean.shape
+    if density.model.exact or not size:
+        return Modes.none(runs)
+    at = starts(density, mean)
+    search = Search(plan, density, at.shape[1])
+    try:
+        at = search.climb(at)
+        done = search.solve(at)
+        _, spread = joint_moments(plan, done.beliefs, np.arange(size))
+    except (PgmError, np.linalg.LinAlgError):
+        return Modes.unknown(runs)
+    count = at.shape[1]
+    spread = np.broadcast_to(spread, (count * runs, size, size)).reshape(count, runs, size, size)
+    evidence = np.broadcast_to(done.log_evidence.reshape(-1), count * runs).reshape(count, runs)
+    evidence = np.where(np.isfinite(evidence), evidence, -np.inf)
+    where = at.swapaxes(0, 1)
+    points = FixedPoints(where, deviation(spread), evidence, angle_mask(plan.layout.hidden))
+    chosen = choose(points, mean, deviation(cov), most)
+    laws = []
+    for index, share in zip(chosen.index, chosen.shares, strict=True):
+        there, place = index >= 0, (np.maximum(index, 0), np.arange(runs))
+        centre = np.where(there[:, None], where[place], mean)
+        spread_there = np.where(there[:, None, None], spread[place], cov)
+        laws.append((partial(make, centre, spread_there), share))
+    return Modes.made(laws, chosen.missed)
+
+
+def starts(density: TreeDensity, answer: Array) -> Array:
+    """Points (runs, C, n) from which calibrations start, the answer's means μ (runs, n) first.
+
+    With ρ the means that the CPDs make of one another, parents before children, they are μ, ρ,
+    mirror images 2ρ − μ, and values that the CPDs make of points that fill N(0, I). Where the model
+    has no density it is μ again.
+    """
+    size = answer.shape[-1]
+    white = np.concatenate([np.zeros((1, size)), white_points(POINTS, size)])
+    drawn = density.drawn(white)
+    mirrored = images(answer, drawn[:, 0])
+    found = np.concatenate([np.stack([answer, *mirrored], axis=1), drawn], axis=1)
+    known = np.isfinite(density.at(found, strict=False).log_density)
+    return np.where(known[..., None], found, answer[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Gauss–Newton on a tree from C points of each run, copy c of run r being c · runs + r."""
+
+    plan: TreePlan
+    density: TreeDensity
+    count: int
+
+    def solve(self, at: Array) -> Calibrated:
+        """Calibrate the network as it is linearised at points (runs, C, n)."""
+        flat = at.swapaxes(0, 1).reshape(-1, at.shape[-1])
+        model = self._linearised(flat)
+        return calibrate(self.plan, Buffer.make(self.plan.rounds, model))
+
+    def climb(self, at: Array) -> Array:
+        """The points that steps of Gauss–Newton reach which raise the log-density.
+
+        A step goes the part t of the way to the solution x̂ of the linearised network,
+
+            x ← x + t (x̂ − x),
+
+        with the t of a few for which the log-density is largest, and nowhere if none raises it.
+        """
+        runs, count, size = at.shape
+        parts = np.array((0.0, *PARTS))[:, None]
+        for _ in range(ITERATIONS):
+            point = self.solve(at).point
+            found = point.mean.reshape(count, runs, size).swapaxes(0, 1)
+            std = np.broadcast_to(point.std, point.mean.shape).reshape(count, runs, size)
+            tried = at[:, :, None] + parts * (found - at)[:, :, None]
+            flat = tried.reshape(runs, -1, size)
+            height = self.density.at(flat, strict=False).log_density.reshape(runs, count, -1)
+            height = np.where(np.isfinite(height), height, -np.inf)
+            best = height.argmax(axis=-1)[..., None, None]
+            moved = np.take_along_axis(tried, best, axis=2)[:, :, 0]
+            off = np.abs(moved - at)
+            at = moved
+            if (off <= TOLERANCE * std.swapaxes(0, 1)).all():
+                break
+        return at
+
+    def _linearised(self, at: Array) -> Model:
+        """The network with each run C times, linearised at points (C · runs, n)."""
+        model = self.density.model
+        layout = model.layout
+        families = [of_family(family, self.count, model.runs) for family in model.families]
+        for group, family in zip(layout.groups, families, strict=True):
+            there = at[:, group.parents].swapaxes(0, 1)
+            family.linearise(slice(None), there, np.zeros((*there.shape, there.shape[-1])))
+        frame = prior_predictive(layout, families, len(at), shared=False, start=at)
+        spread = np.broadcast_to(frame.scale, frame.mean.shape)
+        readings = [None if r is None else tiled(r, self.count) for r in model.readings]
+        moved = [
+            None if r is None else np.broadcast_to(r, (len(r), len(at), r.shape[2]))
+            for r in readings
+        ]
+        made = Model(
+            layout,
+            (len(at),),
+            families,
+            readings,
+            moved,
+            [None if t is None else tiled(t, self.count) for t in model.taken],
+            False,
+            frame,
+            [
+                (frame.mean[:, g.parents].swapaxes(0, 1), spread[:, g.parents].swapaxes(0, 1))
+                for g in layout.groups
+            ],
+        )
+        made._follow(frame.mean, np.ones(len(at), dtype=bool))
+        return made

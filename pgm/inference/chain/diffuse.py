@@ -1,0 +1,141 @@
+r"""Beliefs with directions of which nothing is known, and what a measurement along others tells.
+
+Given a flat prior a belief is the limit of N(μ, P + κ O Oᵀ) as κ grows, the columns of O being what
+is still open. A measurement z = H x + n has an innovation ν = z − Hμ of covariance S + κ U Uᵀ, with
+S = H P Hᵀ + R and U = H O. With combinations N of components, N U = 0 and d − rank U rows,
+
+    νᵀ (S + κ U Uᵀ)⁻¹ ν  →  (Nν)ᵀ (N S Nᵀ)⁻¹ Nν
+
+as κ → ∞, of as many degrees of freedom: what is known of d components by now (Koopman,
+Exact initial Kalman filtering and smoothing for nonstationary time series models, 1997; Durbin &
+Koopman, 2012, 5.2 and 7.2). A component is unknown where its row of U is not zero; of two that are,
+a difference may be known.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.kernels.arrays import (
+    Array,
+    Index,
+    Integers,
+    Mask,
+    apply,
+    block,
+    independent,
+    sandwich,
+    variances,
+)
+from pgm.kernels.roots import NEGLIGIBLE
+
+# The share of what was summed up below which an entry is rounding, as U is eliminated.
+_RANK = 1e-10
+# A component without noise counts as one whose deviation is this share of its dependence.
+_EXACT = 1e-8
+
+
+class Diffuse(NamedTuple):
+    """The covariances of beliefs P + κ O Oᵀ, in the limit of an infinite κ.
+
+    `cov` P is (..., n, n), `open` O (..., n, q), zero where all is known, and `size` (..., n, q)
+    what was summed up to O, of which a part of 10⁻¹³ may be rounding.
+    """
+
+    cov: Array
+    open: Array
+    size: Array
+
+    @property
+    def unknown(self) -> Mask:
+        """The components of which something is unknown, (..., n)."""
+        return np.asarray(np.any(self.open, axis=-1))
+
+    @property
+    def shown(self) -> Array:
+        """The covariance as results have it: infinite variances, and no covariance with others."""
+        unknown = self.unknown
+        if not unknown.any():
+            return self.cov
+        both: Mask = unknown[..., None] | unknown[..., None, :]
+        cov = np.where(both, 0.0, self.cov)
+        np.einsum("...ii->...i", cov)[unknown] = np.inf
+        return cov
+
+    def of(self, places: Index) -> Diffuse:
+        """The belief over some components."""
+        return Diffuse(
+            block(self.cov, places, places), self.open[..., places, :], self.size[..., places, :]
+        )
+
+    def at(self, rows: Index) -> Diffuse:
+        """The beliefs at some of the first axis."""
+        return Diffuse(*(part[rows] for part in self))
+
+    def reach(self, matrix: Array) -> Array:
+        """The U of measurements H (..., d, n): how they depend on what is open, (..., d, q)."""
+        found = matrix @ self.open
+        rounding = NEGLIGIBLE * (np.abs(matrix) @ self.size)
+        clean: Array = np.where(np.abs(found) > rounding, found, 0.0)
+        return clean
+
+    def innovations(
+        self, matrix: Array, residual: Array, noise: Array
+    ) -> tuple[Array, Array, Integers]:
+        """The innovations (..., d) of measurements, their covariances, and how much is unknown.
+
+        Where U is not zero they are Nν and N S Nᵀ, with zeros of unit variance in place of the
+        `rank U` (...) components that are unknown.
+        """
+        reach = self.reach(matrix)
+        lead = reach.shape[:-2]
+        missing: Integers = np.zeros(lead, dtype=np.intp)
+        lost: Mask = np.any(reach, axis=(-2, -1))
+        spread = sandwich(matrix, self.cov) + noise
+        if not lost.any():
+            return np.broadcast_to(residual, reach.shape[:-1]), spread, missing
+        residual = np.broadcast_to(residual, reach.shape[:-1]).copy()
+        spread = np.broadcast_to(spread, (*lead, *spread.shape[-2:])).copy()
+        matrix, noise, cov = (
+            np.broadcast_to(part, (*lead, *part.shape[-2:]))[lost]
+            for part in (matrix, noise, self.cov)
+        )
+        turn, known = _combined(reach[lost], noise)
+        # What H sums up is turned before P enters: what is open may have a large P.
+        turned = sandwich(turn @ matrix, cov) + sandwich(turn, noise)
+        residual[lost] = np.where(known, apply(turn, residual[lost]), 0.0)
+        spread[lost] = independent(turned, known)
+        missing[lost] = (~known).sum(axis=-1)
+        return residual, spread, missing
+
+
+def _combined(reach: Array, noise: Array) -> tuple[Array, Mask]:
+    """Combinations N (k, d, d) of components, of which those that are `known` (k, d) have NU = 0.
+
+    Gauss's elimination of U (k, d, q), in deviations of the noise (k, d, d): the components that
+    say the most of what is open are taken out of the others, by factors of one at the most, so that
+    precise ones are not lost among the rest.
+    """
+    own, largest = variances(noise), np.abs(reach).max(axis=-1)
+    exact = _EXACT * np.where(largest > 0.0, largest, 1.0)
+    unit = np.where(own > 0.0, np.sqrt(np.maximum(own, 0.0)), exact)
+    left = reach / unit[..., None]
+    columns = np.abs(left).max(axis=-2, keepdims=True)
+    left = left / np.where(columns > 0.0, columns, 1.0)
+    size, each = np.abs(left), np.arange(len(left))
+    turn = np.broadcast_to(np.eye(left.shape[-2]), (*left.shape[:-1], left.shape[-2])).copy()
+    known = np.ones(left.shape[:-1], dtype=bool)
+    for _ in range(min(left.shape[-2:])):
+        left = np.where(known[..., None] & (np.abs(left) > _RANK * size), left, 0.0)
+        row, column = np.divmod(np.abs(left).reshape(len(left), -1).argmax(axis=-1), left.shape[-1])
+        pivot = left[each, row, column]
+        there = pivot != 0.0
+        known[each, row] &= ~there
+        factor = left[each, :, column] / np.where(there, pivot, 1.0)[:, None]
+        factor = np.where(known, factor, 0.0)
+        left = left - factor[..., None] * left[each, row][:, None]
+        size = size + np.abs(factor)[..., None] * size[each, row][:, None]
+        turn = turn - factor[..., None] * turn[each, row][:, None]
+    return turn / unit[:, None, :], known

@@ -1,0 +1,153 @@
+"""The warning of a call whose iterations ended before they settled.
+
+A call warns once, of all its runs together. One linearisation is a plain filter or smoother, from
+which nobody expects a fixed point: of it nothing is said.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import TypeVar
+
+import numpy as np
+
+from pgm.errors import ConvergenceWarning, levels_to_user
+from pgm.inference.damping import LevenbergMarquardt
+from pgm.inference.loopy import GROWN
+from pgm.inference.posterior import Posterior
+from pgm.inference.schedule import Calibration, Filtering, FixedLag, Loopy, Schedule
+from pgm.inference.status import Status
+from pgm.kernels.arrays import Array, Mask
+
+P = TypeVar("P")
+
+# Times as many iterations as were made, or as a few, beyond which other ways are better advice.
+_PATIENCE, _FEW = 10, 10
+
+
+def is_iterated(schedule: Schedule | None) -> bool:
+    """Whether a schedule was asked to go on until something settles."""
+    if isinstance(schedule, Loopy):
+        return True
+    return schedule is not None and schedule.iterations > 1
+
+
+def told(posterior: P, schedule: Schedule | None) -> P:
+    """The same posterior, with a `ConvergenceWarning` if its iterations did not settle."""
+    status = getattr(posterior, "status", None)
+    # Grids and particles have a status, and warnings, of their own.
+    if not isinstance(status, Status) or schedule is None or not is_iterated(schedule):
+        return posterior
+    if status.converged.all():
+        return posterior
+    if isinstance(schedule, Loopy):
+        assert isinstance(posterior, Posterior)
+        message = _of_messages(posterior, status, schedule)
+    else:
+        message = _of_linearisations(status, schedule)
+    warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())
+    return posterior
+
+
+def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
+    """Warn of an online step whose runs have not all converged.
+
+    The words are the same at each step, so that Python's default filter shows them once.
+    """
+    if is_iterated(schedule) and not converged.all():
+        message = (
+            f"a step of the online filter had not settled after its {schedule.iterations} "
+            f"linearisations (tolerance {schedule.tolerance:g}); belief.status.residuals says how "
+            f"far from it. Give more iterations, or {_otherwise(schedule)}"
+        )
+        warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())
+
+
+def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
+    last, of = _last(status)
+    record = status.residuals.reshape(len(status.residuals), -1)[:, ~status.converged.reshape(-1)]
+    grown = ~np.isfinite(record[-1]) | (record[-1] > GROWN * record.min(axis=0))
+    if grown.any() or status.iterations < schedule.iterations:
+        began = f"messages diverged{of}, and were stopped after {status.iterations} rounds"
+        beliefs = ", and beliefs there mean nothing"
+    else:
+        began = f"messages had not settled{of} after {status.iterations} rounds"
+        beliefs = ""
+    ways = []
+    needed = _needed(status, schedule.tolerance, over=10)
+    if needed is not None:
+        ways.append(f"iterations={needed}, which will do at this rate")
+    ways.append(f"damping={0.5 * (1.0 + schedule.damping):g}")
+    if _has_hubs(posterior):
+        ways.append("pgm.compile(network, method=pgm.LTRIP()), which settles more often")
+    ways.append("a junction tree, pgm.compile(network), which is exact")
+    return (
+        f"{began}: the last changed one by {last} (tolerance {schedule.tolerance:g}; "
+        f"status.residuals){beliefs}. {posterior._why_unsettled()}Try {', or '.join(ways)}"
+    )
+
+
+def _has_hubs(posterior: Posterior) -> bool:
+    """Whether clusters of one variable join the others, as `Bethe` makes them."""
+    graph = posterior.graph
+    return any(
+        len(cluster.scope) == 1 and len(graph.neighbours(k)) > 1
+        for k, cluster in enumerate(graph.clusters)
+    )
+
+
+def _of_linearisations(status: Status, schedule: Filtering | FixedLag | Calibration) -> str:
+    last, of = _last(status)
+    began = f"iterations had not settled{of} after {status.iterations} linearisations"
+    how = f" (tolerance {schedule.tolerance:g}; status.residuals)"
+    if not len(status.residuals):
+        return f"{began}{how}: the weights of robust noise still move. {_otherwise(schedule)}"
+    found = f"{began}: the last moved a mean by {last} of its standard deviations{how}"
+    needed = _needed(status, schedule.tolerance, over=1)
+    if needed is None:
+        return f"{found}. They shrink slowly, or not: {_otherwise(schedule)}"
+    return f"{found}. At this rate iterations={needed} will do; else {_otherwise(schedule)}"
+
+
+def _otherwise(schedule: Filtering | FixedLag | Calibration) -> str:
+    """Another way to a fixed point than more iterations."""
+    ways = []
+    damping = getattr(schedule, "damping", None)
+    if isinstance(damping, LevenbergMarquardt):
+        ways.append("a number as damping, for with few sigma points no step may lower the cost")
+    elif damping is not None:
+        ways += [f"damping={0.5 * (1.0 + damping):g}", "damping=pgm.LevenbergMarquardt()"]
+    if isinstance(schedule, Calibration):
+        ways.append("a start= nearer to the optimum")
+    ways.append("a tolerance= that is enough for the purpose")
+    return f"try {', or '.join(ways)}"
+
+
+def _last(status: Status) -> tuple[str, str]:
+    """The largest residual of the runs that did not settle, and how many they are, in words."""
+    unsettled = ~status.converged
+    count, size = int(unsettled.sum()), unsettled.size
+    of = f" in {count} of {size} runs" if size > 1 else ""
+    if not len(status.residuals):
+        return "", of
+    last = float(status.residuals[-1][unsettled].max())
+    return (f"{last:.3g}" if math.isfinite(last) else "more than float64 holds"), of
+
+
+def _needed(status: Status, tolerance: float, over: int) -> int | None:
+    """Iterations after which the slowest run will have settled, by its rate over the last ones.
+
+    None where residuals do not shrink, or so slowly that other ways are better advice.
+    """
+    record: Array = status.residuals.reshape(len(status.residuals), -1)
+    over = min(over, len(record) - 1)
+    if over < 1:
+        return None
+    run = int(np.where(status.converged.reshape(-1), -1.0, record[-1]).argmax())
+    before, last = float(record[-1 - over, run]), float(record[-1, run])
+    if not tolerance > 0.0 or not 0.0 < last < before < math.inf:
+        return None
+    rate = math.log(last / before) / over
+    found = status.iterations + max(math.ceil(math.log(tolerance / last) / rate), 1)
+    return found if found <= _PATIENCE * max(status.iterations, _FEW) else None

@@ -1,0 +1,46 @@
+r"""Walk-summability of a Gaussian network: whether messages round its loops may diverge.
+
+The information matrix J of the hidden components, given the evidence, and its diagonal D give the
+partial correlations
+
+.. math:: R = I - D^{-1/2} J D^{-1/2}.
+
+Means and variances are sums over walks on the graph of R, and messages add these up. Where the
+spectral radius of \|R\| is below one the sums converge absolutely, in whatever order messages are
+sent; where it is not they may diverge (Malioutov, Johnson & Willsky, Walk-sums and belief
+propagation in Gaussian graphical models, 2006).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.inference.gaussian.messages import RowMessages
+
+# Components up to which the radius is computed: a dense matrix, and less than a second.
+MOST = 1000
+
+
+def spectral_radius(messages: RowMessages, run: int) -> float | None:
+    r"""The spectral radius of |R|, its largest eigenvalue, of one run, as its CPDs are linearised.
+
+    None where there are too many components, or J does not exist, as with CPDs without noise.
+    """
+    layout = messages.buffer.rounds.layout
+    if layout.size > MOST:
+        return None
+    information = np.zeros((layout.size, layout.size))
+    for cluster, scope in enumerate(layout.scopes):
+        factor, _ = messages.potential(cluster)
+        if factor.exact is not None and factor.exact.any():
+            return None
+        rows = factor.matrix[min(run, len(factor.matrix) - 1)]
+        places = layout.components(scope)
+        information[np.ix_(places, places)] += rows.T @ rows
+    scale = np.sqrt(np.diagonal(information))
+    with np.errstate(all="ignore"):  # what is not finite is refused
+        partial = np.abs(information / scale[:, None] / scale)
+    if not partial.size or not np.isfinite(partial).all():
+        return None
+    np.fill_diagonal(partial, 0.0)
+    return float(np.linalg.eigvalsh(partial)[-1])
