@@ -28,11 +28,11 @@ _KINDS = {
 
 
 class _Unfit(Exception):
-    """Something that is no array of numbers, in words."""
+    """The reason, in words, why a value is no array of numbers."""
 
 
 def is_whole(value: object) -> TypeGuard[int]:
-    """Whether a value is a whole number: no bool, and none of NumPy's durations."""
+    """Whether a value is an integer; a bool or a NumPy duration is not."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool | np.timedelta64)
 
 

@@ -35,7 +35,7 @@ class PgmError(Exception):
 
 
 class ModelError(PgmError, ValueError):
-    """A variable, factor, CPD, schedule or network that is not well formed; a `ValueError` too."""
+    """A variable, factor, CPD, schedule or network is not well formed; also a `ValueError`."""
 
 
 class GraphError(PgmError, ValueError):
@@ -86,7 +86,7 @@ class EvidenceWarning(UserWarning):
 
 
 class PrecisionWarning(UserWarning):
-    """An answer of which rounding leaves few digits; ``status.digits`` says how many."""
+    """Rounding leaves few correct digits; ``status.digits`` says how many."""
 
 
 class ConvergenceWarning(UserWarning):

@@ -192,7 +192,7 @@ class Discrete(Variable):
     states : tuple of str, or int
         Names of the states, in order; a number n stands for ``"0"`` to ``"n−1"``.
     step, lag : int, optional
-        As of a `Variable`.
+        See `Variable`.
 
     Examples
     --------

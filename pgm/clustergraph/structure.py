@@ -61,7 +61,7 @@ class ClusterGraph(Drawn, Immutable):
     network : BayesianNetwork
     clusters : sequence of sets of Variable
     sepsets : mapping of (int, int) to set of Variable, optional
-        Of each pair of joined clusters. Without, a tree whose sepsets are the full
+        The sepset of each pair of joined clusters. Without, a tree whose sepsets are the full
         intersections: a maximum-weight spanning tree, where that has running intersection.
 
     Raises
@@ -213,7 +213,7 @@ class ClusterGraph(Drawn, Immutable):
 
     @cached_property
     def sizes(self) -> tuple[int, ...]:
-        """Of each cluster: components, or entries of its table if it is discrete."""
+        """The size of each cluster: its components, or its table's entries if it is discrete."""
         runs = (repeat(cluster.size, count) for cluster, count in self._alike)
         return tuple(chain.from_iterable(runs))
 

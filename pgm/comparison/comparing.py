@@ -70,7 +70,7 @@ def compare(
     Parameters
     ----------
     model : DynamicBayesianNetwork
-        Of Gaussian CPDs.
+        A model of Gaussian CPDs.
     evidence : mapping of Variable
         As for `infer`; leading axes are runs, over which rows are averaged.
     linearisers : mapping of str to Lineariser, or sequence of Lineariser, optional

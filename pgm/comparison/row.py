@@ -50,8 +50,8 @@ class Row(Shown):
     log_evidence_kind : str
         ``exact``, ``linearised``, ``laplace`` or ``grid``.
     seconds : float
-        Of the one call, with what is done once in a process; NaN of beliefs that came with another
-        row's, or were given.
+        Duration of the one call, with work done once in a process; NaN of beliefs that came with
+        another row's, or were given.
     converged : float
         The share of runs whose iterations have settled; NaN of a schedule without iterations.
     left_out : int
@@ -134,7 +134,7 @@ class Row(Shown):
 
 @dataclass(frozen=True, eq=False)
 class Name:
-    """The place of a row: whose beliefs, of which state."""
+    """The key of a row: lineariser, schedule, state, and kind of belief."""
 
     lineariser: str
     schedule: str

@@ -27,7 +27,7 @@ class Comparison(Shown, Immutable):
     Attributes
     ----------
     rows : tuple of Row
-        Of each lineariser, schedule and state, in the order given.
+        One row for each lineariser, schedule and state, in the order given.
     oracle_rows : tuple of Row
         The oracle's own, of each kind and state: how far it is from a Gaussian, and that Gaussian
         against the truth.

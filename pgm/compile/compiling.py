@@ -207,8 +207,8 @@ def compile(
     steps : int
         T, of a dynamic network: its states are at the steps 0..T.
     method : Method or Balanced, optional
-        Of a dynamic network: `Balanced()` makes a balanced tree; without, it is a chain of slices.
-        Of a network without time: `JunctionTree()`, if not given, `Bethe()`, `LTRIP()`,
+        For a dynamic network: `Balanced()` makes a balanced tree; without, it is a chain of slices.
+        For a network without time: `JunctionTree()`, if not given, `Bethe()`, `LTRIP()`,
         `JoinGraph(max_size)`, or a function from networks to their cluster graphs. One made by hand
         is a `ClusterGraph(network, clusters)`. Methods and elimination orders differ much in what
         their graphs cost: compare `graph.cost`.

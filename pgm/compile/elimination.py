@@ -51,7 +51,7 @@ class Filling:
             self.fill.append(known[closed])
 
     def copy(self) -> Filling:
-        """A copy, to be eliminated while this one stays as it is."""
+        """A copy of the graph, to be eliminated separately."""
         twin = Filling.__new__(Filling)
         twin.adjacent, twin.weights = [set(near) for near in self.adjacent], self.weights
         twin._weight = len if self._weight is len else twin._sum

@@ -29,7 +29,7 @@ class JunctionTree(InCode):
     Parameters
     ----------
     order : Order or iterable of Variable, optional
-        Of elimination: `StochasticMinFill()`, if not given, `MinFill()`, `WeightedMinFill()`,
+        Elimination order: `StochasticMinFill()`, if not given, `MinFill()`, `WeightedMinFill()`,
         `NestedDissection()`, a function from networks to variables, or the variables themselves,
         each once. What it decides is what calibrating costs: compare `graph.cost`.
 
@@ -95,7 +95,7 @@ class JoinGraph(InCode):
         The most that a cluster may hold, in the unit of `graph.sizes`: entries of its table if the
         network is discrete, or components if it is continuous.
     order : Order or iterable of Variable, optional
-        Of elimination, as of `JunctionTree`.
+        Elimination order; see `JunctionTree`.
 
     References
     ----------

@@ -26,7 +26,7 @@ class Order(Protocol):
 
 
 class Rule(InCode, ABC):
-    """An order that is found in the moral graph."""
+    """An elimination order found by a rule in the moral graph."""
 
     def __call__(self, network: BayesianNetwork) -> Scope:
         """The variables of a network in this order."""
@@ -82,7 +82,7 @@ class WeightedMinFill(Rule):
 class StochasticMinFill(Rule):
     """The order of `MinFill`, or the cheapest of many that are drawn, if that is cheaper.
 
-    Of a discrete network whose tables are large, there are tries with other weights, then with
+    For a discrete network whose tables are large, there are tries with other weights, then with
     fills that are multiplied by random numbers near one, and the order whose tables have the fewest
     entries is taken, the same each time. The search takes about as long as two first passes of
     messages over the tables, and with 200 tries less than a second. There is none where a try would
@@ -94,7 +94,7 @@ class StochasticMinFill(Rule):
     tries : int
         At the most; of networks of more than 160 variables in proportion fewer.
     seed : int
-        Of what is drawn.
+        Seed of the random tries.
 
     References
     ----------
@@ -244,7 +244,7 @@ def _levels(adjacent: Adjacency, start: int, inside: set[int]) -> list[list[int]
 
 
 def _peripheral(adjacent: Adjacency, start: int, inside: set[int]) -> list[list[int]]:
-    """The levels of a vertex that is about as far from another as any two are."""
+    """Breadth-first levels from a pseudo-peripheral vertex."""
     levels = _levels(adjacent, start, inside)
     while True:
         end = min(levels[-1], key=lambda vertex: (len(adjacent[vertex]), vertex))

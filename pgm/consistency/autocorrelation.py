@@ -17,7 +17,7 @@ from pgm.kernels.arrays import Array, Integers
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Whiteness(Shown):
-    """The autocorrelation of whitened innovations, and what white ones would have of it.
+    """The autocorrelation of whitened innovations, and its band under whiteness.
 
     Attributes
     ----------

@@ -94,7 +94,7 @@ class Average(Shown):
         return Average(value, low, high, self.dof, self.dof.astype(np.intp))
 
     def overall(self) -> Average:
-        """One mean of all, in the mean of their bands: that of means which move as one.
+        """One mean over all statistics, with the mean of their bands.
 
         The errors of a run at two steps depend on each other, so that a mean over steps varies more
         than one of as many runs. This band is wider than due where they depend less; take `average`
@@ -116,7 +116,7 @@ def average(
     axis: int | tuple[int, ...] | None = None,
     confidence: float = 0.99,
 ) -> Average:
-    r"""The mean of normalised errors squared that are independent of each other.
+    r"""The average of independent normalised squared errors, with its band.
 
     .. math:: \bar\epsilon = \frac1N \sum_i \epsilon_i, \qquad
         N \bar\epsilon \sim \chi^2_{\sum_i d_i}
@@ -232,7 +232,7 @@ def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
     Parameters
     ----------
     innovations : Innovations
-        As ``posterior.innovations[z]``.
+        For instance ``posterior.innovations[z]``.
     confidence : float
         Probability of the band, at each step.
 

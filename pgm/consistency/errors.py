@@ -115,7 +115,7 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
 
 
 def place(belief: Gaussian, index: tuple[int, ...]) -> str:
-    """The place of one of the Gaussians, in words; nothing where there is but one."""
+    """One Gaussian's place among several, in words; empty if there is one."""
     words = []
     run = index if belief.steps is None else index[:-1]
     if run:
@@ -156,7 +156,7 @@ def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     Parameters
     ----------
     belief : Gaussian
-        As ``posterior[x]``.
+        For instance ``posterior[x]``.
     truth : array_like
         (..., n), its leading axes as `error` asks for.
     components : sequence of str
@@ -271,7 +271,7 @@ def nis(innovations: Innovations) -> Array:
     Parameters
     ----------
     innovations : Innovations
-        As ``posterior.innovations[z]``.
+        For instance ``posterior.innovations[z]``.
 
     Raises
     ------
@@ -295,7 +295,7 @@ def kl(p: Gaussian, q: Gaussian) -> Array:
     Parameters
     ----------
     p, q : Gaussian
-        Of one scope; leading axes broadcast.
+        Gaussians of one scope; leading axes broadcast.
 
     Raises
     ------

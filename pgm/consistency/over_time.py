@@ -70,7 +70,7 @@ def over_time(
     Parameters
     ----------
     sizes : array_like
-        Of any statistic that has one a step, like `kl`.
+        Values of any statistic that has one a step, like `kl`.
     steps : ndarray of int
         (T+1,), as a belief over time carries them.
     percentiles : pair of float
@@ -145,7 +145,7 @@ def rmse_over_time(
     components : sequence of str
         Over which the error's length is taken; all without.
     percentiles : pair of float
-        As of `over_time`.
+        See `over_time`.
 
     Raises
     ------

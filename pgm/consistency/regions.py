@@ -146,7 +146,7 @@ def tails(confidence: float) -> tuple[float, float]:
 
 
 def chi_squared(probability: npt.ArrayLike, dof: npt.ArrayLike) -> Array:
-    """The value that a χ² with so many degrees of freedom stays below with a probability."""
+    """The quantile of χ² with `dof` degrees of freedom."""
     half = 0.5 * np.asarray(dof, dtype=float)
     return np.asarray(2.0 * gammaincinv(half, np.asarray(probability, dtype=float)))
 

@@ -189,7 +189,7 @@ class CPD(Shown, Immutable):
         Returns
         -------
         CPD
-            Of the same kind; this one is its `origin`.
+            A CPD of the same kind; this one is its `origin`.
 
         Raises
         ------
@@ -280,7 +280,7 @@ class CPD(Shown, Immutable):
         Parameters
         ----------
         parents : mapping of Variable to array_like, optional
-            As of `log_density`.
+            See `log_density`.
         size : int or tuple of int
             How many draws for each value of the parents.
         rng : numpy.random.Generator or int
@@ -295,10 +295,10 @@ class CPD(Shown, Immutable):
         Raises
         ------
         ModelError
-            As of `log_density`; and if `size` is no number of draws or would not fit into memory,
+            See `log_density`; and if `size` is no number of draws or would not fit into memory,
             or `rng` is neither a generator nor a seed.
         LinearisationError, NumericalError
-            As of `log_density`.
+            See `log_density`.
 
         Examples
         --------

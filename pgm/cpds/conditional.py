@@ -311,7 +311,7 @@ class ConditionalGaussian(CPD):
         raise ModelError(f"{self!r} is of a kind that has no mean here", cpd=self)
 
     def _summed(self, known: Mapping[Variable, Array]) -> Array:
-        """The size of the numbers that are added up to the mean, as far as is known, (..., d)."""
+        """Σ |summand| of the mean, a bound for its rounding, (..., d)."""
         return np.zeros((1, self.child.dimension))
 
     def _placed(self, step: int) -> dict[str, Any]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 class Derivatives(Told[Variable]):
     """How the derivative of a CPD's mean by each parent is found.
 
-    Of each parent ``"given"``, by ``jacobian=``; ``"traced"``, exact derivatives of the function's
+    For each parent ``"given"``, by ``jacobian=``; ``"traced"``, exact derivatives of the function's
     trace; or ``"numerical"``, by fourth-order differences.
 
     Attributes

@@ -143,7 +143,7 @@ class LinearGaussianCPD(AffineCPD):
     offset : array_like
         (d,); zero, if not given.
     noise : RobustNoise, optional
-        As of `NonlinearGaussianCPD`.
+        See `NonlinearGaussianCPD`.
 
     Examples
     --------

@@ -42,9 +42,9 @@ class MixtureCPD(CPD):
     Parameters
     ----------
     components : sequence of CPD
-        Of the same continuous child y: Gaussian ones, without infinite variance, a `SampledCPD`,
-        mixtures; `parts` has them. Its parents are all of theirs, in the order in which they come
-        first.
+        CPDs of the same continuous child y: Gaussian ones, without infinite variance, a
+        `SampledCPD`, mixtures; `parts` has them. Its parents are all of theirs, in the order in
+        which they come first.
     weights : array_like
         (K,): w_k, positive, of sum one.
 

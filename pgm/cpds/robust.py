@@ -51,23 +51,23 @@ class RobustNoise(InCode, ABC):
 
     @abstractmethod
     def loss(self, square: Array, count: npt.ArrayLike) -> Array:
-        """The loss ρ(s) of squares of so many components."""
+        """The loss ρ(s) at squares s = νᵀR⁻¹ν of `count` components."""
 
     @abstractmethod
     def slope(self, square: Array, count: npt.ArrayLike) -> Array:
         """The weight 2 ρ′(s)."""
 
     def weight(self, square: Array, count: npt.ArrayLike) -> Array:
-        """The weights of squares of so many components, above zero; 1 of none."""
+        """The weights ρ'(s) at squares of `count` components, above zero."""
         found = np.maximum(self.slope(square, count), _LEAST)
         return np.where(np.asarray(count) > 0, found, 1.0)
 
     @abstractmethod
     def is_proper(self, size: int) -> bool:
-        """Whether the density of so many components has an integral."""
+        """Whether the density of this many components has a finite integral."""
 
     def log_scale(self, count: npt.ArrayLike) -> Array:
-        """The value ln c of so many components; where there is no integral, the Gaussian's."""
+        """ln c of the density c e^{−ρ}; for an improper one, the Gaussian's."""
         sizes = np.asarray(count)
         if sizes.size == 1:
             return np.full(sizes.shape, _log_scale(self, int(sizes.item())))
@@ -100,12 +100,12 @@ class RobustNoise(InCode, ABC):
 
     @abstractmethod
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
-        """Draws of unit covariance parameter, (..., d), made of standard normal ones."""
+        """Draws with covariance parameter I, (..., d), made from standard normal ones."""
 
 
 @lru_cache(maxsize=256)
 def _log_scale(noise: RobustNoise, size: int) -> float:
-    """The value ln c of so many components."""
+    """ln c, the normalising constant for this many components."""
     if not size:
         return 0.0
     return noise._log_scale(size) if noise.is_proper(size) else -0.5 * size * LOG_2PI

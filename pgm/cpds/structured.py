@@ -36,7 +36,7 @@ class Kronecker(InCode, Immutable):
     Parameters
     ----------
     factors : sequence of array_like, sparse matrix or Kronecker
-        Of each axis the square matrix (size before, size after), whose rows sum to one.
+        For each axis the square matrix (size before, size after), whose rows sum to one.
 
     Examples
     --------
@@ -87,9 +87,9 @@ def shifts(
     moves : mapping of int or tuple of int to float
         The probability of each shift, in cells along each axis; they sum to one.
     edge : str or sequence of str
-        Of a cell at an edge: ``"slide"`` keeps to the last cell along the axis, so that the rest
-        of the shift is made; ``"wrap"`` goes on from the other end, as a heading does; both also
-        axis by axis, in a sequence. ``"stay"`` leaves the whole shift out.
+        What a cell at an edge does: ``"slide"`` keeps to the last cell along the axis, so that the
+        rest of the shift is made; ``"wrap"`` goes on from the other end, as a heading does; both
+        also axis by axis, in a sequence. ``"stay"`` leaves the whole shift out.
 
     Returns
     -------
@@ -216,5 +216,5 @@ ROUNDED = 5e-7
 
 
 def rounding(size: int) -> float:
-    """The rounding that a sum of so many probabilities may have."""
+    """The rounding error that a sum of `count` probabilities may have."""
     return max(ROUNDED * size, 1e-6) + size * float(np.finfo(float).eps)

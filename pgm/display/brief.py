@@ -51,7 +51,7 @@ def column(values: Iterable[float], digits: int = DIGITS) -> list[str]:
 def beside(means: Sequence[float], deviations: Sequence[float], *, alike: bool = True) -> list[str]:
     """Means with their deviations, ``12.346 ± 0.123``: three digits of the deviation, no more.
 
-    Those of one quantity, `alike`, have as many decimals where that is legible.
+    Numbers of one quantity (`alike`) have equally many decimals where that is legible.
     """
     pairs = [(float(mean) + 0.0, float(std)) for mean, std in zip(means, deviations, strict=True)]
     known = [std for _, std in pairs if math.isfinite(std) and std > 0.0]
@@ -126,7 +126,7 @@ def called(function: Any) -> str:
 
 
 def vector(values: npt.NDArray[Any]) -> str:
-    """The numbers of one value in one cell; states by their indices."""
+    """A value's numbers in one table cell; states by their indices."""
     found = np.ravel(values)
     text = ", ".join(number(value) for value in found[:VECTOR])
     return text + f", {LEFT_OUT}" * (found.size > VECTOR)

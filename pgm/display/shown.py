@@ -14,7 +14,7 @@ from pgm.errors import ArrayError
 
 
 class Shown:
-    """A value that is printed as its `_summary`, in text and HTML; `_title` is its first line."""
+    """A value displayed by its `_summary`, in text and HTML, under its `_title`."""
 
     __slots__ = ()
 

@@ -12,7 +12,7 @@ Key = TypeVar("Key")
 
 
 class Told(Shown, Mapping[Key, str]):
-    """A few words about each of some values."""
+    """A mapping with a few words about each value, for display."""
 
     __slots__ = ("_found", "_more", "_of")
 

@@ -60,7 +60,7 @@ class Reading:
 class BoundEvidence:
     """Evidence laid out by step; inside, the leading axes, of runs, are flattened to one.
 
-    Of each transition CPD it has the values of observed parents, (T, runs or 1, d), row k being of
+    For each transition CPD it has the values of observed parents, (T, runs or 1, d), row k being of
     step k + 1. Messages count runs from `first_run`, where these are a part of more.
     """
 

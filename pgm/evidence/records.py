@@ -64,7 +64,7 @@ def records(
     Returns
     -------
     dict
-        Of each column's variable the indices of its states, (records,), with −1 for "not
+        For each column's variable the indices of its states, (records,), with −1 for "not
         observed"; of a continuous one its values, (records, d).
 
     Raises
@@ -159,7 +159,7 @@ class Column:
 
 
 def columns_of(table: Any, wanted: Iterable[str] | None) -> dict[str, Column]:
-    """The columns of a table by name; those that are wanted, or all.
+    """A table's columns by name: the wanted ones, or all.
 
     A data frame is what has ``columns`` and can be asked for one by name: pandas need not be
     there.

@@ -278,7 +278,7 @@ def constant_row(variable: Variable, value: Constant) -> Rows:
 def rows_of(variable: Variable, value: Any, axis: str | None) -> Rows:
     """Evidence as an array (..., rows, d), or (..., d) where there is no axis of rows.
 
-    Of a discrete variable d is one, the index of a state, or as many weights as there are states.
+    For a discrete variable d is one, the index of a state, or as many weights as there are states.
     """
     if isinstance(variable, Discrete):
         return _state_rows(variable, value, axis)

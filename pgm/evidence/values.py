@@ -166,7 +166,7 @@ LIKELIHOOD, SUM, JOINT = "likelihood", "sum", "joint"
 
 
 class Unknown(InCode, Immutable):
-    """The candidates (k, d) for a parent that is not known of any sighting; made by `unknown`.
+    """The candidates (k, d) for an unknown parent of sightings, as `unknown` makes them.
 
     `log_shares` (k + 2,) are the logarithms of the prior probabilities of each, of a spurious
     sighting, and of a new thing.
@@ -328,7 +328,7 @@ def unknown(
 def opened(
     cpd: CPD, given: Mapping[Variable, Any], allowed: bool
 ) -> tuple[Mapping[Variable, Any], tuple[Variable, Unknown] | None]:
-    """The parents of sightings that are given, and the one of which there are candidates."""
+    """The given parents of sightings, and the parent with candidates."""
     found = [(v, value) for v, value in given.items() if isinstance(value, Unknown)]
     if not found:
         return given, None

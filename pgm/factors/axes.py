@@ -118,7 +118,7 @@ def axes_of(scope: States, wanted: Iterable[Variable]) -> tuple[int, ...]:
 
 
 def without(scope: States, drop: Iterable[Variable]) -> States:
-    """The variables of a scope that are left."""
+    """The scope's remaining variables."""
     gone = set(drop)
     return tuple(variable for variable in scope if variable not in gone)
 
@@ -148,7 +148,7 @@ STRANGER = -2
 
 
 class _Unfit(Exception):
-    """A value that is no state, in words, and what one that may be missing can be besides."""
+    """The reason, in words, why a value is no state, and which values are."""
 
 
 def as_indices(variable: Discrete, value: Any, where: Place = in_run) -> Integers:

@@ -54,7 +54,7 @@ class CanonicalForm(Shown, NoArray, Immutable):
         If arguments do not fit, here and in all methods: shapes, a K that is not symmetric, entries
         that are not finite, a variable that is not in the scope or named twice.
     NumericalError
-        Of `log_integral`, `gaussian` and `normalised`, if K is not positive definite.
+        Raised by `log_integral`, `gaussian` and `normalised`, if K is not positive definite.
 
     References
     ----------

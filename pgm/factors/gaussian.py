@@ -138,7 +138,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         If arguments do not fit, here and in all methods: shapes, a `cov` that is no covariance, a
         variable that is not in the scope or named twice, a run that there is not.
     NumericalError
-        Of `log_density` and `kl`, if a covariance is singular or infinite; of `sample`, if a
+        Raised by `log_density` and `kl`, if a covariance is singular or infinite; by `sample`, if a
         variance is infinite, or the covariance all but singular and off by more than rounding.
 
     Examples

@@ -275,6 +275,6 @@ def in_row(bad: Mask | np.bool_) -> str:
 
 
 def in_run(bad: Mask | np.bool_) -> str:
-    """The place of the first bad one of some runs, for messages."""
+    """The index of the first bad run, for messages."""
     first = tuple(map(int, np.argwhere(bad)[0]))
     return f" (first in run {first[0] if len(first) == 1 else first})" if first else ""

@@ -65,7 +65,7 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         If arguments do not fit, here and in all methods: a variable is not in the scope or named
         twice, a state is none of its variable's.
     NumericalError
-        Of `normalised`, `probabilities` and `argmax`, if the table is all zero.
+        Raised by `normalised`, `probabilities` and `argmax`, if the table is all zero.
 
     References
     ----------

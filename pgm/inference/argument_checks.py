@@ -30,7 +30,7 @@ def require_lineariser(lineariser: Any) -> None:
 
 
 def require_gaussian(cpds: Iterable[CPD], beliefs: str) -> None:
-    """Refuse a CPD that is not Gaussian, where beliefs of some kind need its moments."""
+    """Refuse a CPD that is not Gaussian, for beliefs that need its mean and covariance."""
     for cpd in cpds:
         if not isinstance(cpd, ConditionalGaussian):
             raise ModelError(
@@ -71,7 +71,7 @@ def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
 
 
 def require_whole(cpd: CPD, taken: Mask, step: int) -> None:
-    """Refuse a measurement with missing components, where a density cannot leave them out."""
+    """Refuse a measurement with missing components, for a density without marginals."""
     if not taken.all() and not cpd.partial:
         raise EvidenceError(
             f"{cpd!r}: a measurement at step {step} has components that are NaN, which the "

@@ -112,7 +112,7 @@ NONE: Found = MappingProxyType({})
 
 
 def is_open(bound: BoundEvidence) -> bool:
-    """Whether some sightings leave open what was seen."""
+    """Whether some sightings have an unknown parent."""
     return any(reading.unknown is not None for reading in bound.readings)
 
 
@@ -136,7 +136,7 @@ def by_density(bound: BoundEvidence) -> BoundEvidence:
 
 
 def unidentified(reading: Reading, parent: Variable, unknown: Unknown) -> UnidentifiedCPD:
-    """The density of a sensor's open sightings."""
+    """The likelihood of a sensor's open sightings, a mixture over their candidates."""
     return UnidentifiedCPD(
         reading.cpd,
         parent,

@@ -125,7 +125,7 @@ def filter(
     steps : int, optional
         T, where no plain array of the evidence tells.
     iterations, tolerance, damping, gate
-        Of `Filtering`.
+        See `Filtering`.
     compiled : bool or Compiled, optional
         As for `compile`.
     keep, executor, belief, progress
@@ -148,7 +148,7 @@ def filter(
     Raises
     ------
     PgmError
-        As `infer`.
+        For the same reasons as `infer`.
 
     Examples
     --------
@@ -250,15 +250,15 @@ def smooth(
     ----------
     model : DynamicBayesianNetwork
     evidence, lineariser, steps
-        As of `filter`.
+        See `filter`.
     start : mapping of Variable to array_like, optional
         As for `infer`; not with a lag.
     lag : int, optional
-        Of `FixedLag`, in steps.
+        See `FixedLag`, in steps.
     iterations, tolerance, damping, gate
-        Of `Smoothing` or `FixedLag`.
+        See `Smoothing` and `FixedLag`.
     method : Balanced, optional
-        Of `compile`: `Balanced()`, or without a chain of slices, whose first linearisation is the
+        See `compile`: `Balanced()`, or without a chain of slices, whose first linearisation is the
         filter's. On the chain the later ones, of all steps at once, are solved for in about
         2 log₂ T rounds, as on a balanced tree, where that is faster (from 64 steps on, up to 200
         numbers, the components of a slice times the runs) and costs no digits (no noise-free or
@@ -266,12 +266,12 @@ def smooth(
         machine code, along the chain. `Balanced()` saves the filter's sweep, and starts from dead
         reckoning.
     keep, executor, belief, compiled, progress
-        As of `filter`.
+        See `filter`.
 
     Returns
     -------
     ChainPosterior, or another
-        As of `filter`.
+        See `filter`.
 
     Warns
     -----
@@ -281,7 +281,7 @@ def smooth(
     Raises
     ------
     PgmError
-        As `infer`.
+        For the same reasons as `infer`.
 
     Examples
     --------

@@ -65,7 +65,7 @@ def online_points(
 
 
 def require_points(belief: Any, model: Any) -> None:
-    """Refuse a belief that is neither grid nor particles, and a network that has neither."""
+    """Refuse a `belief` that is no grid and no particles, or a network that cannot have it."""
     if not isinstance(belief, Grid | Particles):
         raise ModelError(f"belief= is a pgm.Grid(...) or pgm.Particles(...), not {titled(belief)}")
     if not isinstance(model, DynamicBayesianNetwork):
@@ -251,13 +251,13 @@ def infer(
         (..., T, d) of hidden controls. Without, a `Balanced` tree is linearised first at dead
         reckoning, where motion alone leads from the prior mean.
     keep : collection of Variable, optional
-        Of a dynamic network, the hidden variables whose marginals at all steps are kept,
+        For a dynamic network, the hidden variables whose marginals at all steps are kept,
         ``keep=[x]``, with log-evidence and status; without, everything is. The runs are then
         worked through in parts of some hundreds or thousands, of which no more is held at a time
         than are worked on, so that a study of 100,000 simulations fits. A rule that draws points
         afresh for each run takes all runs as one part.
     executor : concurrent.futures.Executor, optional
-        Of a dynamic network, whose workers are handed parts of the runs, as many for each: a
+        For a dynamic network; its workers are handed parts of the runs, as many for each: a
         process pool, a thread pool, a Dask client's `get_executor()`, an MPI pool. Results are
         those of one process; so is an error, which is looked for once more in this one. Functions
         and classes of a model must stand in modules, by name, since they are pickled. On Linux a
@@ -266,19 +266,19 @@ def infer(
         thread-safe. With small states the threads of NumPy's linear algebra only get in the way
         (OMP_NUM_THREADS=1).
     memory : number, optional
-        Of a discrete network and a graph without loops, how many bytes the tables of all runs may
+        For a discrete network and a graph without loops, how many bytes the tables of all runs may
         take, besides the compiled graph, the evidence, and what is asked for; 2²⁸ (256 MiB), if not
         given. The runs are worked through in parts that fit; the results are the same.
     belief : Grid or Particles, optional
-        Of a dynamic network of continuous variables: its beliefs as probabilities of the cells of a
-        grid, one run after another, or as weighted draws, in place of Gaussians. Nothing is
+        For a dynamic network of continuous variables: its beliefs as probabilities of the cells of
+        a grid, one run after another, or as weighted draws, in place of Gaussians. Nothing is
         linearised then.
     progress : bool or callable
         Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
         function, ``progress(done, total)``, called at the start of each stage and after each of its
         items: steps, linearisations, rounds, runs or parts. An error that it raises ends the call.
     impossible : str
-        Of a discrete network without time and a graph without loops, what is done where evidence
+        For a discrete network without time and a graph without loops, what is done where evidence
         has probability zero: ``"raise"``, or ``"allow"``, where such runs, as of `records` of
         which some contradict the tables, have a log-evidence of −∞ and beliefs of NaN, and the
         others theirs.

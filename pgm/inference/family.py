@@ -115,7 +115,7 @@ class Family(Rows):
         return vacant(self.shape[:2], self.shape[2:3])
 
     def of(self, runs: slice) -> Family:
-        """Some of the runs, with views of these arrays; what is linearised is its own."""
+        """Some of the runs: a view of the arrays, with linearisations of its own."""
         count = runs.stop - runs.start
         part = replace(
             self,
@@ -131,7 +131,7 @@ class Family(Rows):
         return part
 
     def window(self, first: int, last: int) -> Family:
-        """Some of the rows, with views of these arrays; what is linearised is its own."""
+        """Some of the rows: a view of the arrays, with linearisations of its own."""
         rows, part = slice(first, last), copy(self)
         for name in ("shape", "_known", "_by_row", "_steps"):
             part.__dict__.pop(name, None)
@@ -245,7 +245,7 @@ class Family(Rows):
         self.noise[first:last] = blocks.transpose(0, 3, 1, 2) if self.batch else blocks[:, None]
 
     def stored_at(self, first: int, last: int) -> At:
-        """Some rows as they were linearised."""
+        """The stored linearisation of some rows."""
         if self.template is None:
             at = self._affine_at(first, last)
             if self.approximate:  # of robust noise
@@ -326,7 +326,7 @@ class Family(Rows):
 
     @staticmethod
     def _put(kept: Array, rows: Some | Integers, new: Array, active: Mask | None) -> None:
-        """Keep new values at some rows, for the active runs alone."""
+        """Store new values at some rows, for the active runs."""
         if active is not None:
             tail = (1,) * (kept.ndim - 2)
             new = np.where(active.reshape(-1, *tail), new, kept[rows])

@@ -23,14 +23,14 @@ class Labelled:
     def to_xarray(self: Any) -> Any:
         """The marginals of all hidden variables as a data set of xarray.
 
-        Of continuous variables it has ``mean`` and ``std``, with the dimensions of runs (``run``,
+        For continuous variables it has ``mean`` and ``std``, with the dimensions of runs (``run``,
         or ``run_0``, ``run_1``, ...), ``step``, where there is time, and ``component``, and
         ``cov``, with ``other_component`` last. Components are called by their names, with that of
         the variable where variables share one, and ``variable`` says whose they are. The covariance
         of two variables is NaN: `joint` has it. So is a hidden control at step 0, where it has no
         value.
 
-        Of discrete variables it has the probabilities of each, under its name, with its states
+        For discrete variables it has the probabilities of each, under its name, with its states
         along a last dimension ``<name>_state``.
 
         ``log_evidence`` has the dimensions of runs. Attributes are ``kind``, where there is time,

@@ -213,9 +213,10 @@ def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
 
 
 def _residual(messages: Messages[Any]) -> Step:
-    """A round: as many messages as there are, each time the one that would change most (Elidan, 2006).
+    """Residual scheduling: the message that would change most is sent next (Elidan, 2006).
 
-    After each, only the messages that depend on it are computed anew.
+    A round sends as many messages as there are. After each, only the messages that depend on it are
+    computed anew.
     """
     directed = messages.directed
     everything = messages.round(range(len(directed)))

@@ -74,7 +74,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     def __getitem__(self, variable: Variable) -> Gaussian | Table:
         """The marginal of a variable without evidence.
 
-        Of a variable over time, the last of the leading axes is of steps.
+        For a variable over time, the last of the leading axes is of steps.
 
         Raises
         ------

@@ -133,9 +133,9 @@ class Smoothing(Calibration):
         A run stops when no smoothed mean is more than this many standard deviations from where it
         was linearised.
     iterations, damping, gate
-        As of `Filtering`; of all CPDs. The gate is decided in the first forward pass and kept, so
-        that all iterations are of the same measurements; with a start, as everything is linearised
-        there.
+        See `Filtering`; here for all CPDs. The gate is decided in the first forward pass and kept,
+        so that all iterations are of the same measurements; with a start, as everything is
+        linearised there.
 
     References
     ----------
@@ -198,8 +198,8 @@ class FixedLag(InCode):
     iterations : int
         Linearisations of a window at the most.
     tolerance, damping, gate
-        As of `Filtering`, of a window's smoothed means and of the cost of its trajectory, its prior
-        included. The gate is decided when a step is new, and kept.
+        See `Filtering`; here for a window's smoothed means and of the cost of its trajectory, its
+        prior included. The gate is decided when a step is new, and kept.
 
     Examples
     --------
@@ -237,7 +237,7 @@ class FixedLag(InCode):
 
     @property
     def filtering(self) -> Filtering:
-        """The filter that it is without a lag."""
+        """The filter to which a fixed lag of zero amounts."""
         return Filtering(self.iterations, self.tolerance, self.damping, self.gate)
 
     @property

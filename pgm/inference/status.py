@@ -89,7 +89,7 @@ CLOSE_POINTS = (
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
-    """The decimal digits that errors (runs,) leave, (*lead), at most float64's; none where NaN."""
+    """Correct decimal digits for relative errors (runs,), (*lead); NaN errors have none."""
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)
     return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))
@@ -125,9 +125,9 @@ class Status(Shown, Immutable):
         standard deviation (6 are an error of 10⁻⁶ deviations); None where they are not measured.
         Below six there is a `PrecisionWarning`.
     compilation : str
-        Of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not compiled:
-        ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call left it
-        to NumPy, with the reasons; ``"by NumPy: ..."``, where it was not due. Else empty.
+        An account of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not
+        compiled: ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call
+        left it to NumPy, with the reasons; ``"by NumPy: ..."``, where it was not due. Else empty.
 
     Examples
     --------

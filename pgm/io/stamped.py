@@ -38,7 +38,7 @@ class Stamped(Shown):
     Attributes
     ----------
     stamps, values, given
-        As of `stamped`.
+        See `stamped`.
 
     Examples
     --------

@@ -278,7 +278,7 @@ def states_of(
 
 
 def joined(own: Array, others: Array, tolerance: float = 0.0) -> Array:
-    """One axis of stamps, both in order: `own`, and others farther than a tolerance from the rest.
+    """One increasing axis of stamps: `own`, and others further than a tolerance from it.
 
     Stamps of one moment are one.
     """
@@ -295,7 +295,7 @@ def _within(parts: Iterable[Array], first: float, last: float) -> Array:
 
 
 def _apart(stamps: Array, gap: float) -> Array:
-    """The first of the stamps, in order, and each next one that is farther than a gap."""
+    """The first stamp, and each later one further than a gap from the one kept before."""
     if (np.diff(stamps) > gap).all():
         return stamps
     kept, k = [], 0

@@ -136,9 +136,9 @@ def write_tum(
     Parameters
     ----------
     path : str, Path or open file
-        Of the poses; gzipped, if it ends in ``.gz``.
+        File of the poses; gzipped, if it ends in ``.gz``.
     belief : Gaussian, GridBelief or ParticleBelief
-        Of one run, over time: ``posterior[x]``.
+        The belief of one run, over time: ``posterior[x]``.
     times : array_like
         (n,): of each of its steps, seconds, increasing; `Timeline` has them as ``times``.
     position : sequence of str
@@ -149,9 +149,9 @@ def write_tum(
     pitch, roll : str, optional
         The other angles; zero without.
     covariance : str, Path or open file, optional
-        Of the covariances: a table of comma-separated values with a line of names, ``t`` and the
-        upper triangle, ``east*east``, ``east*north``, ..., of the components named above, position,
-        roll, pitch and heading, in their units.
+        File of the covariances: a table of comma-separated values with a line of names, ``t`` and
+        the upper triangle, ``east*east``, ``east*north``, ..., of the components named above,
+        position, roll, pitch and heading, in their units.
 
     Raises
     ------
@@ -221,12 +221,12 @@ def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIM
     Parameters
     ----------
     path : str, Path or open file
-        Of the poses; gzipped or not. Numbers may be apart by any spaces and tabs, blank lines and
-        comments are skipped. Quaternions may be as far from unit length as four decimals leave
+        File of the poses; gzipped or not. Numbers may be apart by any spaces and tabs, blank lines
+        and comments are skipped. Quaternions may be as far from unit length as four decimals leave
         them, and are made to have it. Poses that go back in time are put in order, and of several
         at one time the first is taken; `dropped` tells of both.
     covariance : str, Path or open file, optional
-        Of the covariances that `write_tum` has written beside it.
+        File of the covariances that `write_tum` has written beside it.
     limit : int, optional
         How many bytes a file may hold once unpacked, 64 MiB if not given.
 

@@ -114,7 +114,7 @@ def update(
 
 
 def open_share(cov: Array) -> float:
-    """The smallest share of a variance, of (n, n, runs), that the components before it leave open.
+    """The smallest L_ii² / P_ii over (n, n, runs): the conditional share of a variance.
 
     Overwrites; components without a variance do not count.
     """

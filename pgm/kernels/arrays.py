@@ -158,7 +158,7 @@ def _along_runs(product: str, a: Array, b: Array, width: int) -> Array:
 
 
 def distinct(matrix: Array) -> Array:
-    """One matrix where broadcasting has made it stand for all runs."""
+    """A single matrix where broadcasting repeats one for all runs."""
     return matrix[0] if matrix.ndim == 3 and matrix.strides[0] == 0 else matrix
 
 
@@ -194,7 +194,7 @@ def deviation(cov: Array) -> Array:
 
 
 def symmetric(matrix: Array) -> Array:
-    """The symmetric part, which removes what rounding made of a symmetric product."""
+    """(A + Aᵀ) / 2, which removes the rounding of a symmetric product."""
     return 0.5 * (matrix + transpose(matrix))
 
 
@@ -239,7 +239,7 @@ def block(matrix: Array, rows: Index, columns: Index) -> Array:
 
 
 def independent(cov: Array, seen: Mask) -> Array:
-    """Covariances whose components that are not seen have unit variance and no correlations."""
+    """Covariances in which masked-out components have unit variance and no correlation."""
     return np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
 
 
@@ -256,7 +256,7 @@ def quiet() -> Iterator[None]:
 
 
 def frozen(array: Array) -> Array:
-    """A read-only view, for values that are handed out."""
+    """A read-only view, safe to hand out."""
     view = array.view()
     view.flags.writeable = False
     return view

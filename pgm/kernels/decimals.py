@@ -26,7 +26,7 @@ _LN10 = math.log(10.0)
 
 @contextmanager
 def precision(count: int) -> Iterator[None]:
-    """Calculate with so many significant digits."""
+    """A context with a number of significant digits."""
     # No traps: an overflow cannot happen, and what is undefined is NaN, as in float64.
     with localcontext(Context(prec=count, Emax=MAX_EMAX, Emin=MIN_EMIN, traps=[])):
         yield

@@ -102,7 +102,7 @@ def _log_weight(mean: Array, h: Array, rest: Array, white: Array, upper: Array) 
 
 
 def push(belief: Belief, element: Element) -> Belief:
-    """The belief at a segment's right end, from that at its left end before its evidence."""
+    """The belief at a segment's right end, from the belief at its left end."""
     known = condition(belief, Likelihood(element.K, element.h, element.g))
     spread = multiply(known.X, transpose(element.F))
     return Belief(

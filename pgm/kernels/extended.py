@@ -151,7 +151,7 @@ def solve_unit(unit: Twofold, right: Twofold) -> Twofold:
 
 
 def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
-    """Some X with U D Uᵀ X = B, (..., n, m), for a B in its range.
+    """A solution X of U D Uᵀ X = B, (..., n, m), for a B in its range.
 
     What X sums up keeps the digits that an inverse, whose entries are larger, would lose.
     """

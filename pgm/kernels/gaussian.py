@@ -142,7 +142,7 @@ def extend(
     noise: Array,
     bare: tuple[int, ...] = (),
 ) -> None:
-    """Write the child y = F x + b + n, of mean value, into a joint that is zero in its place."""
+    """Write the child y = F x + b + n, of mean `value`, into a joint with room for it."""
     mean[child] = value
     if not matrix.shape[1]:
         cov[child, child] = noise

@@ -52,7 +52,7 @@ def keys(points: Array, widths: Array, angles: Mask) -> Integers | None:
 
 
 def occupied(bins: Integers) -> int:
-    """How many different bins (d, n) there are."""
+    """The number of different bins among draws (d, n)."""
     low = bins.min(axis=1, keepdims=True)
     spans = [int(span) for span in (bins.max(axis=1) - low[:, 0] + 1)]
     if math.prod(spans) < 2**62:

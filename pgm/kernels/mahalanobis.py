@@ -42,7 +42,7 @@ def squares(residual: Array, cov: Array) -> Array:
 
 
 def _share(left: Array, pivot: Array, diagonal: Array) -> Array:
-    """The share ν_j² / pivot of a component, zero where those before it determine it."""
+    """The component's term ν_j² / L_jj²; zero if earlier components determine it."""
     proper = pivot > NEGLIGIBLE * diagonal
     if proper.all():
         return left * left / pivot

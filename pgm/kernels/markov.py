@@ -68,7 +68,7 @@ def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int =
 
 
 class Blocks:
-    """All steps of one run of few states, in blocks of √T steps that are worked at together.
+    """The steps of one run of few states, in blocks of √T steps computed side by side.
 
     Each row of a block's transfer matrix, the product of p(x_t | x_{t−1}) p(z_t | x_t) over its
     steps, has a logarithm as its scale: else the row of a likely state would be lost beside that of

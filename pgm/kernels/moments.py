@@ -45,7 +45,7 @@ def update(
 ) -> Update:
     """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), residual z − H mean.
 
-    As `gaussian.update`, with the batch first.
+    The formulas are those of `gaussian.update`; here the batch axes come first.
     """
     size = residual.shape[-1]
     cross = times_symmetric(matrix, cov)
@@ -80,7 +80,7 @@ def joseph(cov: Array, gain: Array, matrix: Array, noise: Array) -> tuple[Array,
 
 
 def spread(matrix: Array, cov: Array, noise: Array) -> Array:
-    """The size of the numbers that are added up to the variances of F P Fᵀ + noise, (..., d)."""
+    """The size of the summands of the variances of F P Fᵀ + noise, (..., d)."""
     size = np.abs(matrix)
     summed: Array = (multiply(size, np.abs(cov)) * size).sum(axis=-1)
     return summed + np.diagonal(noise, axis1=-2, axis2=-1)
@@ -168,7 +168,7 @@ def marginal_error(mean: Array, other: Array, std: Array) -> Array:
 
 
 def moved(mean: Array, other: Array, std: Array) -> Array:
-    """How far means move in an iteration, as `marginal_error`; by their rounding is not at all.
+    """How far means move in an iteration, by `marginal_error`; rounding counts as zero.
 
     The largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the last axis and the first. Without the
     rounding, which is no move, means of 10⁸ deviations would never settle.

@@ -45,7 +45,7 @@ def gather(array: Array, steps: Integers) -> Array:
 
 
 def take(parts: Segments, steps: slice) -> Segments:
-    """Some steps of all parts."""
+    """Some steps of every part of a stack."""
     return _made(parts, [None if part is None else part[steps] for part in parts])  # type: ignore[no-any-return]
 
 

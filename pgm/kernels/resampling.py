@@ -32,7 +32,7 @@ def systematic(weights: Array, count: int, rng: np.random.Generator) -> Integers
 
 
 def stratified(weights: Array, count: int, rng: np.random.Generator) -> Integers:
-    """One random number in each of equal strata (Kitagawa 1996); as of `systematic`."""
+    """Stratified resampling: one random number in each of `count` equal strata (Kitagawa 1996)."""
     edges = _edges(weights, count)
     # Edge e leaves below it the strata that end before it, and its own where its number is lower.
     stratum = np.minimum(edges.astype(np.intp), count - 1)

@@ -90,13 +90,13 @@ def _semidefinite_root(matrix: Array, diagonal: Array, negligible: float) -> Arr
 
 
 def determined(lower: Array) -> Mask:
-    """The mask of components that those before them determine, (..., n), by a root."""
+    """The mask of components that earlier ones determine (a zero pivot), (..., n)."""
     fixed: Mask = np.diagonal(lower, axis1=-2, axis2=-1) == 0.0
     return fixed
 
 
 def smallest_pivot(lower: Array) -> float:
-    """The smallest share of a component that those before it leave open, over the stack."""
+    """The smallest L_ii² / P_ii over the stack, P = L Lᵀ."""
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
     total = np.einsum("...ij,...ij->...i", lower, lower)
     return float((pivots * pivots / np.where(total > 0.0, total, 1.0)).min(initial=1.0))

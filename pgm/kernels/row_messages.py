@@ -76,7 +76,7 @@ def steady(old: Rows, new: Rows) -> Rows:
 
 
 def choose(active: Mask, new: Rows, old: Rows) -> Rows:
-    """New rows for the runs that are active; runs that share matrices have right sides alone."""
+    """New rows for the active runs; where runs share matrices, only right-hand sides differ."""
     shared = new.matrix.shape[0] == 1
     each = active[:, None, None, None]
 

@@ -207,7 +207,7 @@ def _solved(matrix: Array, right: Array) -> tuple[Array, Array, Array, Array, fl
 
 
 def _svd(matrix: Array) -> tuple[Array, Array, Array]:
-    """U, S and Vᵀ, the former square; NumPy leaves U unset where there are no columns."""
+    """U, S and Vᵀ with a square U, also where there are no columns."""
     if matrix.size:
         try:
             return np.linalg.svd(matrix, full_matrices=True)

@@ -59,7 +59,7 @@ def _solve(triangle: Array, right: Array, order: range) -> Array:
 
 
 def solve(lower: Array, right: Array) -> Array:
-    """Some X with L Lᵀ X = B, (..., n, m), for a B in the range of L Lᵀ."""
+    """A solution X of L Lᵀ X = B, (..., n, m), for a B in the range of L Lᵀ."""
     return solve_upper(lower, solve_lower(lower, right))
 
 

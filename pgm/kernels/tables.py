@@ -50,7 +50,7 @@ def divide(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
 
 
 def _quotient(a: Array, b: Array) -> Array:
-    """The quotients a / b, zero where b is: 0 / 0 is what an impossible state leaves."""
+    """The quotients a / b; zero where b is, since 0 / 0 arises at impossible states."""
     zeros = np.zeros(np.broadcast_shapes(a.shape, b.shape))
     return np.divide(a, b, out=zeros, where=b > 0.0)
 
@@ -85,7 +85,7 @@ def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
 
 
 def _instead(plain: Array, held: Mask, values: Array, log_scale: Array) -> tuple[Array, Array]:
-    """Tables: plain ones, of log-scale zero, where those are right; scaled ones elsewhere."""
+    """Plain tables, of log-scale zero, where they are right; scaled tables elsewhere."""
     kept = _per_table(held, plain.ndim - held.ndim)
     return np.where(kept, plain, values), np.where(held, 0.0, log_scale)
 

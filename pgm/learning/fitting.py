@@ -245,18 +245,19 @@ def fit(
     model : DynamicBayesianNetwork
         With the values to begin with.
     evidence : mapping of Variable, or sequence of them
-        Of one or several recordings, as for `smooth`; runs on leading axes share the parameters.
+        Evidence of one or several recordings, as for `smooth`; runs on leading axes share the
+        parameters.
     learn : mapping of Variable
         The parts that are learnt, all else being fixed: by ``x.at(0)`` of the prior of a state, by
         ``x`` of its transition, by ``z`` of a sensor, a part of `pgm.learning` or a tuple of them,
         ``{x: (Coefficients(), Covariance("diagonal")), z: Covariance()}``; by an input its
         `Parameter`.
     lineariser, schedule : optional
-        Of the smoother, without a gate; ``Smoothing(iterations=...)`` linearises again.
+        Settings of the smoother, without a gate; ``Smoothing(iterations=...)`` linearises again.
     steps : int or sequence of int, optional
         T, or that of each recording, where no plain array tells.
     iterations : int
-        Of EM, at the most.
+        The largest number of EM iterations.
     tolerance : float
         The search has converged after a step that raised the log-evidence by no more (in nats) and
         moved no coordinate by more than a thousandth.
@@ -278,7 +279,7 @@ def fit(
     EvidenceError
         If evidence is no mapping, or nothing in it tells of a CPD that is to be learnt.
     PgmError
-        As `smooth`, at the start.
+        For the same reasons as `smooth`, at the start.
 
     References
     ----------

@@ -39,7 +39,7 @@ class Weighted:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Expected second moments of the residuals of a CPD as it is, of N rows.
+    """Expected second moments Σ E[r rᵀ] of a CPD's residuals over N rows.
 
     They are sums of E[r rᵀ], E[r gᵀ], E[g gᵀ], regressors being counted from the reference (k,),
     near their mean where an offset is free, so that sums keep their digits; `weighted` in their

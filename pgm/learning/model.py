@@ -41,7 +41,7 @@ ROLES = ("prior", "transition", "observation")
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A value of all that is learnt: the model, and parents with a constant value."""
+    """The values of everything that is learnt: the model, and constant parents."""
 
     model: DynamicBayesianNetwork
     parameters: dict[Variable, Array]
@@ -264,7 +264,7 @@ class Learner:
         return np.concatenate([*parts, *(block.vector(cpd) for block, cpd in pairs)])
 
     def at(self, point: Point, vector: Array) -> Point:
-        """The point of some coordinates."""
+        """The point with its coordinates replaced, as a line search asks for."""
         start, parameters, cpds = 0, {}, []
         for variable, step in self.parameters.items():
             parameters[variable] = step.clipped(vector[start : start + variable.dimension])

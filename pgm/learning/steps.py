@@ -25,7 +25,7 @@ _GONE = 1e-12
 
 
 class ScaledNoise:
-    """A function of noise times a factor."""
+    """A noise covariance given by a function of parents, times a factor."""
 
     def __init__(self, function: Any, factor: float) -> None:
         self.function, self.factor = function, factor
@@ -259,7 +259,7 @@ class TableStep:
         return TableCPD(cpd.child, cpd.given, table=table)
 
     def vector(self, cpd: TableCPD) -> Array:
-        """The coordinates of a table: roots of what is not zero at the start."""
+        """The coordinates of a table: √ of the entries that are not zero at the start."""
         return np.sqrt(cpd.table)[self.free]
 
     def gradient(self, cpd: TableCPD, counts: Array) -> Array:

@@ -218,7 +218,7 @@ class FitStatus(Shown, Immutable):
 
 
 class Fit(Shown, Immutable):
-    """A model with the likeliest parameters that were found.
+    """The result of `fit`: the model with its maximum-likelihood parameters.
 
     Attributes
     ----------
@@ -232,7 +232,7 @@ class Fit(Shown, Immutable):
     log_evidence : ndarray
         (iterations + 1,): of all recordings and runs together, from the start on. It never falls.
     posterior : ChainPosterior or StatePosterior, or tuple of these
-        Of each recording, smoothed with the model.
+        The posterior of each recording, smoothed with the model.
     status : FitStatus
 
     Examples

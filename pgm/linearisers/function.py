@@ -334,7 +334,7 @@ class BoundFunction(NamedTuple):
 
 
 def _alike(a: Array, b: Array, angles: Mask) -> bool:
-    """Whether two values (..., d) are the same but for rounding."""
+    """Whether two values (..., d) are equal up to rounding."""
     if a.ndim == 1:  # of one run, mostly without a turn
         pairs = zip(a.tolist(), b.tolist(), strict=True)
         if all(abs(p - q) <= 1e-9 * (1.0 + abs(p)) for p, q in pairs):
@@ -352,7 +352,7 @@ def sealed(array: Array) -> Array:
 
 
 def _along_runs(array: Array, own: int) -> Array:
-    """An array (runs, own axes) with the runs fastest in memory, for quicker use after it."""
+    """An array (runs, ...) laid out in memory with the runs contiguous, for faster kernels."""
     if array.ndim == own + 1:
         return components_last(np.ascontiguousarray(components_first(array, own)), own)
     return array

@@ -109,7 +109,7 @@ class Prepared(Protocol):
 
 
 def prepare(lineariser: Lineariser, template: FunctionTemplate) -> Prepared:
-    """A lineariser's own prepared form, or a plain callable wrapped as one."""
+    """A lineariser prepared for many calls with one template."""
     own = getattr(lineariser, "prepare", None)
     if own is None:
         return Wrapped(lineariser, template)
@@ -162,7 +162,7 @@ class ArrayLineariser(InCode, ABC):
         Parameters
         ----------
         template : FunctionTemplate
-            Of the functions that it will be called with.
+            The template of the functions that it will be called with.
 
         Returns
         -------
@@ -300,7 +300,7 @@ def apart(prepared: Prepared, function: BoundFunction, mean: Array, cov: Array) 
     Returns
     -------
     Line
-        Of k d components; the error is block-diagonal.
+        A line of k d components; the error is block-diagonal.
 
     Examples
     --------

@@ -77,7 +77,7 @@ class StatisticalRegression(ArrayLineariser):
         dimension : int
             Number of components, n.
         name : str
-            Of the CPD's child: with the step, what a random rule keys its draws by.
+            The name of the CPD's child; with the step, it keys a random rule's draws.
         step : int, ndarray of int or None
             The step, or an array over the belief's leading axes.
 

@@ -36,7 +36,7 @@ class FunctionTemplate:
     variances : tuple of float
         The least variance of each component's own noise; zero where it is not known beforehand.
     tracer : Tracer, optional
-        Of the function; derivatives that were not given are its trace's, where it has one.
+        The function's tracer; Jacobians that are not given come from its trace, if it has one.
 
     Examples
     --------
@@ -80,7 +80,7 @@ class FunctionTemplate:
 
     @cached_property
     def derivatives(self) -> tuple[tuple[str, int, Index, Function | None], ...]:
-        """Of each hidden parent: a name for messages, size, place, and the derivative if given."""
+        """For each hidden parent: its name, size, place in the stack, and Jacobian if given."""
         every = zip(self.given, self.places, self.jacobians, strict=True)
         return tuple(
             (f"jacobian by {parent!r}", parent.dimension, place, by)

@@ -128,8 +128,8 @@ class OccupancyMap(InCode, CellGrid):
         Parameters
         ----------
         path : path
-            Of the YAML file, whose thresholds the map has. The image, PGM (P2 or P5) or PNG, is
-            found from its folder.
+            Path of the YAML file, whose thresholds the map has. The image, PGM (P2 or P5) or PNG,
+            is found from its folder.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class OccupancyMap(InCode, CellGrid):
         Parameters
         ----------
         path : path
-            Of the YAML file; the image lies beside it, by the same name.
+            Path of the YAML file; the image lies beside it, by the same name.
         image : str
             ".pgm" or ".png".
 

@@ -182,7 +182,7 @@ class BeamModel(ScanCPD):
     Parameters
     ----------
     child, given, map, angles, most, mount, every, weight
-        As of `LikelihoodField`.
+        See `LikelihoodField`.
     std : float
         σ [m]: of ranges to obstacles of the map.
     hit, short, maximum, random : float
@@ -275,7 +275,7 @@ class BeamModel(ScanCPD):
         Raises
         ------
         ModelError
-            As of `OccupancyMap.cast`.
+            See `OccupancyMap.cast`.
         """
         return self.map.cast(poses, self._angles, self.most, through_unknown=self.through_unknown)
 

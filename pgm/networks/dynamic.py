@@ -40,14 +40,14 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     Parameters
     ----------
     prior : sequence of CPD
-        Of the states at step 0; a state's may depend on other states.
+        CPDs of the states at step 0; a state may depend on other states there.
     transition : sequence of CPD
-        Of each state given states of the step before (``x.previous``), other hidden variables of
-        the same step, and inputs. A child without a prior, such as a control with noise, is
+        CPDs of each state given states of the step before (``x.previous``), other hidden variables
+        of the same step, and inputs. A child without a prior, such as a control with noise, is
         hidden at steps 1..T.
     observation : sequence of CPD, optional
-        Of measurements given hidden variables of the same step, and inputs. A measurement may be
-        taken any number of times a step, or never.
+        CPDs of measurements given hidden variables of the same step, and inputs. A measurement may
+        be taken any number of times a step, or never.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     inputs : tuple of Variable
         Parents that no CPD explains: they must have evidence.
     discrete : bool
-        Whether it is of tables, and not of Gaussian CPDs.
+        Whether its CPDs are tables rather than Gaussian.
 
     Raises
     ------

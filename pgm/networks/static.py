@@ -162,7 +162,7 @@ class BayesianNetwork(Drawn, Immutable):
         Returns
         -------
         dict
-            Of each variable with a CPD: (*n, d) values, or (*n,) indices of states of a discrete
+            For each variable with a CPD: (*n, d) values, or (*n,) indices of states of a discrete
             one; both can be given as evidence.
 
         Examples

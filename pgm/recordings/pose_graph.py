@@ -79,7 +79,7 @@ class PoseGraph(Shown, NoArray):
     fixed : ndarray of int
         Rows of the poses that are held.
     scans : Scans or None
-        Of each pose, numbered as stamps.
+        The scan of each pose, numbered as stamps.
     dropped : tuple of Dropped
 
     Examples
@@ -120,7 +120,7 @@ class PoseGraph(Shown, NoArray):
         """The chain of edges from each pose to the next, as a drive of a step a second.
 
         An edge that is told from the later pose is turned round. Loop closures stay here, `loops`.
-        Of several edges between two poses the first one counts.
+        The first of several edges between two poses counts.
         Sightings of landmarks are the sensor ``landmark``, (forward, left), at the steps.
         """
         edges, steps = self.edges, len(self.poses) - 1

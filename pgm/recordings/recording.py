@@ -337,11 +337,11 @@ class Recording(Shown, NoArray, Immutable):
             The observed parent of the sensors whose rows have subjects: the place of each, which
             they must have (`located`).
         variances : mapping of Variable to Variable, optional
-            Of sensors, the observed parent that the variances of each reading are evidence of,
+            For each sensor, the observed parent that the variances of each reading are evidence of,
             whose components are called like the sensor's: with ``variances={z: r}`` and
             ``cov=pgm.noise(lambda r: r, given=r, diagonal=True)`` a reading is as sure as its row.
         tolerance : float, optional
-            As of `pgm.timeline`.
+            See `pgm.timeline`.
 
         """
         named = as_mapping(sensors, "sensors=")

@@ -42,7 +42,7 @@ class Stream(Shown, NoArray, Immutable):
     variances : array_like, optional
         (n, d), of the noise.
     begin : float, optional
-        Of increments: when the first of them begins, seconds. Without it, the first row only
+        For increments: when the first of them begins, seconds. Without it, the first row only
         stamps the moment from which the second counts.
 
     Raises

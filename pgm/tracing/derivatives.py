@@ -22,7 +22,7 @@ def derivatives(
     Returns
     -------
     list of dict
-        Of each output: by the places of inputs, numbers of operations; zeros are left out.
+        For each output, the node numbers of its derivatives by input; zeros are left out.
     """
     rows: dict[int, dict[int, Any]] = {}
     for column, number in enumerate(inputs):

@@ -32,7 +32,7 @@ class Program:
     value : tuple of int
         Numbers of operations: d of them.
     columns : tuple of (int, int)
-        Of each hidden component, stacked: the argument, and its component there.
+        For each hidden component, stacked: the argument, and its component there.
     slope : tuple of (int or None)
         d n of them, row by row; None is zero.
     cast : bool

@@ -51,7 +51,7 @@ def view(
     posterior : Posterior, GridPosterior or ParticlePosterior
         Grids and particles have beliefs and no messages.
     path : str or path-like
-        Of the file, like ``"run.html"``; an old one is replaced.
+        The file's path, like ``"run.html"``; an old one is replaced.
     run : int, tuple of int, or sequence of these tuples, optional
         Which runs of a batch; the first eight without.
     steps : (int, int), optional
@@ -60,7 +60,7 @@ def view(
     Returns
     -------
     Path
-        Of the file.
+        The file's path.
 
     Raises
     ------

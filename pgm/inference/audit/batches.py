@@ -29,7 +29,7 @@ class Drawing(Protocol):
         """Numbers of a whole draw."""
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """So many new draws a run."""
+        """Draw a number of new trajectories for each run."""
 
     def sums(self) -> list[Sums]:
         """Empty sums, one a hidden variable and one a cluster of several."""

@@ -136,7 +136,7 @@ class ChainDraws:
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
     def sums(self) -> list[Sums]:
-        """Empty sums of each hidden variable, of the states, and of clusters that are judged."""
+        """Empty sums for the moments of hidden variables, states and judged clusters."""
         layout, judged = self.plan.layout, self.judged
         mean, cov = self.beliefs.mean, self.beliefs.cov
         front = layout.state_size
@@ -231,7 +231,7 @@ class ChainDraws:
 
 @dataclass(frozen=True, eq=False)
 class _Law:
-    """From smoothed moments to the law of trajectories, drawn forward in time."""
+    """Conditionals p(x[t + 1] | x[t], all measurements), to draw trajectories forward in time."""
 
     layout: SliceLayout
     prior: Links
@@ -258,7 +258,7 @@ class _Law:
 
 
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
-    """Components of slices that their parents leave open, of a shape (rows, runs, n).
+    """The mask of components that have noise given their parents, (rows, runs, n).
 
     `start` is where the slice begins in the vector in which the links' children stand.
     """

@@ -85,7 +85,7 @@ class Found(NamedTuple):
 
 
 def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> Found:
-    """The modes of some runs, by all smoothers of these in one call."""
+    """The modes of some runs: all runs' smoothers are solved in one call."""
     begun = starts(plan, answer.mean)
     steps, runs, count, size = begun.shape
     flat = np.ascontiguousarray(begun.swapaxes(1, 2)).reshape(steps, count * runs, size)

@@ -39,7 +39,7 @@ class Compared:
     judged: Mask
 
     def excess(self, draws: Array) -> Array:
-        """The largest divergence judged, less what chance may leave, (runs,).
+        """The largest divergence judged, less the divergence that chance explains, (runs,).
 
         Moments of n effective draws are χ²/2n nats off, with a degree of freedom for each of them;
         the largest of m is bounded as by Laurent & Massart (2000, lemma 1).
@@ -51,7 +51,7 @@ class Compared:
 
     @property
     def _known(self) -> Array:
-        """Divergences (steps, runs) of beliefs that are judged and of finite moments; else zero."""
+        """Divergences (steps, runs) of judged beliefs with finite moments; zero elsewhere."""
         known = self.judged[:, None] & np.isfinite(self.divergence)
         return np.where(known, self.divergence, 0.0)
 
@@ -78,7 +78,7 @@ class Compared:
         return frozen(self._stacked(self.divergence, lead))
 
     def _stacked(self, values: Array, lead: tuple[int, ...]) -> Array:
-        """From (steps, runs, ...) to (*lead, steps, ...), or (*lead, ...) without time."""
+        """Reshape (steps, runs, ...) to (*lead, steps, ...); without time to (*lead, ...)."""
         tail = values.shape[2:]
         if self.steps is None:
             return np.asarray(values[0].reshape((*lead, *tail)))

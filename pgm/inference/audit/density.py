@@ -86,7 +86,7 @@ class Term:
         return cls(family, own, relative, linearised, taken)
 
     def free(self) -> Mask:
-        """The mask of child components that parents leave open, (rows or 1, runs or 1, d)."""
+        """The mask of child components that have noise, (rows or 1, runs or 1, d)."""
         return ~roots.determined(self.own)
 
     def child(
@@ -189,11 +189,11 @@ class Term:
         return normal_density.whitener(self.own)
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
-        """Residuals (..., S, d), zero in components that were not read."""
+        """Residuals (..., S, d), with zero in missing components."""
         return residual if self.taken is None else np.where(self._seen(rows), residual, 0.0)
 
     def _seen(self, rows: int | slice) -> Mask | np.bool_:
-        """Components of measurements that were read, (k, runs or 1, 1, d); True for all."""
+        """The mask of measured components, (k, runs or 1, 1, d); True for all."""
         return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
@@ -283,7 +283,7 @@ def has_exact(read: Iterable[Family]) -> bool:
 
 
 def _at(stacked: Stack, rows: int | slice) -> Stack:
-    """Some rows of an array (rows or 1, ...), of which one row may stand for all."""
+    """Some rows of an array (rows or 1, ...); its only row serves for all."""
     if stacked.shape[0] == 1:
         rows = 0 if isinstance(rows, int) else slice(None)
     part: Stack = stacked[rows]

@@ -28,7 +28,7 @@ class Excursions:
     it, is summed up slice by slice, over the four stages.
 
     slices : int
-        Of a draw, 1 or more.
+        The number of slices of a draw, 1 or more.
     predicted : float
         The part of excursions that follow the model; the others have Student tails.
     """
@@ -47,7 +47,7 @@ class Excursions:
         return np.full((runs, count), BEFORE)
 
     def advance(self, index: int, stage: Integers, rng: np.random.Generator) -> Integers:
-        """Draw the stages of a slice given those of the slice before, (runs, S)."""
+        """Draw each draw's stage at a slice given its stage at the slice before, (runs, S)."""
         chance = rng.random(stage.shape)
         begin = self._begin(index)
         kind = np.where(chance < begin * self.predicted, PREDICTION, TAILS)

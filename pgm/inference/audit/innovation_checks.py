@@ -18,7 +18,7 @@ BAND = 2.576
 
 @dataclass(frozen=True, eq=False, repr=False)
 class InnovationCheck(Shown):
-    """The innovations of one sensor, held against a correct model's, which are white.
+    """Whether one sensor's innovations are as white and as large as a correct model's.
 
     nis: (...): the normalised innovation squared for each component read, its mean over the steps
         of a run; 1 is right, more where measurements are further off than the model says: outliers,

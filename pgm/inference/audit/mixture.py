@@ -144,7 +144,7 @@ class Mixture:
 
 
 def _require_draws(weighed: Weighed) -> None:
-    """Refuse runs of which no draw, or none of q's own, has a density that is not zero."""
+    """Refuse runs whose draws, or whose draws from q, all have density zero."""
     finite = np.isfinite(weighed.peak) & np.isfinite(weighed.plain.max(axis=-1))
     if not finite.all():
         run = int(np.flatnonzero(~finite)[0])
@@ -155,7 +155,7 @@ def _require_draws(weighed: Weighed) -> None:
 
 
 def _evidence(weighed: Weighed) -> Evidence:
-    """The mean weight with its control variate; where that is not positive, the plain mean.
+    """The mean weight with its control variate; the plain mean if that is not positive.
 
     A regression through few weights may overshoot.
     """

@@ -69,7 +69,7 @@ class Modes:
         return cls(paths, np.array(shares).reshape(len(paths), len(missed)), missed)
 
     def drawn(self, count: int, rng: np.random.Generator) -> Integers:
-        """The law of each of so many defensive draws, (runs, S); K of an excursion."""
+        """The component of each defensive draw, (runs, S); K stands for an excursion."""
         runs = self.shares.shape[1]
         if not self.paths:
             return np.zeros((runs, count), dtype=np.intp)
@@ -110,7 +110,7 @@ class Chosen:
     index : ndarray
         (K, runs): which fixed point each mode is; −1 where a run has fewer.
     shares, missed : ndarray
-        As of `Modes`.
+        See `Modes`.
     """
 
     index: Integers

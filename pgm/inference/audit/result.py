@@ -41,7 +41,7 @@ def _is_trusted(mixture: Mixture, modes: Modes) -> Mask:
 def _is_suspect(
     mixture: Mixture, compared: Sequence[Compared], correction: Array, trusted: Mask
 ) -> Mask:
-    """Whether moments or the log-evidence are off by more than chance may leave, (runs,).
+    """Whether moments or the log-evidence are further off than chance explains, (runs,).
 
     A mean of weights is t nats too high with a probability of e^−t at most, whatever their tail
     (Markov's inequality), and too low by any number of nats: a `correction` downwards counts where
@@ -111,7 +111,7 @@ class Audit(Shown, Immutable):
     log_weights : ndarray
         (..., S): ln w.
     innovations : mapping of Variable to InnovationCheck
-        Of each sensor that a chain has read, whether its innovations fit the model: all other
+        For each sensor that a chain has read, whether its innovations fit the model: all other
         numbers are about the model as declared, and right for a wrong one.
 
     References

@@ -74,7 +74,7 @@ def audit(
     Parameters
     ----------
     posterior : ChainPosterior or GaussianPosterior
-        Of a filter or smoother, or of a tree.
+        The posterior of a filter or smoother, or of a tree.
     samples : int
         S, 2 or more draws for each run; each is drawn by itself. The result keeps a number for
         each draw, and the draws are made in batches of bounded size.
@@ -99,7 +99,7 @@ def audit(
 
     References
     ----------
-    As of `Audit`; Särkkä & Svensson, Bayesian Filtering and Smoothing, 2nd edition, 2023, chapter
+    See `Audit`; Särkkä & Svensson, Bayesian Filtering and Smoothing, 2nd edition, 2023, chapter
     11.
 
     Examples

@@ -107,7 +107,7 @@ class TreeDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """So many draws a run: defensive ones are of the prior, of q's tails, or of modes."""
+        """Draw S values a run, from q; defensive draws come from the prior, wide tails or modes."""
         shape = len(self.reference), count
         excursions = Excursions(1, 0.0 if self.relative else PREDICTED)
         strand = Strand(self.answer, self.modes, excursions, shape, rng, defensive, self.relative)

@@ -46,7 +46,7 @@ class TreeDensity:
         return cls(model, [Term.make(f, relative=relative, taken=taken) for f, taken in every])
 
     def free(self, shape: tuple[int, int]) -> Mask:
-        """The components of hidden variables that their parents leave open, (1, runs, n)."""
+        """The mask of hidden components that have noise given their parents, (1, runs, n)."""
         free = np.zeros((1, *shape), dtype=bool)
         for group, term in zip(self.model.layout.groups, self.terms, strict=True):
             mask = term.free()

@@ -134,7 +134,7 @@ class _Pending:
         rows: range,
         belief: Moments,
     ) -> Moments:
-        """Decide about the sightings of some rows at a belief, and take them in.
+        """Choose candidates for some rows' sightings at a belief, and update with them.
 
         Their shares are ∝ N(ν; 0, S) times the share of each candidate, zero outside the gate,
         beside the densities of a spurious and a new one; the likeliest is taken, together with the
@@ -215,7 +215,7 @@ class _Pending:
         )
 
     def part(self, rows: range) -> Reading:
-        """Some sightings, as they were associated, at step zero of evidence of their own."""
+        """Some associated sightings, as evidence of a single step."""
         chosen = slice(rows.start, rows.stop)
         return replace(
             self.reading,

@@ -34,7 +34,7 @@ class BalancedPosterior(ChainPosterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
-        Of a segment from a to b, x its states at a and y those at b:
+        For a segment from a to b, with states x at a and y at b:
 
             up     p(y, measurements after a up to b | x),
             down   p(x, measurements up to a) p(measurements after b | y),

@@ -91,7 +91,7 @@ def sweep(
     begin: Begin | None = None,
     gated: gate.Asked | None = None,
 ) -> tuple[Careful, Status]:
-    """The forward pass: linearised at incoming beliefs as the schedule says, or as it was before.
+    """The forward pass, linearised by the schedule or as the last pass left it.
 
     `begin` is where a window begins, in place of the prior; `gated` the gates where no schedule
     tells.
@@ -166,7 +166,7 @@ def update(
 
 @dataclass(frozen=True, eq=False)
 class CarefulUpdate:
-    """The belief that an update leaves, mean (runs, n), and the log-density of its measurements.
+    """The updated belief, mean (runs, n), and ln p of its measurements given earlier ones.
 
     `spread` is its covariance. `components` are in the order in which they were taken in;
     `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S of all so far.

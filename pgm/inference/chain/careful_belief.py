@@ -178,7 +178,7 @@ class Move(NamedTuple):
     columns: Twofold
 
     def at(self, row: int) -> Move:
-        """One row of many."""
+        """The transition at one row."""
         return Move(*(part[row] for part in self))
 
 
@@ -279,7 +279,7 @@ class Component(NamedTuple):
 def take(
     belief: Belief, row: Twofold, value: Twofold, noise: Twofold, seen: Mask
 ) -> tuple[Belief, Component, Array, bool]:
-    """Take in a component; also its predictive variance, and whether that is indefinite."""
+    """Update with one component; also its predictive variance, and whether that is indefinite."""
     columns, cov, rounding, drift, _ = belief
     cross = (cov @ row[..., None])[..., 0]
     spread = row.dot(cross)
@@ -334,7 +334,7 @@ def take(
 
 
 def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twofold, Twofold, Mask]:
-    """The components of measurements, each with an error of its own: rows, noises and a mask.
+    """Measurement components with independent errors: rows, variances and a mask.
 
     Rows (runs, D, n + 1) are h and the measurement less the CPD's offset; `noises` (runs, D) are
     variances.

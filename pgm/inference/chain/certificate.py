@@ -1,23 +1,28 @@
-"""Whether float64 has digits enough for a chain: how far apart its standard deviations lie.
+"""Whether float64 has digits enough for a linearised chain, or its passes need twice the digits.
 
-A covariance in float64 keeps what is small in it to about 10⁻¹⁶ of what is large. Where every
-belief is regular, no variance along any direction is much smaller than its parts, and neither what
-a transition nor what a measurement sums up loses digits. These ratios bound what is lost:
+float64 rounds a sum to ε = 2.2·10⁻¹⁶ of its largest summand. If the sum is smaller than its
+summands by a factor κ, it keeps a relative accuracy of κ ε only. Three differences of a Kalman
+filter and smoother can cancel so, and each has its ratio κ:
 
-- of a belief, before and after measurements: a variance over the share of it that is left open by
-the
-  components before it;
-- of a component: its variance before measurements, at the step or later ones, over that after them;
-- of measurements without noise: (Σ_j |h_j| σ_j)² over the share of the variance of an innovation
-that
-  is left open by those before it.
+- A belief's covariance P, before and after measurements. Component i, given the components before
+  it, has the variance L_ii² (P = L Lᵀ), and κ = P_ii / L_ii². This is large where two components
+  are almost the same.
+- A measurement's reduction of a variance, P − K S Kᵀ. Per component κ = P_ii before the
+  measurements over P_ii after them, or after the smoother's later ones. A variance that falls to
+  exactly zero loses nothing.
+- An innovation's covariance S = H P Hᵀ + R where the sensor has no noise. The part that the
+readings before it leave
+  open is its pivot L_jj² (S = L Lᵀ), and κ = (Σ_i |h_i| σ_i)² / L_jj².
 
-A mean is rounded to some 10⁻¹⁶ of the largest numbers that it went through. In units of the
-standard deviations there, that has to be little, or not much more than the rounding of the mean
-itself in units of its own.
+Every κ must stay below `MODERATE`, 2·10⁷, which leaves κ ε ≤ 4.4·10⁻⁹. The segments that a
+balanced tree composes multiply such losses, hence their limit is lower, `_GENTLE`.
 
-Where all ratios are moderate, the passes in float64 are right; where one is not, they are made in
-twice the digits.
+Means have a test of their own. A mean is rounded to ε times the largest number that it came from,
+which may stand at another step: a start of 10⁸ m, say, for a state that is known to 1 mm later. The
+rounding ε |m| / σ, in deviations, is carried along the chain. It counts where it is more than
+3·10⁻⁸ and 30 times the rounding that the mean has by its own size.
+
+Where one test fails, the passes are done again in pairs of float64 (`careful`).
 """
 
 from __future__ import annotations
@@ -33,14 +38,14 @@ from pgm.kernels.arrays import Array, apply, deviation, sandwich, variances
 
 # The largest ratio at which float64 leaves all the digits that are promised.
 MODERATE = 2e7
-# And that at which composing segments of a balanced tree leaves them too.
+# A stricter ratio, for covariances from which segments of a balanced tree are composed.
 GENTLE = 4e6
 # Rounding of a mean, in its deviations, that counts where numbers are so many times smaller.
 _COUNTS, _FARTHER = 3e-8, 30.0
 # The part of a deviation that rounding of a mean may be, of a belief that goes on in float64.
 _TOLD = 1e-8
 _EPS = float(np.finfo(np.float64).eps)
-# And of one that an online filter takes a step from; the square of such a mean, in its variance.
+# The same part for a mean that an online filter steps from; FAR is that mean², in its variance.
 SHARE = 1e-5
 FAR = (SHARE / _EPS) ** 2
 

@@ -112,7 +112,7 @@ class Diffuse(NamedTuple):
 
 
 def _combined(reach: Array, noise: Array) -> tuple[Array, Mask]:
-    """Combinations N (k, d, d) of components, of which those that are `known` (k, d) have NU = 0.
+    """Combinations N (k, d, d) of components; the `known` ones (k, d) have N U = 0.
 
     Gauss's elimination of U (k, d, q), in deviations of the noise (k, d, d): the components that
     say the most of what is open are taken out of the others, by factors of one at the most, so that

@@ -73,7 +73,7 @@ def projected(plan: ChainPlan, mean: Array, std: Array) -> tuple[Array, Mask]:
 
 
 def _obeyed(relations: list[Relation], mean: Array) -> Mask:
-    """Whether trajectories (T+1, runs, n) obey all relations but for rounding, (runs,)."""
+    """Whether trajectories (T+1, runs, n) satisfy all relations up to rounding, (runs,)."""
     fits = np.ones(mean.shape[1], dtype=bool)
     for relation in relations:
         left, size = relation.missed(mean)
@@ -105,7 +105,7 @@ def _equations(relations: list[Relation], mean: Array, unit: Array, weight: floa
 
 
 def _relations(plan: ChainPlan) -> Iterator[Relation]:
-    """The relations of all linear CPDs and measurements in rows that their noise leaves alone.
+    """Relations from the noise-free rows of all linear CPDs and measurements.
 
     With noise L Lᵀ, (I − L L⁺) (y − F p − b) = 0.
     """

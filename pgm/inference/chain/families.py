@@ -16,7 +16,7 @@ from pgm.kernels.arrays import Array, Index, Mask, block, quiet
 
 
 class FamilyBelief(NamedTuple):
-    """The belief (rows, runs, n) of a CPD's hidden parents, then of its child where that is hidden.
+    """The joint belief (rows, runs, n) of a CPD's hidden parents and, if hidden, its child.
 
     `values` (rows, runs or 1, d) are a sensor's measurements, `taken` which components were; None
     for all.

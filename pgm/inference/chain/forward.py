@@ -134,7 +134,7 @@ class Watch:
 
 
 class _Record:
-    """The record of a sweep, in rows of its arrays; those of predictions may be left out."""
+    """The arrays that a sweep fills, one row a step; predictions are optional."""
 
     def __init__(self, plan: ChainPlan, known: Arrays, predicted: Arrays = ()) -> None:
         self.plan, self.reached, self.watch = plan, 0, Watch()
@@ -169,7 +169,7 @@ class _Record:
 
     @contextmanager
     def refusing(self, schedule: Filtering | None) -> Iterator[None]:
-        """Refuse the first step of a sweep that fails, or leaves a number that is not finite."""
+        """Refuse the first step whose update fails, or whose belief is not finite."""
         retain()
         try:
             yield
@@ -186,7 +186,7 @@ class _Record:
         return bool(np.isfinite(total + sum(part.sum() for part in self.predicted)))
 
     def refuse(self, schedule: Filtering | None) -> None:
-        """Raise the error of the first step that has left a number that is not finite.
+        """Raise the error of the first step whose belief is not finite.
 
         The step is done again, with each number looked at; later failures follow from it.
         """
@@ -215,7 +215,7 @@ def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
 def stored(
     plan: ChainPlan, anchor: Anchor | None = None, gated: gate.Asked | None = None
 ) -> Forward:
-    """The forward pass with every CPD as it was linearised before; gates may decide anew."""
+    """The forward pass with the linearisations that the plan holds; gates decide anew."""
     out = Forward.empty(plan)
     if anchor is None and gated is None:
         went = _swept(plan, None, out.known, out.predicted, keep=False)
@@ -260,7 +260,7 @@ def _swept(
     *,
     keep: bool,
 ) -> Swept:
-    """A sweep in machine code, or of the runs that this leaves, if any, step after step."""
+    """A sweep in machine code; runs that it gives up are swept step by step."""
     rest = known, predicted
     found = compiled.forward(plan, schedule, *rest, keep=keep)
     if found is None:
@@ -314,7 +314,10 @@ def _stepwise(
 
 
 def _joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
-    """Residuals of all runs, with those of some; the longer a record, the later its last ones."""
+    """Residuals by iteration for all runs, with those of some runs put in.
+
+    Runs that took longer have more rows, aligned at the last.
+    """
     longest = max(len(record), len(part))
     found = [each.copy() for each in record + (record[-1:] or [np.zeros(count)]) * longest]
     for row, own in zip(found[:longest], (part + part[-1:] * longest)[:longest], strict=False):

@@ -28,7 +28,7 @@ _REWEIGHINGS = 200
 
 @dataclass(frozen=True, eq=False)
 class Updated:
-    """The belief that an update leaves, in the layout of a sweep, and its log-density (*batch)."""
+    """The updated belief, in a sweep's axes, and ln p of its measurements, (*batch)."""
 
     known: Moments
     log_density: Array | float
@@ -40,7 +40,7 @@ class Updated:
 
     @property
     def point(self) -> Point:
-        """Its moments."""
+        """The belief's moments as a linearisation point."""
         return Point(self.means, _as_point(self.known.cov, 2))
 
 
@@ -136,7 +136,7 @@ class UpdateProblem(ABC, Generic[U]):
 
     @abstractmethod
     def raised(self, found: U, surplus: Array | float) -> U:
-        """The same belief, of measurements whose log-density is so much larger."""
+        """The same belief, with `surplus` added to the log-density of its measurements."""
 
     def cost(self, at: Point) -> Array:
         """The cost of means, (runs,)."""
@@ -185,7 +185,7 @@ class MomentUpdate(UpdateProblem[Updated]):
         return Updated(known if anchor is None else known.held(anchor, 0), density)
 
     def raised(self, found: Updated, surplus: Array | float) -> Updated:
-        """The same belief, of measurements whose log-density is so much larger."""
+        """The same belief, with `surplus` added to the log-density of its measurements."""
         return replace(found, log_density=found.log_density + surplus)
 
 

@@ -62,7 +62,7 @@ def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
 
 
 def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Integers) -> Mask:
-    """Whether the hypotheses `chosen`, (sightings, all runs), of some runs lie within the gate."""
+    """Whether `chosen` hypotheses, (sightings, all runs), of some runs lie within the gate."""
     spread, shift = cov[runs], np.zeros((runs.size, cov.shape[-1]))
     square, dof = np.zeros(runs.size), np.zeros(runs.size, dtype=np.intp)
     for k, own in enumerate(chosen[:, runs]):

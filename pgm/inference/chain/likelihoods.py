@@ -37,7 +37,7 @@ from pgm.kernels.segment_maps import Moments
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The measurements of a plan as it is linearised, about a `reference` (T+1, runs, n).
+    """The plan's linearised measurements as likelihoods of x − reference, (T+1, runs, n).
 
     Those with a regular noise make the `likelihood`; `stacks` are of singular noise, or with cross
     terms.
@@ -144,7 +144,7 @@ class Whitened:
 
     @classmethod
     def of(cls, sensor: Sensor, reference: Array) -> Whitened | None:
-        """None where the noise has no inverse, or measurements have errors in common."""
+        """The sensor's whitened measurements; None if R is singular or errors are correlated."""
         if sensor.exact or sensor.cross:
             return None
         noise, taken = shortened(sensor.family.noise), sensor.taken
@@ -195,7 +195,7 @@ class Whitened:
         return _by_step(self.sensor, density)[0]
 
     def _white(self, rows: slice) -> Array:
-        """The whitening matrices of some rows, or the one of all."""
+        """The whitening matrices R^(−1/2) of some rows; a single one serves for all."""
         return self.white if len(self.white) == 1 else self.white[rows]
 
     def _residual(self, rows: slice, mean: Array) -> Array:
@@ -225,7 +225,7 @@ def shortened(array: Array) -> Array:
 def _by_step(
     sensor: Sensor, part: Callable[[slice, Integers], tuple[Array, ...]]
 ) -> tuple[Array, ...]:
-    """Arrays made of each step's rows of measurements, (T+1, ...), a chunk of steps at a time."""
+    """Arrays (T+1, ...) computed from each step's measurement rows, a chunk of steps at a time."""
     bounds = np.asarray(sensor.bounds)
     counts = np.diff(bounds)
     size = max(_CHUNK // sensor.moved.shape[1], 1)
@@ -246,7 +246,7 @@ def _by_step(
 
 
 def _added(parts: Array, counts: Integers) -> Array:
-    """Sums of rows (M, runs, ...) by step: of so many rows each, (steps, runs, ...)."""
+    """Sum rows (M, runs, ...) by step, `counts` rows each, to (steps, runs, ...)."""
     memory = np.moveaxis(parts, (0, 1), (-2, -1))
     out = np.zeros((*memory.shape[:-2], counts.size, memory.shape[-1]))
     some = np.flatnonzero(counts)

@@ -58,7 +58,7 @@ def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonica
 
 
 def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | None:
-    """In 2 log₂ T rounds; None where a part of it does not exist, such as a root of a noise."""
+    """Messages by a scan of 2 log₂ T rounds; None where a root or inverse does not exist."""
     segments = take(absorbed_at_once(plan, forward), slice(None, None, -1))
     tree = levels(segments, lambda later, sooner: elements.compose(sooner, later))
     found = prefixes(_Message(*(part[None] for part in last)), tree, _passed)
@@ -108,7 +108,7 @@ def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
 def absorbed(
     plan: ChainPlan, forward: Forward, conditionals: Conditional, later: int
 ) -> tuple[Conditional, Canonical | None]:
-    """The states at a step given those before and its measurements, and what these say.
+    """p(x[t] | x[t − 1], z[t]) and the likelihood p(z[t] | x[t − 1]) of a step.
 
     Both are about the filtered means; the latter is a function of the states before.
     """

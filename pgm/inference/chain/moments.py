@@ -154,7 +154,7 @@ class MomentChain:
     def _reweighed(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
-        """The belief given sightings of robust noise, weighed anew at each linearisation."""
+        """The update with robust sightings, reweighted at each linearisation."""
         if self.check:
             for part in parts:
                 part.linearise(mean, cov)
@@ -178,7 +178,7 @@ class MomentChain:
         return Moments(shown, last.known.cov, False), last.log_density
 
     def _at(self, link: Link, row: int) -> At:
-        """A CPD at its row, to be linearised, or as it was."""
+        """A CPD at its row, to be linearised anew or with its stored linearisation."""
         if self.linearises:
             return link.family.at(row, row + 1)
         return link.family.stored_at(row, row + 1)

@@ -45,7 +45,7 @@ class Means:
 
 
 def step(plan: ChainPlan, reference: Array) -> Means | None:
-    """The means of a plan as it is linearised at a reference, (T+1, runs, n).
+    """One Gauss–Newton step: the means of the plan linearised at a reference, (T+1, runs, n).
 
     None where a noise or the prior is singular, so that there are no normal equations.
     """

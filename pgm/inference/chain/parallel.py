@@ -68,7 +68,7 @@ def filtered(
     anchor: Anchor | None = None,
     readings: Readings | None = None,
 ) -> Ahead:
-    """The forward pass with every CPD as it was linearised, as `forward.stored` gives it.
+    """The forward pass with stored linearisations, like `forward.stored`, by a parallel scan.
 
     `forward.stored` makes it where composing segments costs digits. Elements are about the
     `reference` (T+1, runs, n), a trajectory near the beliefs, so that large coordinates cost no
@@ -204,7 +204,7 @@ def _read(predicted: Moments, readings: Readings) -> Moments:
 
 
 def _agree(found: Moments, due: Moments) -> bool:
-    """Whether moments are the same but for the rounding that does not matter."""
+    """Whether moments agree up to rounding that does not matter."""
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)
     far = off > _CLOSE * np.where(std > 0.0, std, np.abs(due.mean) + off.max(initial=0.0))

@@ -73,12 +73,12 @@ class ChainPlan:
 
     @cached_property
     def linear(self) -> bool:
-        """Whether no sensor that is read needs a linearisation."""
+        """Whether every sensor with measurements is linear."""
         return all(s.family.exact for s in self.sensors if s.family.step.size)
 
     @cached_property
     def robust(self) -> list[Sensor]:
-        """The sensors of robust noise that are read."""
+        """The sensors with robust noise that have measurements."""
         return [s for s in self.sensors if s.robust and s.family.step.size]
 
     @cached_property
@@ -104,11 +104,11 @@ class ChainPlan:
 
     @property
     def exact(self) -> bool:
-        """Whether every CPD is affine, and those that are read of Gaussian noise."""
+        """Whether every CPD is affine, and every sensor with measurements Gaussian."""
         return all(family.exact for family in self.families) and not self.robust
 
     def of(self, runs: slice) -> ChainPlan:
-        """The plan of some runs, with views of these arrays; what is linearised is its own."""
+        """The plan of some runs: a view of the arrays, with linearisations of its own."""
 
         def links(every: list[Link]) -> list[Link]:
             return [replace(link, family=link.family.of(runs)) for link in every]

@@ -131,7 +131,7 @@ class ChainPosterior(Innovated, Posterior):
     def filtered(self) -> Marginals:
         """Marginals given the measurements up to each step: the forward pass.
 
-        Of an iterated fixed lag, those of each window at its newest step.
+        For an iterated fixed lag, the weights of each window at its newest step.
         """
         beliefs = Beliefs(self._swept.mean, self._swept.cov)
         return self._marginals(beliefs if self._windows is None else self._windows.newest, FILTERED)

@@ -183,7 +183,7 @@ class Reading:
     def linearise(
         self, mean: Array, cov: Array, active: Mask | None = None, copy: bool = True
     ) -> Measured:
-        """Linearise at a belief over the slice, runs that are active.
+        """Linearise at a belief over the slice, for the active runs.
 
         Without a copy H and the value may be arrays that the user's function uses again.
         """

@@ -42,7 +42,7 @@ def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
 
 
 def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
-    """Refuse measurements that are (D, *batch) off values that an exact model determines."""
+    """Refuse measurements (D, *batch) that contradict values fixed by an exact model."""
     allowed = []
     for seen in parts:
         # Numbers of this size are summed up to the expected value.

@@ -33,7 +33,7 @@ def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:
 def squares(
     sensor: Sensor, mean: Array, cov: Array, first: int, error: Array | None = None
 ) -> Array:
-    """The squares of a sensor's residuals, (M, runs), as it is linearised."""
+    """The squares νᵀR⁻¹ν of a sensor's residuals by its linearisation, (M, runs)."""
     family, parents, places = sensor.family, sensor.parents, sensor.family.step - first
     residual = sensor.moved - family.value(slice(None), gather(mean, places)[..., parents])
     if not family.expects:
@@ -43,7 +43,7 @@ def squares(
 
 
 def settled(plan: ChainPlan) -> Mask | bool:
-    """Whether all losses are those that were asked for, (runs,)."""
+    """Whether graduated losses have reached the losses of the model, (runs,)."""
     found: Mask | bool = True
     for sensor in plan.robust:
         found = found & sensor.weights.staged

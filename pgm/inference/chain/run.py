@@ -64,7 +64,7 @@ class Solver(ABC):
 
     @abstractmethod
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        """In float64."""
+        """The posterior computed in float64."""
 
     @abstractmethod
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
@@ -96,7 +96,7 @@ class Solver(ABC):
 
 
 class FilterSolver(Solver):
-    """Forward messages alone."""
+    """Filtering: forward messages only."""
 
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
         """Step by step, or in rounds on a balanced tree."""
@@ -211,7 +211,7 @@ def bind_chain(
     identities: bool = False,
     compiled: Choice = None,
 ) -> BoundEvidence:
-    """Check the evidence of a dynamic network; sightings may leave open what was seen, or not."""
+    """Check and bind the evidence of a dynamic network, with open sightings or without."""
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
     if not isinstance(evidence, Mapping):

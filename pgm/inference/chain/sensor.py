@@ -35,7 +35,7 @@ from pgm.variables import Variable
 
 @dataclass(eq=False)
 class GateRecord:
-    """The decisions of a sensor's gate, written by a forward pass; parts of it are views.
+    """A sensor's gate decisions, filled in by a forward pass; windows of it are views.
 
     `gate` is the probability, `given` (M, runs, d) the components that were measured; `square` (M,
     runs) is νᵀS⁻¹ν, NaN where nothing was measured or decided.
@@ -64,7 +64,7 @@ class GateRecord:
 
     @property
     def judged(self) -> tuple[Mask, Mask]:
-        """Sightings that were rejected, and those about which was decided, (M, runs)."""
+        """Masks (M, runs) of rejected sightings, and of sightings that the gate has judged."""
         return self.rejected, ~np.isnan(self.square)
 
     @classmethod
@@ -81,7 +81,7 @@ class GateRecord:
 
 
 class Seen(NamedTuple):
-    """Some measurements of a sensor as linearised: z = F x + b + n, angles moved, (k, runs, ...).
+    """Some linearised measurements z = F x + b + n of a sensor, angles moved, (k, runs, ...).
 
     A missing component is one of unit variance that says nothing: zero in F, b and z. `taken` (k,
     runs or 1, d) is None where none is missing.
@@ -163,7 +163,7 @@ class Sensor:
         return self.family.cpd.child
 
     def turning(self, height: int) -> list[int]:
-        """The places of angles in stacked sightings of so many components."""
+        """Indices of angles in `count` components of stacked sightings."""
         if not self._angles or height == self.height:
             return self._angles
         return [first + angle for first in range(0, height, self.height) for angle in self._angles]
@@ -218,7 +218,7 @@ class Sensor:
         return list(self.values[:, 0])
 
     def _flat(self, rows: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
-        """Some rows (k, runs or 1, d) as one vector, (k d, *batch)."""
+        """Rows (k, runs or 1, d) stacked to one vector, (k d, *batch)."""
         if not self.family.batch:
             return rows.reshape(-1)
         return rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
@@ -283,7 +283,7 @@ class Sensor:
         self.moved[rows] = moved
 
     def reading(self, rows: slice | Integers) -> Seen:
-        """Some measurements as they are linearised, for passes over all steps at once."""
+        """Some measurements with stored linearisations, for passes over all steps at once."""
         family = self.family
         matrix, offset, value = family.matrix[rows], family.offset[rows], self.moved[rows]
         noise, taken = family.noise[rows], self._taken(rows)
@@ -298,7 +298,7 @@ class Sensor:
         )
 
     def noise(self, rows: slice | Integers) -> Array:
-        """The noise of some rows, of unit variance where components are missing."""
+        """The noise covariance of some rows; missing components have unit variance."""
         noise, taken = self.family.noise[rows], self._taken(rows)
         return noise if taken is None else independent(noise, taken)
 
@@ -311,7 +311,7 @@ class Sensor:
         return np.where(seen[..., None] & seen[..., None, :], cross, 0.0)
 
     def _taken(self, rows: slice | Integers) -> Mask | None:
-        """The mask of components of some rows that were taken, (k, runs or 1, d); None for all."""
+        """The mask of measured components in some rows, (k, runs or 1, d); None for all."""
         if self.taken is None or (taken := self.taken[rows]).all():
             return None
         return taken

@@ -133,7 +133,7 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
 
 
 def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
-    """Smooth in rounds that are logarithmic in the number of steps.
+    """Smooth by a parallel scan of O(log T) rounds.
 
     Without a start, everything is linearised first along dead reckoning, not to wait for beliefs.
     """
@@ -289,7 +289,7 @@ class Chain(Generic[Either]):
     at: Array = field(default_factory=lambda: np.empty(0))
 
     def linearise(self, at: Point, active: Mask | None) -> None:
-        """Linearise every CPD, for the runs that are active."""
+        """Linearise every CPD for the active runs."""
         some = None if active is None or active.all() else active
         relinearise(self.plan, at, some)
         reweigh(self.plan, at, some)
@@ -304,7 +304,7 @@ class Chain(Generic[Either]):
             self.linearise(at, None)
 
     def settled(self) -> Mask | bool:
-        """Whether all losses of robust noise are those that were asked for."""
+        """Whether graduated robust losses have reached the losses of the model, (runs,)."""
         return settled(self.plan)
 
     def solve(self, anchor: Anchor | None = None) -> Either:

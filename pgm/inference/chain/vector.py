@@ -54,7 +54,7 @@ class Measured(NamedTuple):
         )
 
     def each(self) -> list[Measured]:
-        """One sighting after another; together where their errors are correlated."""
+        """The sightings one by one; as one block if their errors are correlated."""
         height = self.sensor.height
         count = len(self.value) // height
         if count == 1 or self.sensor.family.grouped:

@@ -56,7 +56,7 @@ class Weights:
 
     @property
     def count(self) -> Integers:
-        """The number of components that were taken, which broadcasts to (k, runs)."""
+        """The number of measured components, broadcast to (k, runs)."""
         if self.taken is None:
             return np.full((1, 1), self.white.shape[-1])
         found: Integers = self.taken.sum(axis=-1)
@@ -125,7 +125,7 @@ class Weights:
     def judged(
         self, gated: tuple[Mask, Mask] | None, rows: slice = slice(None)
     ) -> tuple[Mask, Mask] | None:
-        """Sightings that were rejected, of those that were judged, (k, runs), by a gate and this.
+        """Masks (k, runs) of sightings rejected by a gate or this noise, and of those judged.
 
         A truncated loss rejects what it leaves out; others go on counting everything.
         """
@@ -161,7 +161,7 @@ class Weights:
         return own / self.weight[..., None, None]
 
     def rows(self, rows: slice) -> Weights:
-        """The weights of some sightings, whose stages begin anew."""
+        """The weights of some sightings, with graduation begun anew."""
         white = self.white[rows] if len(self.white) > 1 else self.white
         taken = None if self.taken is None else self.taken[rows]
         stage = np.full(self.stage.shape, np.nan if self.noise.graduated else np.inf)

@@ -44,7 +44,7 @@ def beliefs_of(
 
 
 def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
-    """The evidence of runs, where those that are lost, (runs,), have none."""
+    """The evidence with nothing observed in the `lost` runs, (runs,)."""
     if lost.all():
         return BoundStates(evidence.lead, {}, {})
     states = {v: np.where(lost, -1, state) for v, state in evidence.states.items()}
@@ -54,7 +54,7 @@ def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
 
 @dataclass(frozen=True, eq=False)
 class AllowedBeliefs:
-    """The calibrated beliefs of a tree of which some runs have impossible evidence.
+    """The calibrated beliefs of a tree, where some runs have impossible evidence.
 
     possible: The beliefs of all runs, those that are lost without any evidence.
     evidence: As it was given.

@@ -67,17 +67,17 @@ def entered(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
 
 
 def one_hot(states: Integers, size: int) -> Array:
-    """One where a state is the one observed, or none is: (size, runs)."""
+    """One-hot columns (size, runs) of observed states; all ones where nothing is observed."""
     found: Array = ((states == np.arange(size)[:, None]) | (states < 0)).astype(float)
     return found
 
 
 def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
-    """The index that puts in the states that are one and the same for all runs."""
+    """The index that fixes axes whose observed state is equal in all runs."""
     states = evidence.states
     return tuple(s if isinstance(s := states.get(v), int) else slice(None) for v in scope)
 
 
 def axes_left(evidence: BoundStates, scope: States) -> States:
-    """The variables that messages and beliefs have axes of: those that are not put in."""
+    """The variables that stay axes of messages and beliefs after `put_in`."""
     return tuple(v for v in scope if not isinstance(evidence.states.get(v), int))

@@ -76,7 +76,7 @@ class FirstBeliefs:
 
 
 def _first(graph: ClusterGraph) -> bool:
-    """Whether nothing was laid out for a graph yet, nor asked of it; from now on it was."""
+    """Whether this is a graph's first question, and no plan exists; marks it as asked."""
     if graph._derived:
         return False
     graph.derived(_asked)

@@ -103,7 +103,7 @@ class _Tree:
                 self.factors[homes[place]].append(self._of_weights(place, weights[0]))
 
     def _hang(self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]) -> None:
-        """Hang each tree at a cluster, and order the axes: those of clusters far down are first."""
+        """Root each tree at a cluster, and order axes so that deep clusters come first."""
         self.order = list[int]()
         self.parent = parent = [UNSEEN] * len(joined)
         self.scopes, self.shared = [list[int]()] * len(joined), [list[int]()] * len(joined)

@@ -98,7 +98,7 @@ class TableMessages:
             raise contradicted(empty, found, self.evidence.lead)
 
     def accept(self, round: Sequence[Group], active: Mask, lost: Mask) -> None:
-        """Keep what was proposed, damped, for the runs that are active, (runs,)."""
+        """Keep the proposed messages, damped, for the active runs, (runs,)."""
         for group in round:
             for outlet in group.outlets:
                 new, old = self._proposed[outlet.columns], self.logs[outlet.columns]

@@ -152,7 +152,7 @@ def most_probable(
 
     .. math:: \arg\max_x p(x, \text{evidence})
 
-    Of a dynamic network of tables it is the most probable path of the hidden variables through all
+    For a dynamic network of tables it is the most probable path of the hidden variables through all
     steps (Viterbi); measurements that were not taken are summed over.
 
     Maxima in place of sums go to the roots of the tree, and their places are traced back. Of
@@ -161,7 +161,7 @@ def most_probable(
     Parameters
     ----------
     graph : ClusterGraph
-        Of a discrete network, without loops, or of a dynamic one of tables.
+        The graph of a discrete network, without loops, or of a dynamic network of tables.
     evidence : mapping of Discrete
         As for `infer`. Weights of `soft` evidence count as factors of the probability.
     memory : number, optional
@@ -252,7 +252,7 @@ def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Some of so many runs, to be searched for with a batch as of a `Room`."""
+    """A search for the most probable assignment of some runs, in batches that fit."""
 
     graph: ClusterGraph
     evidence: BoundStates

@@ -36,7 +36,7 @@ class DiscretePosterior(Posterior):
     are exact, of a graph with loops approximate. A variable that is observed in some runs alone
     has one for its state there.
 
-    Of a tree, runs of equal evidence are computed once, those that differ in pieces, or one by one
+    On a tree, runs of equal evidence are computed once, those that differ in pieces, or one by one
     where less than 64 would fit. Half the ``memory`` given to `pgm.infer`, 128 MiB, is for a piece,
     whose tables take a fourth of it; the other half for calibrated tables that are kept. Of larger
     batches marginals and log-evidence alone are kept, and each joint, belief or message calibrates

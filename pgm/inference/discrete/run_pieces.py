@@ -17,26 +17,26 @@ FEW = 64
 
 
 def at_once(entries: int, batch: int) -> int:
-    """The runs of a tree that are calibrated at once: as many as fit, or one if only few do."""
+    """How many of a tree's runs are calibrated at once: as many as fit, or one."""
     size = batch // entries
     return size if size >= FEW else 1
 
 
 def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
-    """Some runs after the other, as many as are calibrated at once."""
+    """Slices of runs that are calibrated at once."""
     for piece in pieces(evidence, at_once(entries, batch)):
         yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
 
 
 def _of_one(evidence: BoundStates) -> BoundStates:
-    """The evidence of a single run, without variables that are not observed in it."""
+    """The evidence of one run, without variables that it does not observe."""
     known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
     observed = {v: state for v, state in known.items() if state >= 0}
     return BoundStates(evidence.lead, observed, evidence.weights)
 
 
 def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
-    """Some runs after the other, so many at a time or one."""
+    """Slices of runs of a given size."""
     size = max(1, size)
     if evidence.runs <= size:
         yield evidence
@@ -71,7 +71,7 @@ class Distinct:
 
     @classmethod
     def of(cls, evidence: BoundStates) -> Distinct:
-        """Find the runs that differ; those with weights of their own are not compared."""
+        """Find distinct runs; runs with their own soft weights count as distinct."""
         if evidence.runs == 1 or any(len(weights) > 1 for weights in evidence.weights.values()):
             return cls(evidence, None)
         codes = np.zeros(evidence.runs, dtype=np.int64)

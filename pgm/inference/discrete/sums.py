@@ -190,7 +190,7 @@ class AxisSums:
 
 
 def _one_by_one(table: Array, axes: Sequence[int], semiring: Semiring) -> Array:
-    """The first axis first: what is added are rows, long until little is left of the table."""
+    """Sum a table over one axis at a time, first axis first, so that whole rows are added."""
     for gone, axis in enumerate(axes):
         table = semiring.total(table, axis - gone, None)
     return table

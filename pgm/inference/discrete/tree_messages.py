@@ -21,7 +21,7 @@ class TreeMessages:
         self._messages: dict[tuple[int, int], Array] = {}
 
     def message(self, source: int, target: int) -> Array:
-        """The message from one cluster to a neighbour; it and those it is made of are kept."""
+        """The message from one cluster to a neighbour; it and its upstream messages are kept."""
         waiting = [] if (source, target) in self._messages else [(source, target)]
         while waiting:
             i, j = waiting[-1]

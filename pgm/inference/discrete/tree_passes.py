@@ -34,7 +34,7 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Collected:
-    """The tables that a pass to the roots leaves.
+    """The tables and messages after the upward pass.
 
     messages: (columns, [runs]): what was summed from the tables.
     tops: (tops, [runs]): the scales taken out of messages, whose product is p(evidence).

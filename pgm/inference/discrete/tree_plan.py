@@ -96,7 +96,7 @@ class Enumeration:
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Clusters that are computed together.
+    """Clusters of equal shape and depth, computed in one batch.
 
     A column is an entry of the sepset to the parent; a root has one, of an empty sepset.
 

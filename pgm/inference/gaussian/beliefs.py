@@ -187,7 +187,7 @@ class Flat(NamedTuple):
         )
 
     def at(self, entries: Integers, rows: Integers) -> tuple[Array, Array]:
-        """Some entries and some rows."""
+        """The matrices and vectors of some entries and rows."""
         return self.matrix[:, entries], self.right[:, rows]
 
     def put(
@@ -197,5 +197,5 @@ class Flat(NamedTuple):
         matrix: Array | float = 0.0,
         right: Array | float = 0.0,
     ) -> None:
-        """Keep some entries and some rows."""
+        """Store matrices and vectors of some entries and rows."""
         self.matrix[:, entries], self.right[:, rows] = matrix, right

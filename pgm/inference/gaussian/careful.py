@@ -66,7 +66,7 @@ class DenseBeliefs(Beliefs):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The beliefs, ln p(evidence), (V, N), and the digits that are left of each run's means."""
+    """The beliefs, ln p(evidence), (V, N), and each run's correct digits of its means."""
 
     beliefs: DenseBeliefs
     log_evidence: Array
@@ -109,7 +109,7 @@ def predictive(
 
 
 def solve(plan: TreePlan, model: Model) -> Solution:
-    """The beliefs of a network as it is linearised."""
+    """The exact beliefs of the linearised network, in as many decimals as it needs."""
     conditionals = Conditionals(plan.layout, model.families, model.runs, model.shared)
     with decimals.precision(FEW):
         count = min(2 * (2 * conditionals.span() + FEW), MOST_DIGITS)
@@ -118,7 +118,7 @@ def solve(plan: TreePlan, model: Model) -> Solution:
 
 
 def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: Decimal) -> Solution:
-    """Solve with so many decimals: condition the prior's joint on one observed CPD after another.
+    """Solve in a number of decimals: condition the prior's joint on one observation after another.
 
     A column besides the means, for each component of a nonlinear CPD, carries the rounding of that
     component's linearisation through the same operations: its last entries say how far a posterior
@@ -216,7 +216,7 @@ def _read(
 
 
 def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
-    """The digits that rounding of linearised values leaves of each run's means, and of ln p."""
+    """Correct digits of each run's means and of ln p, given that linearised values are rounded."""
     size = model.layout.size
     lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))
     if joint.mean.shape[-1] == sides:

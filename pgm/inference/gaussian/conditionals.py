@@ -63,7 +63,7 @@ class Conditionals:
         )
 
     def by_run(self, values: Decimals) -> Decimals:
-        """(runs, d) as (V, d, N)."""
+        """Values of runs (runs, d), reshaped to (V, d, N) for V stacked matrices."""
         if self.shared:
             return np.asarray(values.T[None])
         return np.asarray(values[..., None])
@@ -128,7 +128,7 @@ class Root:
 
     @classmethod
     def of(cls, noise: Decimals) -> Root | None:
-        """The root of a covariance, largest pivots first; None where that is indefinite."""
+        """The pivoted root of a covariance; None if it is indefinite."""
         size = len(noise)
         variance = np.diagonal(noise).copy()
         least = variance * Decimal(roots.NEGLIGIBLE)
@@ -150,7 +150,7 @@ class Root:
 
     @property
     def matrix(self) -> Decimals:
-        """The covariance, of which what was rounding is gone."""
+        """The covariance L Lᵀ, with entries that were rounding set to zero."""
         return decimals.product(self.lower * self.pivots, self.lower.T)
 
     def whitened(self, right: Decimals) -> Decimals:

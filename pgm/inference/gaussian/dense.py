@@ -116,7 +116,7 @@ class Joint:
         )
 
     def forget(self, places: Integers) -> None:
-        """Leave out components, whose places are free again."""
+        """Marginalise components out; their slots become free."""
         self.mean[:, places] = ZERO
         self.cov[:, places] = ZERO
         self.cov[:, :, places] = ZERO

@@ -24,7 +24,7 @@ def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
 
 
 def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
-    """The variables that inference leaves out: inputs without evidence, and their CPDs' children.
+    """Barren variables: inputs without evidence, and children of their CPDs.
 
     These stay if something observed or kept depends on them.
     """

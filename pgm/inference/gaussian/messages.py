@@ -81,7 +81,7 @@ class RowMessages:
         return change[round.messages]
 
     def accept(self, round: RowRound, active: Mask, lost: Mask) -> None:
-        """Keep what was proposed, damped, for the runs that are active.
+        """Keep the proposed messages, damped, for the active runs.
 
         Runs that share matrices go on together: else the right sides of one would no longer fit
         matrices that settle further for another. Only those that are lost stay behind.
@@ -111,7 +111,7 @@ class RowMessages:
         return move
 
     def send_once(self, rounds: list[list[Stack]]) -> None:
-        """Send the messages of a tree, in an order in which each is made of those before it."""
+        """Send each message of a tree once, after the messages that it depends on."""
         for stacks in rounds:
             for stack in stacks:
                 done, log_scale = self.buffer.eliminate(stack)

@@ -114,7 +114,7 @@ class Model:
         parents: Sequence[tuple[Array, Array] | None],
         active: Mask,
     ) -> None:
-        """Linearise every nonlinear CPD at a belief, one call a group, for runs that are active.
+        """Linearise every nonlinear CPD at a belief for the active runs, one call a group.
 
         The mean is (runs, size), to whose branches angles of evidence move; parents' moments are
         (CPDs, runs, ...) for each group with nonlinear CPDs.
@@ -132,7 +132,7 @@ class Model:
     def _follow(self, mean: Array, active: Mask) -> None:
         """Move angles to the branch nearest the means, (runs, size), for the active runs.
 
-        Of an observed child the reading moves; of a hidden one the offset of its linearised CPD.
+        If the child is observed, its reading moves; if hidden, the offset of its linearised CPD.
         """
         groups = zip(self.layout.groups, self.families, self.readings, self.moved, strict=True)
         for k, (group, family, reading, kept) in enumerate(groups):
@@ -163,7 +163,7 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
 
 
 def _taken(group: Group, bound: BoundValues) -> Mask | None:
-    """The mask of components of a group's children that were observed, (CPDs, runs or 1, d).
+    """The mask of observed components of a group's children, (CPDs, runs or 1, d).
 
     None where all were.
     """

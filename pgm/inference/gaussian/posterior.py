@@ -32,7 +32,7 @@ from pgm.variables import Variable
 class GaussianPosterior(Posterior):
     """The beliefs of a Gaussian network; leading axes are runs.
 
-    Of a tree they are exact for the (linearised) network; of a graph with loops the means are,
+    On a tree they are exact for the (linearised) network; on a graph with loops the means are,
     where the messages have converged, and variances are approximate: too small or too large.
     """
 
@@ -135,7 +135,7 @@ class GaussianPosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
         """The message from one cluster to a neighbour, over their sepset.
 
-        Of a tree its g carries the evidence that went into it; on a graph with loops its scale
+        On a tree its g carries the evidence that went into it; on a graph with loops its scale
         has no meaning. Where CPDs without noise determine it, it has no canonical form.
         """
         i, j = self.graph.index(source), self.graph.index(target)
@@ -220,7 +220,7 @@ class GaussianPosterior(Posterior):
 
     @quiet()
     def _why_unsettled(self) -> str:
-        """Whether the network is walk-summable, of the run that is furthest from settled."""
+        """Whether the network is walk-summable, for the run furthest from convergence."""
         if self._sent is None or not len(self.status.residuals):
             return ""
         last = np.where(self.status.converged, -1.0, self.status.residuals[-1])

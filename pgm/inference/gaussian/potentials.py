@@ -79,7 +79,7 @@ class _Linearised(NamedTuple):
     def of(cls, model: Model, g: int) -> _Linearised:
         """The CPDs of group g, about the model's frame.
 
-        Of an observed child, e is its reading less F p + b at the frame's means.
+        If the child is observed, e is its reading less F p + b at the frame's means.
         """
         frame, runs = model.frame, 1 if model.shared else model.runs
         group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]

@@ -73,7 +73,7 @@ class Buffer:
         return Rows(*self.proper.at(entries, rows), *exact)
 
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
-        """The rows that a stack's elimination leaves, and their log-scale, (V, B, N)."""
+        """The rows that remain after a batch's QR elimination, and their log-scale, (V, B, N)."""
         done = eliminate(self.factor(stack), stack.drop)
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():
@@ -84,7 +84,7 @@ class Buffer:
         return done, known + done.log_scale + unit[:, None]
 
     def out(self, messages: Integers, size: int) -> tuple[Integers, Integers]:
-        """The places of the entries (B, s, s) and rows (B, s) of messages of one size."""
+        """Indices of matrices (B, s, s) and right-hand sides (B, s) of messages of size s."""
         inside = np.arange(size * size).reshape(size, size)
         entries = self.rounds.entry_starts[messages][:, None, None] + inside
         return entries, self.rounds.row_starts[messages][:, None] + np.arange(size)

@@ -108,7 +108,7 @@ def _plan(
 
 
 def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
-    """The posterior of a graph of any shape, by messages that are sent until none changes."""
+    """The posterior of a graph with loops: messages are sent until none changes."""
     graph, model = plan.layout.graph, buffer.model
     messages = RowMessages.make(buffer, plan.places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
@@ -121,7 +121,7 @@ class _Tree:
     solver: Callable[[], Calibrated]
 
     def linearise(self, at: TreePoint, active: Mask) -> None:
-        """Linearise every CPD anew at its cluster's belief, for the runs that are active."""
+        """Linearise every CPD anew at its cluster's belief, for the active runs."""
         relinearise(at.beliefs, self.model, active)
 
     def settled(self) -> bool:
@@ -147,7 +147,7 @@ def _iterated(
 
 
 def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
-    """Solve the network as it is linearised in as many decimals as its numbers need."""
+    """Solve the linearised network in as many decimals as its numbers need."""
     found = careful.solve(plan, model)
     return Calibrated(found.beliefs, found.log_evidence, found.digits)
 

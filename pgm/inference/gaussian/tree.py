@@ -141,7 +141,7 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
 
 
 def _certain(cov: Array) -> Array:
-    """Covariances without variances that are no more than rounding, and what varies with these."""
+    """Covariances with variances that are only rounding set to zero, with their covariances."""
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) > CERTAIN
     if open_.all():
         return cov

@@ -36,7 +36,7 @@ def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any
 def _by_row(
     lattice: Lattice, reading: Reading, cpd: UnidentifiedCPD, values: npt.NDArray[Any]
 ) -> Iterator[Array]:
-    """The probabilities of what each sighting may be of, (runs, k + 2)."""
+    """The probability of each candidate for each sighting, (runs, k + 2)."""
     for row, step in enumerate(reading.step.tolist()):
         yield np.stack(
             [_responsible(lattice, reading, cpd, row, k, v[step]) for k, v in enumerate(values)]
@@ -51,7 +51,7 @@ def _responsible(
     run: int,
     belief: npt.NDArray[Any],
 ) -> Array:
-    """The probabilities of what a sighting of a run may be of, (k + 2,)."""
+    """The probability of each candidate for one sighting of a run, (k + 2,)."""
 
     def of(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.asarray(rows[row, run if rows.shape[1] > 1 else 0])

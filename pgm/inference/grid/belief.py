@@ -26,7 +26,7 @@ from pgm.variables import Variable
 
 
 class PointMassBelief(Framed, Shown, NoArray, Immutable):
-    """Base of beliefs that are point masses: of cells, or of particles."""
+    """Base of beliefs by point masses: grid cells or particles."""
 
     components: tuple[str, ...]
     steps: Integers | None
@@ -40,7 +40,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
 
     @cached_property
     def mean(self) -> Array:
-        """The means, (..., n); those of angles within half a turn of their circular mean."""
+        """The means, (..., n); an angle's is within half a turn of its circular mean."""
         return closed(self._mean())
 
     @cached_property
@@ -118,7 +118,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         Parameters
         ----------
         index : int, slice or tuple of them
-            As of an array of the shape of the leading axes.
+            An index of an array with the shape of the leading axes.
 
         Raises
         ------

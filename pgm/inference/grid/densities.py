@@ -96,7 +96,7 @@ class Dense:
         return (*self.by, *(k for k in range(len(self.source)) if k not in moved), *self.axes)
 
     def _lines(self, array: Array) -> Array:
-        """An array as (G, cells of the axes that take no part, cells of those that are moved)."""
+        """An array reshaped to (G, cells of resting axes, cells of moved axes)."""
         count = math.prod(array.shape[k] for k in self.axes)
         groups = math.prod(array.shape[k] for k in self.by)
         return np.ascontiguousarray(array.transpose(self._order)).reshape(groups, -1, count)
@@ -153,7 +153,7 @@ class DensityGroup(Members):
         return self._cut(self.kept[self.key], window)
 
     def _cut(self, dense: Dense, window: Window) -> Dense:
-        """The part of the weights from all cells that are from a window."""
+        """The part of the weights whose sources lie in a window."""
         lattice = self.lattice
         own = dense.weights.shape[1] > 1
         each = (*dense.by, *self.axes) if own else dense.by
@@ -211,7 +211,7 @@ class _Maker:
         return Dense(group.axes, self.by, weights, window, tuple(target), uneven)
 
     def _places(self, shift: float = 0.0, beyond: bool = False) -> list[Array]:
-        """The centres along each axis that is moved, shifted by a part of a cell.
+        """The centres along each moved axis, shifted by a fraction of a cell.
 
         Beyond the bounds too, by half of what they cover on either side.
         """
@@ -225,7 +225,7 @@ class _Maker:
         return found
 
     def _logs(self, rows: Integers, places: Sequence[Array]) -> Array:
-        """The logarithms (rows, targets) of weights at places along the axes that are moved."""
+        """Log-weights (rows, targets) at places along the moved axes."""
         group, window, lattice = self.group, self.window, self.lattice
         mesh = np.meshgrid(*places, indexing="ij")
         targets = np.stack([part.reshape(-1) for part in mesh], axis=-1)
@@ -251,7 +251,7 @@ class _Maker:
         return found
 
     def _log_density(self, base: Array, later: Array) -> Array:
-        """The log-densities (n,) at points (n, axes) of the step before and of its own."""
+        """Log-densities (n,) at points (n, axes) of the step before and of the step."""
         points = dict(self.lattice.values(later))
         children = dict(points)
         points |= {v.previous: a for v, a in self.lattice.values(base).items()}
@@ -319,7 +319,7 @@ class _Maker:
         return found
 
     def _sums(self, rows: Integers, shift: float, beyond: bool) -> Array:
-        """The sums of the weights of some rows over centres shifted by a part of a cell."""
+        """Sums of some rows' weights over centres shifted by a fraction of a cell."""
         places = self._places(shift, beyond)
         length = max(_KEPT // 16 // math.prod(len(each) for each in places), 1)
         parts = [rows[k : k + length] for k in range(0, len(rows), length)]

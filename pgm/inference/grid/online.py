@@ -121,7 +121,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         Raises
         ------
         EvidenceError, ModelError
-            As there.
+            For the same reasons.
         LinearisationError, NumericalError
             If a function has no value at a point mass, or all probability has left the bounds.
         """
@@ -137,7 +137,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         EvidenceError
             If a measurement does not fit its sensor, or is impossible.
         ModelError, LinearisationError
-            As of `predict`.
+            See `predict`.
         """
         self._check(belief)
         given = step_evidence.mapping(readings, "update", "sensors to measurements")
@@ -172,7 +172,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
     Parameters
     ----------
     model : DynamicBayesianNetwork
-        Of continuous CPDs.
+        A model of continuous CPDs.
     belief : Grid
         Without `refine`, which takes recorded evidence.
 

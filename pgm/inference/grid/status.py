@@ -102,7 +102,7 @@ class GridStatus(Shown, Immutable):
         Of a normal density with a deviation of s cells it is 4e^(−2π²s²), of Laplace's with a scale
         of b cells 1/(8b²), of a uniform one over n cells 1/n.
     refinements : tuple of Refinement
-        Of each resolution, if the grid was refined.
+        One entry a resolution, if the grid was refined.
     converged : ndarray of bool
         (): whether the figure of the refinement has settled; True where none was asked for.
 
@@ -195,7 +195,7 @@ class GridStatus(Shown, Immutable):
         Parameters
         ----------
         before : GridStatus, optional
-            Of the step before, of which the user has been told.
+            The status of the step before, of which the user has been told.
 
         Warns
         -----

@@ -46,7 +46,7 @@ class Grid(InCode, Immutable):
         component, or the number of cells of the full circle of an angle. A component is called by
         its name; where states share it, as ``"x.east"``; a scalar may be named by its variable.
     dtype : numpy type
-        Of the beliefs that are kept, ``np.float64`` or ``np.float32``, which takes half the
+        Type of the beliefs that are kept, ``np.float64`` or ``np.float32``, which takes half the
         memory; the arithmetic is the same.
     refine : str or callable, optional
         A figure: ``"log_evidence"``, or a function of the posterior. The cells of all n axes are

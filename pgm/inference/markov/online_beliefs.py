@@ -131,7 +131,7 @@ class OnlineStates(Shown, NoArray, Immutable):
 
     @property
     def lagged(self) -> OnlineStates:
-        """The belief at the step a lag before, given all measurements; at step 0 until then."""
+        """The smoothed belief `lag` steps back, given all measurements; step 0 before that."""
         if self._lag is None:
             raise EvidenceError(
                 f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, "
@@ -159,7 +159,7 @@ class OnlineStates(Shown, NoArray, Immutable):
 
 
 class _Window:
-    """The last steps of an online filter with lag: backward messages from the newest step to the first.
+    """The last steps of an online filter with lag, for backward messages to the first of them.
 
     The filter has passed forward over them already.
     """

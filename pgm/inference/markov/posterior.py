@@ -182,7 +182,7 @@ class StatePosterior(Posterior):
         return self._table(scope, values, np.broadcast_to(rest, runs))
 
     def _scaled_back(self, step: int, message: Array) -> tuple[Array, Array]:
-        """A message back to the states at a step, made of a plain one, and its log-scale.
+        """The backward message to a step, computed from the next one, and its log-scale.
 
         Made carefully where later measurements speak for states that are impossible here.
         """
@@ -196,9 +196,9 @@ class StatePosterior(Posterior):
         return self._states(message, total=False), rest + chain.semiring.logs(top)
 
     def messages_back(self) -> Iterator[tuple[Array, Array]]:
-        """The messages back to the slices T..0 after smoothing, each made of the one before.
+        """The backward messages to slices T..0, each computed from the one before.
 
-        Of each the values over the states of its slice, (sizes..., [runs]), and the log-scale.
+        For each the values over the states of its slice, (sizes..., [runs]), and the log-scale.
         """
         chain, last = self._chain, self.graph.steps
         plain = chain.unit()

@@ -19,7 +19,7 @@ def require_chain(graph: DynamicGraph, beliefs: str) -> None:
 
 
 def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
-    """The kind of the beliefs that a schedule leaves; smoothed without one."""
+    """The kind of beliefs that a schedule gives; smoothed without a schedule."""
     if schedule is None or type(schedule) is Calibration:
         schedule = Smoothing() if schedule is None else Smoothing(schedule.iterations)
     if not isinstance(schedule, Filtering | FixedLag | Smoothing):

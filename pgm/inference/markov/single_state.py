@@ -93,7 +93,7 @@ class DirectChain(StateChain):
         return [range(at, min(at + size, steps + 1)) for at in range(1, steps + 1, size)]
 
     def _weights(self, part: range) -> tuple[Array, Array]:
-        """The weights of some steps and their log-scales; of the latest that were asked, kept.
+        """The likelihood weights of some steps and their log-scales; the latest call is cached.
 
         The last part of the sweep forward is the first of that back.
         """
@@ -158,7 +158,7 @@ class DirectChain(StateChain):
         yield from super().lagged(lag) if found is None else enumerate(found)
 
     def _lagged(self, lag: int) -> Array | None:
-        """The beliefs of all steps, their windows gone back along together.
+        """The fixed-lag beliefs of all steps; all windows' backward passes run side by side.
 
         None where the transition differs from step to step, or digits are lost.
         """

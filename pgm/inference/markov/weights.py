@@ -75,7 +75,7 @@ class Weights:
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
         """The weights of a measurement, (*slice, [runs]); None where it is missing.
 
-        Of soft evidence numbers have a `log_scale`.
+        For soft evidence numbers have a `log_scale`.
         """
         values, taken = self.reading.values[row], self.reading.taken[row]
         if self.cpd.function is None:
@@ -175,7 +175,7 @@ class Weights:
         return self._over_runs(found[0]) if runs == 1 else np.moveaxis(found, 0, -1)
 
     def _over_runs(self, single: Array) -> Array:
-        """Weights that are the same in all runs, with an axis of runs if there are many."""
+        """Weights shared by all runs, with an axis of runs if there are several."""
         return single[..., None] if self.batch else single
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:

@@ -20,7 +20,7 @@ from pgm.variables import Variable
 
 
 def leaves_open(readings: Mapping[Variable, Any]) -> bool:
-    """Whether some sightings leave open what was seen."""
+    """Whether some sightings have an unknown parent."""
     for value in readings.values():
         if type(value) is Sightings and value.given:
             for each in value.given.values():

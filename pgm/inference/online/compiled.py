@@ -36,7 +36,7 @@ _FAR = "numbers are too far apart, or a reading is too sharp"
 
 
 class CompiledSteps:
-    """The steps of a filter without gates or windows, of one run, in machine code.
+    """Machine code for the steps of an online filter of one run, without gates or windows.
 
     All that is not plain goes the general way, by `moved` and `taken`: beliefs of many runs, in
     twice the digits, or of another filter; odd values; numbers that are not moderate. `ahead` and
@@ -69,7 +69,7 @@ class CompiledSteps:
         self.left: Counter[str] = Counter()
 
     def predict(self, belief: OnlineBelief, inputs: Values | None = None) -> OnlineBelief:
-        """As `OnlineFilter.predict`."""
+        """One prediction in machine code; see `OnlineFilter.predict`."""
         core, kind = belief._core if type(belief) is OnlineBelief else None, self._last[1]
         if core and core[0] is self and kind and type(inputs) is dict and len(inputs) == 1:
             ((variable, row),) = inputs.items()
@@ -89,7 +89,7 @@ class CompiledSteps:
         return self._any(belief, {} if inputs is None else inputs, moves=True)
 
     def update(self, belief: OnlineBelief, readings: Values) -> OnlineBelief:
-        """As `OnlineFilter.update`."""
+        """One update in machine code; see `OnlineFilter.update`."""
         core, kind = belief._core if type(belief) is OnlineBelief else None, self._last[0]
         if core and core[0] is self and kind and type(readings) is dict and len(readings) == 1:
             _, step, known, log_evidence, _, _ = core

@@ -73,7 +73,8 @@ class OnlineFilter(InCode, Immutable):
     Parameters
     ----------
     model : DynamicBayesianNetwork
-        Of tables it makes an `OnlineTables`, with the same methods, whose ``belief[x]`` are tables.
+        From a model of tables it makes an `OnlineTables`, with the same methods, whose
+        ``belief[x]`` are tables.
     lineariser : Lineariser, optional
         For every CPD that has none of its own; `Taylor()` without.
     schedule : Filtering or FixedLag, optional
@@ -220,7 +221,7 @@ class OnlineFilter(InCode, Immutable):
         return f"OnlineFilter(over {states}, {self.lineariser!r}, {self.schedule!r})"
 
     def _compile(self) -> None:
-        """Have steps made in machine code, by methods of their own: a call of one more counts."""
+        """Prepare machine code for the steps."""
         schedule = self.schedule
         single = isinstance(schedule, Filtering) and schedule.iterations == 1
         if single and schedule.gate is None and not self.watch:
@@ -232,7 +233,7 @@ class OnlineFilter(InCode, Immutable):
     def compilation(self) -> str:
         """Whether steps are made in machine code, or why not, as of ``status.compilation``.
 
-        Of a filter that is compiled it tells of the steps so far: how many NumPy made, and why.
+        For a compiled filter it tells of the steps so far: how many NumPy made, and why.
         """
         if not self.compiled:
             return "by NumPy: compiled=False"
@@ -416,7 +417,7 @@ class OnlineFilter(InCode, Immutable):
         EvidenceError
             If a measurement does not fit its sensor.
         ModelError, LinearisationError
-            As of `predict`.
+            See `predict`.
         NumericalError
             If a measurement contradicts an exact model, or a number does not exist.
 

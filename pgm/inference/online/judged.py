@@ -37,7 +37,7 @@ class Watch(NamedTuple):
 
     @classmethod
     def start(cls, lead: tuple[int, ...]) -> Watch:
-        """At the prior."""
+        """The watch at the prior, before any measurement."""
         return cls(PageTest.start(math.prod(lead)))
 
     def test(self, step: int) -> PageTest:
@@ -69,7 +69,7 @@ class Watch(NamedTuple):
 def of_update(
     watch: Watch | None, parts: Sequence[Reading], known: Moments
 ) -> tuple[tuple[Decided, ...], Watch | None]:
-    """The decisions about measurements that were taken into a belief, and the watch after them."""
+    """The gates' decisions at an update, and the watch after it."""
     gated = tuple(_decided(part) for part in parts if part.gated is not None)
     if watch is None or not parts:
         return gated, watch

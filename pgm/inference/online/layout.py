@@ -89,7 +89,7 @@ class Layout:
         return np.array(step, dtype=np.int64)
 
     def _inputs(self, family: Family, row: Integers64, count: int, sensor: Variable | None) -> None:
-        """Where a CPD reads its inputs, and measurements, in arrays of its own."""
+        """Where a CPD reads its inputs and measurements, in arrays of its own."""
         if family.noisy:
             raise Uncompiled(f"{family.cpd!r} has a noise that depends on inputs")
         cpd, end = family.cpd, 0
@@ -113,7 +113,7 @@ class Layout:
             self._part(self._where[None, sensor], values, shared=False, missing=True)
 
     def _part(self, place: int, target: Array, *, shared: bool, missing: bool = False) -> None:
-        """An array that is given, and the rows that it goes to."""
+        """One given array, and the rows of the layout that it fills."""
         count, width = target.shape
         rows = 1 if shared else count
         told = self._rows.at(target), target.strides[0] // 8, count, missing

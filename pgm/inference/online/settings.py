@@ -14,7 +14,7 @@ from pgm.networks import DynamicBayesianNetwork
 
 
 def require_neither(gate: object, watch: object, compiled: object) -> None:
-    """Refuse what beliefs that are no Gaussians have no use of."""
+    """Refuse settings that only Gaussian beliefs have a use for."""
     for name, value in (("gate", gate), ("watch", watch or None), ("compiled", compiled or None)):
         if value is not None:
             own = "innovations have a covariance" if name != "compiled" else "steps are its kernels"

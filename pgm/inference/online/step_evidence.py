@@ -183,7 +183,7 @@ def _view(value: Any, axes: int) -> Array | None:
 
 
 def numbers(value: Any, axes: int) -> Array | None:
-    """Numbers with so many axes; None where they are odd."""
+    """Values as an array with a number of axes; None if they need a closer look."""
     if type(value) is not ARRAY or value.dtype is not FLOAT:
         value = _numbers(value) if isinstance(value, ARRAY | list | tuple) else None
     return None if value is None or value.ndim != axes else value
@@ -240,7 +240,7 @@ class _Local:
 
 
 class _Layout(NamedTuple):
-    """A plan and its chain, its CPDs, and the values that it was made of.
+    """A plan and its chain, its CPDs, and the values from which it was made.
 
     These keep alive the variables that a kind of input tells by identity.
     """

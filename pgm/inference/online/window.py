@@ -61,7 +61,7 @@ class Sliding:
 
     @classmethod
     def first(cls, schedule: FixedLag, model: DynamicBayesianNetwork) -> Sliding:
-        """At step 0, where the transition has no rows."""
+        """The window at step 0, where the transition has no rows."""
         motion = tuple(
             {v: np.zeros((0, 1, v.dimension)) for v in cpd.parents if v in model.inputs}
             for cpd in model.transition

@@ -33,7 +33,7 @@ _PAIRS = 2**20
 
 
 class Backward:
-    """The trajectories that clouds of filtered particles leave.
+    """Trajectories by backward simulation through the clouds of a particle filter.
 
     restarted: (T+1, runs): where particles were drawn from the prior instead of the step before, of
         which they tell nothing then.

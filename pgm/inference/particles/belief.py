@@ -129,7 +129,7 @@ class ParticleBelief(PointMassBelief):
         *components : str
             By name, one axis each.
         bins : int or sequence
-            As of `numpy.histogramdd`: how many along each axis, or their edges.
+            See `numpy.histogramdd`: how many along each axis, or their edges.
         range : sequence of (float, float), optional
             The ends of each axis; angles are counted in [−π, π) without it.
 
@@ -163,7 +163,7 @@ class ParticleBelief(PointMassBelief):
         return found, tuple(edges)
 
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """So many draws with replacement by the weights, (count, ..., d)."""
+        """Draws with replacement by the weights, (count, ..., d)."""
         rows = self._rows
         found = np.empty((len(self._clouds), self._clouds[0].runs, count, len(rows)))
         for step, cloud in enumerate(self._clouds):
@@ -195,7 +195,7 @@ class ParticleBelief(PointMassBelief):
         return ParticleBelief(self._parts, clouds, chosen.shape[:-1], self.steps[each[0]])
 
     def _gathered(self, place: int, runs: Integers) -> Cloud:
-        """The cloud of a step, of some runs of it."""
+        """The particles of one step, for some of the runs."""
         cloud = self._clouds[place]
         if len(runs) == cloud.runs and (runs == np.arange(cloud.runs)).all():
             return cloud

@@ -214,7 +214,7 @@ class ParticleChain:
         return known, log_density
 
     def _weighed(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
-        """The cloud after a step's measurements, and ln p(measurements | those before), (runs,).
+        """The cloud after a step's measurements, and ln p(z_t | z_0..t−1), (runs,).
 
         Where no particle of a run explains them, they are refused, ignored, or the run begins anew
         from its prior, as the user asked; the log-density is −∞.
@@ -237,7 +237,7 @@ class ParticleChain:
         return known, log_density
 
     def _injected(self, step: int, cloud: Cloud, log_density: Array, injection: Injection) -> Cloud:
-        """The cloud with some particles drawn afresh, where they explain less than they used to."""
+        """The cloud with some particles drawn afresh where likelihoods have dropped."""
         measured, cells = self.model.measured(step), injection.cells
         averages = injection.averaged(cloud.averages, log_density, measured)
         cloud = replace(cloud, averages=averages)

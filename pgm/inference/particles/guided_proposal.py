@@ -147,7 +147,7 @@ class Steered(Drawing):
 
 
 def require_guidable(model: DynamicBayesianNetwork) -> None:
-    """Refuse a network whose transition no Gaussian proposal can be made of."""
+    """Refuse a network whose transition gives no Gaussian proposal."""
     require_gaussian(model.transition, "proposals of a lineariser")
     require_plain(model.transition)
     every: Sequence[CPD] = (*model.transition, *model.observation)

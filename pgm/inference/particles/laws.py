@@ -30,7 +30,7 @@ States = npt.NDArray[Any]
 
 
 class Some(NamedTuple):
-    """Some particles at a step, for which CPDs are asked.
+    """Particles at a step, the points at which CPDs are evaluated.
 
     now, before: (d, m): the slice of the step, as far as it is drawn, and the one before.
     owner: (m,): the run of each; None where there is one.
@@ -43,11 +43,11 @@ class Some(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many they are."""
+        """The number of particles."""
         return int(self.now.shape[1])
 
     def chosen(self, which: Mask) -> Some:
-        """A part of them."""
+        """The particles of a mask."""
         owner = None if self.owner is None else self.owner[which]
         return Some(self.step, self.now[:, which], self.before[:, which], owner)
 
@@ -273,7 +273,7 @@ class GaussianLaw(Law):
         return self._root(lower.reshape(-1, *lower.shape[-2:]), None)
 
     def _root(self, lower: Array, step: int | None) -> Root:
-        """The root of a noise, refused where that is not semidefinite."""
+        """The root of a noise covariance; one that is not semidefinite is refused."""
         if not roots.is_proper(lower):
             raise NumericalError(
                 f"{self.cpd!r}: its noise cannot be used: {IMPROPER}",
@@ -360,7 +360,7 @@ class Root:
 
 
 def by_pattern(taken: Mask, owner: Integers | None) -> Iterator[tuple[Mask, Mask | None]]:
-    """The components that were taken, and the particles of the runs in which they were.
+    """Each pattern of measured components, with the particles of the runs that have it.
 
     None stands for all particles. Nothing comes of runs in which none were.
     """

@@ -124,7 +124,7 @@ class KLDSampling(InCode, Immutable):
             found = np.concatenate([found, draw(min(due, len(found)))])
 
     def _rows(self, model: ParticleModel) -> tuple[list[int], Array]:
-        """The rows of the components that are divided into bins, and the widths of these."""
+        """The rows of the components that are binned, and their bin widths."""
         parts = model.parts
         labels = [part.label for part in parts]
         for name in self.widths:
@@ -205,7 +205,7 @@ class LikelihoodSampling(InCode, Immutable):
         self._set(total=float(total), least=int(least), most=int(most))
 
     def more(self, count: int, found: float) -> int:
-        """How many particles to draw next, of so many drawn, whose shares add up to so much."""
+        """How many particles to draw next, given `drawn` ones and their summed shares."""
         if found >= self.total:
             return 0
         return min(count, self.most - count)

@@ -42,7 +42,7 @@ class OnlineParticleBelief(Shown, NoArray):
     log_evidence : ndarray
         (*runs): ln p of all measurements so far, estimated.
     status : ParticleStatus
-        Of this step, (*runs, 1).
+        The status of this step, (*runs, 1).
     kind : Kind
         Filtered after an update, predicted before.
 

@@ -114,7 +114,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         return replace(self, kind=FILTERED, _clouds=self._filtered)
 
     def joint(self, *variables: Variable) -> ParticleBelief:
-        """The joint of some variables: of one slice, and of a smoother of any steps.
+        """The joint of variables of one slice; a smoother's may be of any steps.
 
         Parameters
         ----------

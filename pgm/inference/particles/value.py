@@ -140,8 +140,8 @@ class Particles(InCode, Immutable):
     n : int
         How many, of each run.
     seed : int
-        Of the draws. Each run and step has a stream of its own: a run's particles are the same in
-        any batch in which it has the same place, offline and online.
+        The seed of the draws. Each run and step has a stream of its own: a run's particles are the
+        same in any batch in which it has the same place, offline and online.
     proposal : Lineariser, optional
         Particles are moved to where the step's measurements are, by Gaussian beliefs that a
         lineariser makes of each, and weighed exactly for it: for measurements more precise than the
@@ -166,14 +166,14 @@ class Particles(InCode, Immutable):
         particles, begun at each particle's own ancestor; ``"full"``: drawn from all n of them,
         which takes n² densities a step.
     moves : int
-        Of the Metropolis chain, at each step of a trajectory.
+        Moves of the Metropolis chain, at each step of a trajectory.
     trajectories : int, optional
         How many are drawn backwards; n, if not given.
     impossible : str
         Where no particle explains a step's measurements: ``"raise"`` an error, ``"ignore"`` them,
         or ``"restart"`` from the prior. `status` tells.
     dtype : numpy type
-        Of the states, ``np.float64`` or ``np.float32``. Weights are float64.
+        Type of the states, ``np.float64`` or ``np.float32``. Weights are float64.
 
     Raises
     ------

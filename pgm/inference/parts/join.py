@@ -29,7 +29,7 @@ def joined(
     status: Status,
     found: Sequence[ChainPosterior],
 ) -> ChainPosterior:
-    """The posterior of all runs, as one call for them all leaves it."""
+    """The posterior of all runs, equal to one call for all of them."""
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     return type(found[0])(
         graph,

@@ -184,7 +184,7 @@ def _gaussians(
 
 @dataclass(frozen=True)
 class Share:
-    """The part of a posterior that is asked for: marginals of `kept`, all beliefs, or all of it."""
+    """What of a posterior a worker sends back: `kept` marginals, all beliefs, or everything."""
 
     kept: Scope | None
     beliefs: bool
@@ -218,7 +218,7 @@ class Share:
         return []
 
     def arrays(self, found: ChainPosterior, runs: int) -> list[Array]:
-        """The arrays of a part that are asked for."""
+        """The arrays of a part's posterior that are sent back."""
         if self.kept is None:
             swept, smoothed = found._swept, found._smoothed
             last = [] if smoothed is None else [smoothed.mean, smoothed.cov]

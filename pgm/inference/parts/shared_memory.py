@@ -80,7 +80,7 @@ class Block:
         return Name(os.getpid(), self.number, self.file, self.size)
 
     def hold(self, size: int, *, anew: bool = False) -> mmap.mmap:
-        """The memory, of so many bytes at least; seen anew, as nobody else sees it."""
+        """The mapped memory, of `size` bytes at least; with `anew` in a new mapping."""
         if size > self.size or not self.size:
             self.size, self._memory = max(size, 1), None
             os.ftruncate(self.file, self.size)

@@ -28,7 +28,7 @@ MOST = 5000
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Some of the runs, a slice of all, with graph, evidence and start as if there were no more."""
+    """A slice of the runs, with graph, evidence and start as if it were all runs."""
 
     runs: slice
     graph: DynamicGraph

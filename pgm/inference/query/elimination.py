@@ -40,7 +40,7 @@ def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
 
 
 def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) -> Array:
-    """The table that is left once all steps of a plan are done, (sizes..., runs or 1)."""
+    """The table that remains after all eliminations, (sizes..., runs or 1)."""
     tables = Tables(plan, evidence, semiring)
     for step in plan.steps:
         tables.do(step)
@@ -151,7 +151,7 @@ def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
 
 
 def _contradiction(plan: EliminationPlan, run: int) -> tuple[list[Discrete], States]:
-    """The evidence that the first product of zeros is made of, and that product's variables."""
+    """The evidence in the first product that is zero throughout, and its variables."""
     evidence = some_runs(plan.requisite.evidence, slice(run, run + 1))
     tables = Tables(plan, evidence, LOG_SUM_PRODUCT)
     first, cpds = len(plan.scopes), plan.requisite.cpds

@@ -106,7 +106,7 @@ class EliminationPlan:
 
     @cached_property
     def peak(self) -> int:
-        """Entries that are held at a time, for one run: messages that wait, and one table."""
+        """The largest number of table entries held at a time, for one run."""
         first = len(self.scopes)
         states = [v.size for v in self.order]
         waiting: dict[int, int] = {}

@@ -117,7 +117,7 @@ def query(
 
 
 def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
-    """The network that is asked, and the graph that was compiled of it, if one was given."""
+    """The network asked about, and the graph compiled from it, if one was given."""
     if isinstance(network, DynamicBayesianNetwork | DynamicGraph):
         raise GraphError(
             "query is for discrete networks, and this one is dynamic; its beliefs are "

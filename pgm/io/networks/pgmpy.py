@@ -32,7 +32,7 @@ def from_pgmpy(network: Any) -> BayesianNetwork | DynamicBayesianNetwork:
         Its tables hold the same doubles, the child's axis last. A dynamic network's variables are
         called without their slices: CPDs of slice 0 are the prior, those of slice 1 hold for all
         later steps, and a variable without children whose CPD is the same in both is a sensor.
-        Of a variable with one CPD, given variables of its own slice, it holds for both.
+        If a variable has one CPD, given variables of its own slice, it holds for both slices.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def to_pgmpy(network: BayesianNetwork) -> Any:
     Parameters
     ----------
     network : BayesianNetwork
-        Of discrete variables without steps.
+        A static network of discrete variables.
 
     Raises
     ------

@@ -35,7 +35,7 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     Parameters
     ----------
     source, normalise, limit
-        As of `read_bif`.
+        See `read_bif`.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     Raises
     ------
     FileError, OSError
-        As of `read_bif`.
+        See `read_bif`.
 
     Examples
     --------

@@ -65,7 +65,7 @@ def write_bif(network: BayesianNetwork, target: Source) -> None:
     Parameters
     ----------
     network : BayesianNetwork
-        Of discrete variables without steps.
+        A static network of discrete variables.
     target : str, Path or open file
         A path, gzipped where it ends in ``.gz``, or a file opened for text or bytes (UTF-8).
 
@@ -131,7 +131,7 @@ def write_xmlbif(network: BayesianNetwork, target: Source) -> None:
     Parameters
     ----------
     network : BayesianNetwork
-        Of discrete variables without steps.
+        A static network of discrete variables.
     target : str, Path or open file
         A path, gzipped where it ends in ``.gz``, or a file opened for text or bytes.
 

@@ -41,17 +41,17 @@ def read_xmlbif(source: Source, *, normalise: bool = False, limit: int = LIMIT) 
     Parameters
     ----------
     source, normalise, limit
-        As of `read_bif`.
+        See `read_bif`.
 
     Returns
     -------
     BayesianNetwork
-        As of `read_bif`.
+        See `read_bif`.
 
     Raises
     ------
     FileError, OSError
-        As of `read_bif`.
+        See `read_bif`.
 
     Examples
     --------

@@ -43,8 +43,8 @@ def animate_beliefs(
     Parameters
     ----------
     belief : GridBelief or Table
-        Of one run over steps, as ``posterior[x]``; a table of one variable needs `places`,
-        and its steps are counted from 0, a hidden control's too, whose steps are 1..T.
+        The belief of one run over steps, as ``posterior[x]``; a table of one variable needs
+        `places`, and its steps are counted from 0, a hidden control's too, whose steps are 1..T.
     path : path
         Where to: a GIF, ``drive.gif``, or where the program ffmpeg is, ``drive.mp4``. It is
         written whole or not at all.
@@ -54,13 +54,13 @@ def animate_beliefs(
     landmarks : array_like, optional
         (L, 2), in the two components drawn; of a grid alone.
     unit : str or mapping of str, optional
-        As of `grid_map`; of a grid alone.
+        See `grid_map`; of a grid alone.
     rate : float
         Pictures a second.
     also : callable, optional
         ``also(ax, step)`` draws more into each picture, or sets its limits.
     figsize : pair of float
-        Of a picture [inches].
+        Size of a picture [inches].
     dpi : int
         Dots an inch.
     **style
@@ -69,7 +69,7 @@ def animate_beliefs(
     Returns
     -------
     pathlib.Path
-        Of the file.
+        The file's path.
 
     Raises
     ------

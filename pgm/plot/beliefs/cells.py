@@ -203,7 +203,7 @@ def grid_map(
     Parameters
     ----------
     belief : GridBelief
-        Of one run at one step, as ``posterior[x.at(3)]``.
+        The belief of one run at one step, for instance ``posterior[x.at(3)]``.
     components : pair of str, optional
         Which components are the plane's, by name; the first two that are no angles without.
     heading : str, optional
@@ -215,7 +215,7 @@ def grid_map(
     truth : array_like, optional
         (n,), in the order of the belief's components; its place is marked by a cross.
     landmarks, unit, ax
-        As of `trajectory`.
+        See `trajectory`.
     **style
         Properties of `matplotlib.axes.Axes.pcolormesh`, which win over the defaults.
 

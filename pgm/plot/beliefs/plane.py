@@ -69,9 +69,10 @@ def ellipses(
     components : pair of str, optional
         Which components, by name; the first two without.
     colour : str, optional
-        Of the outline, and faintly of the inside; the next of a colour-blind-safe palette without.
+        Colour of the outline, and faintly of the inside; the next of a colour-blind-safe palette
+        without.
     unit, label, ax
-        As of `trajectory`.
+        See `trajectory`.
     **style
         Properties of `matplotlib.collections.EllipseCollection`, which win over the defaults.
 
@@ -192,14 +193,15 @@ def trajectory(
     components : pair of str, optional
         Which components are the plane's, by name; the first two without.
     unit : str or mapping of str, optional
-        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
+        Unit of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels
+        alone.
     label : str or Kind, optional
         In the legend, which is drawn where there are two things or more to tell apart.
     colour : str, optional
         The next of a colour-blind-safe palette without.
     dash : {"-", "--", ":", "-."}, optional
-        Of the path; without, the next of an axes are dashed and make the first a broad line, so
-        that paths that lie one upon the other can be told apart.
+        Dash of the path; without, the next of an axes are dashed and make the first a broad line,
+        so that paths that lie one upon the other can be told apart.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's without.
 

@@ -63,7 +63,7 @@ def beliefs_over_time(
     label : str or Kind, optional
         In the legend, above the axes.
     colour, ax
-        As of `trajectory`.
+        See `trajectory`.
 
     Raises
     ------

@@ -151,7 +151,7 @@ class Canvas:
         self.ax.add_artist(patch)
 
     def width(self, points: float) -> float:
-        """The width of a line."""
+        """The width of a line of text at a font size in points."""
         return points * min(self.scale, 1.0)
 
 

@@ -63,7 +63,7 @@ def animate(
     Parameters
     ----------
     posterior : ChainPosterior or ParticlePosterior
-        Of a dynamic network, as from `pgm.filter` or `pgm.smooth`. Of particles the ellipses are
+        From `pgm.filter` or `pgm.smooth` on a dynamic network. For particles the ellipses are
         those of the same mean and covariance.
     path : path
         Where to: a GIF, ``drive.gif``, or where the program ffmpeg is, ``drive.mp4``. It is
@@ -84,16 +84,16 @@ def animate(
     rate : float
         Pictures a second.
     figsize : pair of float
-        Of a picture [inches].
+        Size of a picture [inches].
     dpi : int
         Dots an inch.
     landmarks, components, unit
-        As of `trajectory`.
+        See `trajectory`.
 
     Returns
     -------
     pathlib.Path
-        Of the file.
+        The file's path.
 
     Raises
     ------

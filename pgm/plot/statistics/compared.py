@@ -51,11 +51,11 @@ def comparison(
     Parameters
     ----------
     found : Comparison
-        Of `pgm.compare`.
+        The result of `pgm.compare`.
     statistic : str
         ``"kl"``, from the oracle, or ``"nees"``, whose expected value is a line.
     state : Variable, optional
-        Of several, the one that is drawn.
+        The state that is drawn, if there are several.
     schedule : str, optional
         The name of the only one that is drawn; all without.
     times : array_like, optional
@@ -165,7 +165,7 @@ def ranking(
     Parameters
     ----------
     found : Ranking
-        Of `pgm.consistency.ranking`.
+        The result of `pgm.consistency.ranking`.
     windows : int
         The most windows, of equal length.
     times : array_like, optional

@@ -67,7 +67,7 @@ def nees(
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
     label, colour, ax
-        As of `trajectory`.
+        See `trajectory`.
 
     Raises
     ------
@@ -116,13 +116,13 @@ def nis(
     Parameters
     ----------
     innovations : Innovations
-        As ``posterior.innovations[z]``.
+        For instance ``posterior.innovations[z]``.
     confidence : float
         Probability of the band, at each step.
     times : array_like, optional
         (steps,), of steps 0 to T, for the horizontal axis; the steps themselves without.
     label, colour, ax
-        As of `trajectory`.
+        See `trajectory`.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def coverage(
     confidence : float
         Probability of the intervals, which count runs alone.
     label, colour, ax
-        As of `trajectory`.
+        See `trajectory`.
 
     Raises
     ------
@@ -244,13 +244,13 @@ def whiteness(
     Parameters
     ----------
     innovations : Innovations
-        As ``posterior.innovations[z]``.
+        For instance ``posterior.innovations[z]``.
     lags : int
         The number of lags, in steps at which the sensor was read.
     confidence : float
         Probability of the band, at each lag.
     label, colour, ax
-        As of `trajectory`.
+        See `trajectory`.
 
     Raises
     ------

@@ -67,7 +67,7 @@ def errors(
     axes : matplotlib.axes.Axes or iterable of them, optional
         One a component; a column of new ones without.
     unit, colour
-        As of `trajectory`.
+        See `trajectory`.
 
     Returns
     -------
@@ -189,11 +189,11 @@ def rmse(
     components : sequence of str
         Over which the error's length is taken; all without.
     percentiles : pair of float
-        Of the band, in percent.
+        The lower and upper edge of the band, in percent.
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
     unit, label, colour, ax
-        As of `trajectory`.
+        See `trajectory`.
 
     Raises
     ------
@@ -257,11 +257,11 @@ def kl(
     p, q : Gaussian
         Over steps, as ``posterior[x]``; p is the one to be right.
     percentiles : pair of float
-        Of the band, in percent.
+        The lower and upper edge of the band, in percent.
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
     label, colour, ax
-        As of `trajectory`.
+        See `trajectory`.
 
     Raises
     ------

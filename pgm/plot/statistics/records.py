@@ -40,11 +40,11 @@ def convergence(
     Parameters
     ----------
     status : Status
-        As ``posterior.status``.
+        For instance ``posterior.status``.
     tolerance : float, optional
         That of the schedule, drawn as a dashed line.
     label, colour, ax
-        As of `trajectory`.
+        See `trajectory`.
 
     Raises
     ------

@@ -43,7 +43,7 @@ def read_labyrinth(
     source : str, Path or open file
         The folder of ``Indoor_UWB_Input.txt`` and ``Indoor_UWB_GT.txt``; or a file like the first.
     truth : str, Path or open file, optional
-        Of lines ``point2 t x y`` and a covariance; no headings. That of the folder without.
+        A file of lines ``point2 t x y`` and a covariance; no headings. That of the folder without.
     swapped : bool, optional
         Whether the column called right is the left wheel's, as it is in Labyrinth.
     wheelbase : float, optional

@@ -221,7 +221,7 @@ def _require_radians(part: str, name: str, column: _Column, stamps: Array, value
 
 
 def _driven(part: str, stream: Stream, wheelbase: float) -> Stream:
-    """The motion of two wheels."""
+    """Velocity and turn rate of a differential drive from its wheels' speeds."""
     if stream.variances is not None:
         raise EvidenceError(
             f"columns[{part!r}]: variances of two wheels are none of the motion that they make; "
