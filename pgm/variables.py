@@ -136,7 +136,7 @@ class Variable(_Hashed, InCode):
 
     @property
     def previous(self) -> Variable:
-        """This variable one step before; refused at step 0."""
+        """The variable one step before; refused at step 0."""
         if self.step is not None:
             return self.at(self.step - 1)
         return self._moved(None, self.lag + 1)

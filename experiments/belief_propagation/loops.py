@@ -10,6 +10,7 @@ import numpy as np
 
 import pgm
 from experiments.kinds import as_gaussian, as_table
+from experiments.unsettled import unsettled
 from pgm.compile import Method
 
 Numbers = dict[str, Any]
@@ -66,6 +67,7 @@ class Case:
         """The variables without evidence."""
         return [v for v in self.network.variables if v not in self.evidence]
 
+    @unsettled()
     def send(self, graph: str, schedule: Any) -> pgm.Posterior:
         """The posterior on one of the graphs."""
         return pgm.infer(self.graphs[graph], self.evidence, schedule=schedule)

@@ -11,6 +11,7 @@ import numpy as np
 import pgm
 from experiments.belief_propagation.loops import Numbers
 from experiments.kinds import as_gaussian, as_table
+from experiments.unsettled import unsettled
 from pgm.clustergraph.cluster import size
 from pgm.compile import Method
 
@@ -38,6 +39,7 @@ def methods(network: pgm.BayesianNetwork) -> dict[str, Method]:
     return found
 
 
+@unsettled()
 def compare(network: pgm.BayesianNetwork, evidence: Beliefs) -> dict[str, Numbers]:
     """Numbers of each way to compile a network, against its junction tree."""
     hidden = [v for v in network.variables if v not in evidence]

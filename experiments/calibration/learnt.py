@@ -19,6 +19,7 @@ import pgm
 from experiments.recordings import drives
 from experiments.recordings.drives import Drive
 from experiments.recordings.settings import SETTINGS
+from experiments.unsettled import unsettled
 from models import networks
 from models.networks import calibration, distance, landmark, pose
 from pgm import consistency
@@ -111,6 +112,7 @@ WAYS = {
 }
 
 
+@unsettled()
 def learnt(drive: Drive, way: Way, iterations: int) -> tuple[dict[str, Any], pgm.ChainPosterior]:
     """The way from the start to the end, and the posterior there.
 

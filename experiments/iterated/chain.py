@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 import pgm
 from experiments.iterated.case import Case
+from experiments.unsettled import unsettled
 from models import networks
 from models.networks import landmark, pose, sighting, velocity
 
@@ -43,6 +44,7 @@ def simulate(runs: int, seed: int) -> Case:
     return Case(model, sample.evidence, pose, sample[pose], components=2, first=1, lost=LOST)
 
 
+@unsettled()
 def growing(case: Case, lineariser: pgm.Lineariser, iterations: int) -> Array:
     """Errors of the last position when all steps up to it are relinearised, (runs, ENDS).
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 import pgm
 from experiments.iterated.case import Case
+from experiments.unsettled import unsettled
 from pgm.consistency import error
 
 Array = npt.NDArray[np.float64]
@@ -107,6 +108,7 @@ class Outcome:
 Grid = Mapping[str, Mapping[str, Mapping[int, Outcome]]]
 
 
+@unsettled()
 def solve(
     case: Case,
     lineariser: pgm.Lineariser,

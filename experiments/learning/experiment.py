@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 import pgm
 from experiments.learning.problems import START, Problem, problems
 from experiments.record import Out, Record, Seed, progress
+from experiments.unsettled import unsettled
 from pgm.plot.colours import INK, PALETTE
 
 QUICK: dict[str, Any] = {"runs": 2, "steps": 40}
@@ -80,6 +81,7 @@ def run(
     )
 
 
+@unsettled()
 def learnt(problem: Problem, lineariser: pgm.Lineariser, runs: int, steps: int, seed: int) -> Found:
     """The noise learnt from each recording, by one lineariser."""
     shares: dict[str, list[float]] = {name: [] for name in problem.shares}

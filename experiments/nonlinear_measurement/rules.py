@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 import pgm
 from experiments.nonlinear_measurement.cases import Array, Case
+from experiments.unsettled import unsettled
 
 Mask = npt.NDArray[np.bool_]
 
@@ -20,6 +21,8 @@ Mask = npt.NDArray[np.bool_]
 ITERATED = "IteratedCubature"
 # Where the last linearisation moved no mean by more than this, in deviations, it came to rest.
 SETTLED = 0.01
+# Of the schedules, so that all linearisations are made.
+TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -40,16 +43,26 @@ class Rule:
     iterations: int = 1
     lag: float = 0
 
+    @unsettled()
     def solve(self, case: Case, lineariser: pgm.Lineariser | None = None) -> pgm.ChainPosterior:
         """The beliefs of all simulations of a case at once."""
         rule = lineariser or self.lineariser
         if self.lag == 0:
             return pgm.filter(
-                case.model, case.evidence, lineariser=rule, iterations=self.iterations
+                case.model,
+                case.evidence,
+                lineariser=rule,
+                iterations=self.iterations,
+                tolerance=TOLERANCE,
             )
         lag = None if self.lag == math.inf else int(self.lag)
         return pgm.smooth(
-            case.model, case.evidence, lineariser=rule, lag=lag, iterations=self.iterations
+            case.model,
+            case.evidence,
+            lineariser=rule,
+            lag=lag,
+            iterations=self.iterations,
+            tolerance=TOLERANCE,
         )
 
 

@@ -11,6 +11,7 @@ import pgm
 from experiments.record import Out, Record, Seed, progress
 from experiments.smoothing import figures
 from experiments.smoothing.judging import CONFIDENCE, KINDS, LOST, Beliefs, gain, judge
+from experiments.unsettled import unsettled
 from models import networks, simulation
 from models.networks import pose, sighting, velocity
 from pgm import consistency
@@ -187,6 +188,7 @@ def simulate(
     return network, simulation.Drive(sample[pose], LANDMARKS, dict(sample.evidence))
 
 
+@unsettled()
 def estimate(
     network: pgm.DynamicBayesianNetwork, drive: simulation.Drive, iterations: int
 ) -> tuple[dict[str, Beliefs], dict[str, pgm.ChainPosterior], dict[str, pgm.Status]]:

@@ -58,8 +58,8 @@ def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
     if is_iterated(schedule) and not converged.all():
         message = (
             f"a step of the online filter had not settled after its {schedule.iterations} "
-            f"linearisations (tolerance {schedule.tolerance:g}); how far from it, "
-            f"belief.status.residuals says. {_otherwise(schedule)}, or more iterations"
+            f"linearisations (tolerance {schedule.tolerance:g}); belief.status.residuals says how "
+            f"far from it. Give more iterations, or {_otherwise(schedule)}"
         )
         warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())
 

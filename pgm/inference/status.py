@@ -75,6 +75,17 @@ PREDICTED, FILTERED, SMOOTHED = Kind(-1), Kind(0), Kind(math.inf)
 ENOUGH_DIGITS = 6.0
 # Residuals that are shown.
 FEW = 8
+# Why digits are few, and what helps.
+FAR_APART = (
+    "some deviations of the model are too far apart for float64; scale them, give what is not "
+    "known at all cov=np.inf in the prior of a chain, or read a repeated or redundant measurement "
+    "once"
+)
+CLOSE_POINTS = (
+    "sigma points of a small alpha lie so close together that values of a function far from zero "
+    "differ in few digits; use a larger alpha, pgm.Unscented() or pgm.Cubature(), or count "
+    "coordinates from a place nearby"
+)
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
@@ -164,17 +175,14 @@ class Status(Shown, Immutable):
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
         return cls(count + 1, record, converged.reshape(lead))
 
-    def with_digits(self, digits: Array) -> Status:
+    def with_digits(self, digits: Array, cause: str = FAR_APART) -> Status:
         """The same status with the measured digits (*runs); a run with too few warns."""
         least = float(digits.min(initial=np.inf))
         if least < ENOUGH_DIGITS:
             runs = int((digits < ENOUGH_DIGITS).sum())
             message = (
                 f"rounding leaves {max(least, 0.0):.1f} decimal digits of a mean, counted from its "
-                f"standard deviation, in {runs} of {digits.size} runs (status.digits): some "
-                "deviations of the model are too far apart for float64; scale them, give what is "
-                "not known at all cov=np.inf in the prior of a chain, or read a repeated or "
-                "redundant measurement once"
+                f"standard deviation, in {runs} of {digits.size} runs (status.digits): {cause}"
             )
             warnings.warn(message, PrecisionWarning, stacklevel=levels_to_user())
         return self._with(digits=digits)

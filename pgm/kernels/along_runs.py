@@ -124,6 +124,35 @@ def open_share(cov: Array) -> float:
     return float((_eliminate(cov) / whole).min(initial=1.0))
 
 
+def inflation(cov: Array) -> Array:
+    """The variance inflation factors of covariances (n, n, runs) added up: tr C⁻¹, (runs,).
+
+    C are the correlations; a factor is a variance over the share of it that all other components
+    leave open. With C = U D Uᵀ it is Σ_k Σ_i (U⁻¹)²_ki / D_k. Overwrites; the factor of a component
+    without a variance is one, and the sum is infinite where C is not positive definite.
+    """
+    size = len(cov)
+    own = np.einsum("iir->ir", cov)
+    unit = np.sqrt(np.abs(own))
+    unit[unit == 0.0] = 1.0
+    cov /= unit
+    cov /= unit[:, None]
+    np.einsum("iir->ir", cov)[...] = 1.0
+    total = np.zeros(cov.shape[-1])
+    rows: list[list[Array]] = []  # of U⁻¹, up to the one on its diagonal
+    with np.errstate(all="ignore"):  # of what is singular; see below
+        pivots = _eliminate(cov)
+        for k in range(size):
+            row = [-cov[k, i] for i in range(k)]
+            for i in range(k):
+                for j in range(i + 1, k):
+                    row[i] = row[i] - cov[k, j] * rows[j][i]
+            rows.append(row)
+            total += (1.0 + sum(part * part for part in row)) / pivots[k]
+    total[~(pivots > 0.0).all(axis=0)] = np.inf
+    return total
+
+
 def least_left(before: Array, after: Array) -> float:
     """The smallest ratio of variance after to before, over (n, n, runs); zeros do not count."""
     was, left = (np.einsum("iir->ir", cov) for cov in (before, after))

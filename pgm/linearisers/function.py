@@ -224,11 +224,10 @@ class BoundFunction(NamedTuple):
         else:
             value, slope, finite = answers.single(arguments, cov)
         if answers is None or not finite:
-            # Warnings and errors are the function's own.
+            # Warnings and errors are the function's own, which may use its array again.
+            followed = answers is not None or self._followed(program, x, std)
             due = self._value(x, arguments, shape)
-            if answers is None and not (
-                _alike(due, value, self.angles) and self._followed(program, x, std)
-            ):
+            if answers is None and not (followed and _alike(due, value, self.angles)):
                 return None
             value = due
         if not finite:

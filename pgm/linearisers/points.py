@@ -10,6 +10,9 @@ import numpy as np
 from pgm.kernels import regression
 from pgm.kernels.arrays import Array
 
+# Four units in the last place.
+_LAST_PLACES = 4 * 2.0**-52
+
 
 class _Points(NamedTuple):
     points: Array
@@ -50,6 +53,18 @@ class Points(_Points):
         return np.concatenate([np.zeros((1, self.points.shape[1])), self.points])
 
     @cached_property
+    def cancellation(self) -> float:
+        """How many times larger than a value's rounding is that of the line through all values.
+
+        √(Σ w² + Σ_j Σ (c s_j / Σ c s_j²)²), of the mean and of the slope over a deviation, for
+        independent errors: about one for weights that are all positive, 1/α² for points at α.
+        """
+        s = self.points
+        slopes = self.cov_weights[:, None] * s
+        slopes = slopes / (slopes * s).sum(axis=-2, keepdims=True)
+        return float(np.sqrt((self.mean_weights**2).sum() + (slopes**2).sum((-2, -1)).max()))
+
+    @cached_property
     def rounding(self) -> float:
         """The rounding by which a value may be off its line, as a part of the value's summands.
 
@@ -61,4 +76,14 @@ class Points(_Points):
         if len(s):
             reach = s.max(axis=-2)
             moved += (reach * (size[:, None] * s).sum(axis=-2)).sum(axis=-1).max(initial=0.0)
-        return float(4 * 2.0**-52 * moved * np.sqrt(size.sum()))
+        return float(_LAST_PLACES * moved * np.sqrt(size.sum()))
+
+    @cached_property
+    def fitted_rounding(self) -> float:
+        """The same of the `fit`, whose rows R have less to cancel than weights of both signs.
+
+        Eightfold, since a function has summands of its own.
+        """
+        left = np.abs(self.fit.rows[1 + self.points.shape[1] :]).sum(axis=-1)
+        moved = 1.0 + 2.0 * np.sqrt((left**2).sum())
+        return min(self.rounding, float(8.0 * _LAST_PLACES * moved))

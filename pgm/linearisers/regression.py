@@ -29,8 +29,9 @@ from pgm.linearisers.points import Points
 from pgm.linearisers.template import FunctionTemplate
 from pgm.resources import require_memory
 
-# An error of a larger share of a value's square is none of rounding.
-_PLAIN = 1e-16
+# An error of a larger share of a value's square is none of rounding; nor is one of this part of the
+# square of what rounding may be at most, where points are close together.
+_PLAIN, _SURELY = 1e-16, 1.0 / 64.0
 # The regression on more points than this takes longer to prepare than it saves.
 FEW = 64
 
@@ -124,6 +125,21 @@ class StatisticalRegression(ArrayLineariser):
         weights = self.points(dimension, "", 0).cov_weights
         return not self.prior_moments and bool((weights >= 0.0).all())
 
+    def cancellation(self, dimension: int) -> float:
+        """How many times larger than a value's rounding is that of the line through all values.
+
+        Parameters
+        ----------
+        dimension : int
+            Number of components, n.
+
+        Returns
+        -------
+        float
+            See `Points`; 1/α² of ``Unscented(alpha)``, where α is small.
+        """
+        return self.points(dimension, "", 0).cancellation
+
 
 class _Regression:
     def __init__(self, rule: StatisticalRegression, template: FunctionTemplate) -> None:
@@ -210,7 +226,7 @@ def _fitted_one(
     noise = (left if signs is None else signs[:, None] * left).T.dot(left)
     slope, value = found[1:first].T, reference + found[0]
     matrix = gaussian.divide(slope, lower)
-    _clear_rounding(function, noise, slope, reference, raw.T, matrix, mean, points.rounding)
+    _clear_rounding(function, noise, slope, reference, raw.T, matrix, mean, points.fitted_rounding)
     return Line(matrix, value, noise)
 
 
@@ -239,7 +255,7 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
     noise = np.einsum("ikr,jkr->ijr", left if signs is None else signs[:, None] * left, left)
     slope, value = found[:, 1:first], reference + found[:, 0]
     matrix = gaussian.divide(slope, lower)
-    _clear_rounding(function, noise, slope, reference, raw, matrix, mean, points.rounding)
+    _clear_rounding(function, noise, slope, reference, raw, matrix, mean, points.fitted_rounding)
     if len(batch) < 2:
         return Line(matrix, value, noise)
     return Line(*(part.reshape(*part.shape[:-1], *batch) for part in (matrix, value, noise)))
@@ -296,12 +312,13 @@ def _clear_rounding(
     which it may be the difference. Rounding that is far below a component's own noise may stay.
     """
     own = function.template.variances * (function.group or 1)
+    plain = max(_PLAIN, _SURELY * share * share)
     if noise.ndim == 2:
         # Few numbers are compared more quickly one by one.
         sizes = map(hypot, reference.tolist(), *slope.T.tolist())
         variances = noise.diagonal().tolist()
         for k, (variance, least, size) in enumerate(zip(variances, own, sizes, strict=True)):
-            if variance + least > _PLAIN * size * size:
+            if variance + least > plain * size * size:
                 continue
             summands, variance = abs(reference.item(k)), abs(variance)  # weights may be negative
             if variance > (share * summands) ** 2:
@@ -317,7 +334,7 @@ def _clear_rounding(
     slopes = np.abs(slope).max(axis=tuple(range(1, slope.ndim)), initial=0.0).tolist()
     every = zip(variances, own, values, slopes, strict=True)
     for k, (variance, least, value, most) in enumerate(every):
-        if variance + least > _PLAIN * (value * value + len(mean) * most * most):
+        if variance + least > plain * (value * value + len(mean) * most * most):
             continue
         summands = np.abs(reference[k]) + np.maximum(raw[k].max(axis=0), -raw[k].min(axis=0))
         real = np.abs(noise[k, k]) > (share * summands) ** 2

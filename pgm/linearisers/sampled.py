@@ -145,6 +145,20 @@ class SampledRule(StatisticalRegression):
     def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
         """The points, (*axes of step, N, n)."""
 
+    def cancellation(self, dimension: int) -> float:
+        """One: the weights are equal, and values are rounded as any; as of `StatisticalRegression`.
+
+        Parameters
+        ----------
+        dimension : int
+            Number of components, n.
+
+        Returns
+        -------
+        float
+        """
+        return 1.0
+
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
         """The sample, (*axes of step, N, n); as of `StatisticalRegression`."""
         if self.samples < 2 * dimension + 2:

@@ -135,8 +135,7 @@ class Tracer:
             self._fail(_DIFFERS)
             return False
         if repr(found) != repr(self.trace):  # else what was made of it is still good
-            self.trace = found
-        self._proven = False
+            self.trace, self._proven = found, False
         return True
 
     def renew(self) -> None:

@@ -66,7 +66,7 @@ def test_a_robot_stays_in_its_room_and_the_grid_finds_it(kind):
     assert contender.units == 12 * np.prod(rooms.CELLS)
     np.testing.assert_allclose(values.sum(axis=(1, 2, 3)), 1.0, rtol=0, atol=1e-9)
     if not kind:
-        gaussian = pgm.smooth(work.network, work.evidence(0), iterations=5)[robots.pose]
+        gaussian = pgm.smooth(work.network, work.evidence(0), iterations=10)[robots.pose]
         east = np.linspace(-5.0, 5.0, 100, endpoint=False) + 0.05
         means = values.sum(axis=(2, 3)) @ east
         assert np.abs((means - gaussian.mean[:, 0]) / gaussian.std[:, 0]).max() < 0.5

@@ -120,6 +120,7 @@ def test_a_trajectory_is_odometry_and_another_a_sensor(tmp_path):
     assert errors[1] < 0.5 * errors[0]
 
 
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # three linearisations
 def test_a_table_with_beacons(tmp_path):
     more = "[methods]\nrobust = {StudentT = 4}\ngate = 0.99\nlag = 5\niterations = 3\n"
     found = results(tmp_path / "out", "csv", table(tmp_path, more=more))

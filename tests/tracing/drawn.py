@@ -161,9 +161,9 @@ DECISIONS: dict[str, Function] = {
     "take": _taken,
     "table by int": _int_table,
     "dict by int": _by_dict,
-    "searchsorted": lambda c, k, a, b: np.array([0.3, 0.8, -0.4])[
-        np.searchsorted([0.5, 1.5], np.asarray(c, float))
-    ] * a + b,
+    "searchsorted": lambda c, k, a, b: (
+        np.array([0.3, 0.8, -0.4])[np.searchsorted([0.5, 1.5], np.asarray(c, float))] * a + b
+    ),
     "digitize": lambda c, k, a, b: np.digitize(np.asarray(c, float), [0.5, 1.5]) * 0.4 * a + b,
     "choose": lambda c, k, a, b: np.choose(np.asarray(c > k, dtype=int), [a, b]),
     "floor": lambda c, k, a, b: np.floor(c + 0.25) * 0.3 * a + b,
@@ -257,9 +257,9 @@ OUTPUTS: dict[str, Function] = {
     "concatenate": lambda parts: np.concatenate(
         [part[..., None] for part in np.broadcast_arrays(*parts)], axis=-1
     ),
-    "insert": lambda parts: np.insert(
-        np.stack(np.broadcast_arrays(*parts), -1), 0, 0.0, axis=-1
-    )[..., 1:],
+    "insert": lambda parts: np.insert(np.stack(np.broadcast_arrays(*parts), -1), 0, 0.0, axis=-1)[
+        ..., 1:
+    ],
     "masked": lambda parts: np.ma.asarray(np.stack(np.broadcast_arrays(*parts), -1)),
 }
 
@@ -338,7 +338,8 @@ def _each(body, get):
     def moved(x, u):
         if x.ndim == 1:
             return body(x, u, get())
-        return np.stack([moved(a, b) for a, b in zip(x, np.broadcast_to(u, (*x.shape[:-1], u.shape[-1])))])
+        wide = np.broadcast_to(u, (*x.shape[:-1], u.shape[-1]))
+        return np.stack([moved(a, b) for a, b in zip(x, wide, strict=True)])
 
     return moved
 
@@ -550,5 +551,6 @@ def draw(rng: np.random.Generator, n: int, m: int) -> Drawn:
         return output(parts)
 
     get, change = holder(old, new)
-    name = f"{bodies} x:{read_x} u:{read_u} {decides}{' by state' * by_state} -> {writes}; {wraps}, {holds}"
+    name = f"{bodies} x:{read_x} u:{read_u} {decides}{' by state' * by_state}"
+    name += f" -> {writes}; {wraps}, {holds}"
     return Drawn(wrapper(whole, get), name, change)

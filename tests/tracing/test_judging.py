@@ -234,3 +234,22 @@ def test_a_function_that_fails_beside_its_points_keeps_its_trace():
     found.single([np.array([1e5])], np.array([[1e6]]))
     found.close()
     assert found.fault is None
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+def test_online_a_function_may_return_an_array_that_it_uses_again(compiled):
+    kept = {}
+
+    def function(s, u):
+        out = kept.setdefault(s.shape, np.empty(s.shape))
+        out[..., 0] = np.sin(s[..., 0]) + u[..., 0]
+        return out
+
+    move = pgm.NonlinearGaussianCPD(S, (S.previous, U), function, cov=1e-3)
+    model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(S, 0.3, 1.0)], [move], [])
+    robot = pgm.OnlineFilter(model, compiled=compiled)
+    beliefs, due = [robot.initial()], [0.3]
+    for _ in range(9):
+        beliefs.append(robot.predict(beliefs[-1], {U: [0.4]}))
+        due.append(np.sin(due[-1]) + 0.4)
+    assert_allclose([belief[S].mean[0] for belief in beliefs], due, rtol=1e-9)

@@ -1,5 +1,6 @@
 """Posteriors of every kind, small."""
 
+import warnings
 from functools import cache
 
 import numpy as np
@@ -54,7 +55,9 @@ def drive(steps=STEPS, runs=()):
 
 @cache
 def smoothed():
-    return pgm.smooth(robot(), drive(), iterations=3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pgm.ConvergenceWarning)  # three, to be shown
+        return pgm.smooth(robot(), drive(), iterations=3)
 
 
 @cache

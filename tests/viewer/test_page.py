@@ -110,6 +110,7 @@ def test_every_posterior_shows_itself(made):
     assert made()._repr_html_().startswith("<iframe srcdoc=")
 
 
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # two rounds, to be shown
 def test_large_graphs_and_tables_are_cut_in_a_frame():
     posterior = posteriors.lattice(14, schedule=pgm.Flooding(iterations=2))
     frame = posterior._repr_html_()

@@ -107,7 +107,7 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
         place, there = np.maximum(index, 0) * runs + np.arange(runs), index >= 0
 
         def taken(other: Array, mine: Array, place: Array = place, there: Array = there) -> Array:
-            """This mode's array in the runs that have it, the answer's array in the rest."""
+            """The mode's array in the runs that have it, the answer's array in the rest."""
             return np.where(there.reshape(-1, *(1,) * (mine.ndim - 2)), other[:, place], mine)
 
         beliefs.append(Beliefs(taken(arrived.mean, answer.mean), taken(arrived.cov, answer.cov)))

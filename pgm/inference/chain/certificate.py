@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.inference.chain import reversal_rounding
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.vector import stacks
@@ -38,7 +39,7 @@ from pgm.kernels.arrays import Array, apply, deviation, sandwich, variances
 # The largest ratio at which float64 leaves all the digits that are promised.
 MODERATE = 2e7
 # A stricter ratio, for covariances from which segments of a balanced tree are composed.
-_GENTLE = 4e6
+GENTLE = 4e6
 # Rounding of a mean, in its deviations, that counts where numbers are so many times smaller.
 _COUNTS, _FARTHER = 3e-8, 30.0
 # The part of a deviation that rounding of a mean may be, of a belief that goes on in float64.
@@ -75,10 +76,14 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
         predicted, known = swept.predicted_cov, swept.cov
         if smoothed is not None and not _hold(known, smoothed, MODERATE):
             return False
-        return (moderate or composes(predicted, known, MODERATE)) and _told_apart(plan, swept)
+        if not (moderate or composes(predicted, known, MODERATE)) or not _told_apart(plan, swept):
+            return False
+        if smoothed is None:
+            return True
+        return reversal_rounding.keeps_digits(plan, predicted, known, smoothed)
 
 
-def composes(predicted: Array, known: Array, limit: float = _GENTLE) -> bool:
+def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
     """Whether segments about these covariances, before and after measurements, compose well."""
     with np.errstate(all="ignore"):
         stands = _hold(predicted, known, limit)

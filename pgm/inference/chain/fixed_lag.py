@@ -190,7 +190,7 @@ class Beginning(NamedTuple):
         return self.careful is None or certificate.is_ordinary(self.mean, self.cov)
 
     def over(self, runs: int) -> Beginning:
-        """This belief for several runs, copied where it has one."""
+        """The belief for several runs, copied where it has one."""
         found: Beginning = self if len(self.mean) == runs else over(self, (), (runs,))
         return found
 

@@ -17,7 +17,7 @@ from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.vector import Measured
 from pgm.inference.chain.weights import SETTLED
 from pgm.inference.iteration import Anchor, Point, Solution, iterate
-from pgm.inference.schedule import Filtering
+from pgm.inference.schedule import TOLERANCE, Filtering
 from pgm.kernels import roots, solving
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, inner
@@ -99,15 +99,18 @@ class UpdateProblem(ABC, Generic[U]):
         robust = [part for part in self.parts if part.weights is not None]
         before = [(copy(part.weights), part.seen) for part in robust]
         active = np.full(found.means.shape[1], bool(robust))
+        left = np.where(active, np.inf, 0.0)
         for _ in range(_REWEIGHINGS if robust else 0):
             point = found.point
             mean, cov = self._moments(point._replace(cov=point.known_cov))
             moved = [part.reweigh(mean, cov, active) for part in robust]
             found = self._solved(anchor)
-            active = np.max(moved, axis=0) > SETTLED
+            left = np.where(active, np.max(moved, axis=0), left)
+            active = left > SETTLED
             if not active.any():
                 break
-        self._weighed = ~active
+        # As of means: by so little a weight still moves at its fixed point.
+        self._weighed = left <= TOLERANCE
         surplus = sum((part.surplus for part in self.parts), 0.0)
         if anchor is not None:  # a try of a step control, which leaves no trace
             for part, (weights, seen) in zip(robust, before, strict=True):

@@ -56,7 +56,8 @@ def whole(ahead: Ahead) -> Forward:
     """All of a forward pass."""
     if isinstance(ahead, Scanned):
         predicted = ahead.predicted_mean, ahead.predicted_cov
-        return Forward(*predicted, ahead.mean, ahead.cov, ahead.log_density(), float(ahead.agrees))
+        closest = 1.0 / certificate.GENTLE if ahead.agrees else 0.0
+        return Forward(*predicted, ahead.mean, ahead.cov, ahead.log_density(), closest)
     assert isinstance(ahead, Forward)
     return ahead
 
@@ -175,7 +176,7 @@ def _solve(
         agrees = agrees and certificate.composes(predicted.cov, known.cov)
 
     def log_density() -> Array:
-        """ln p(z_t | earlier measurements) of each step, (T+1, runs)."""
+        """Ln p(z_t | earlier measurements) of each step, (T+1, runs)."""
         total = evidence + readings.log_density(known.mean, predicted)
         total[0] = first.log_density
         return total
@@ -207,7 +208,8 @@ def _agree(found: Moments, due: Moments) -> bool:
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)
     far = off > _CLOSE * np.where(std > 0.0, std, np.abs(due.mean) + off.max(initial=0.0))
-    spread = np.abs(deviation(found.cov) - std) > _CLOSE * std.max(axis=0)
+    unit = np.where(std > 0.0, std, std.max(axis=0))
+    spread = np.abs(deviation(found.cov) - std) > _CLOSE * unit
     return not (far.any() or spread.any())
 
 

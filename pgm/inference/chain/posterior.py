@@ -283,7 +283,7 @@ class ChainPosterior(Innovated, Posterior):
         )
 
     def _weight(self, step: int) -> Array:
-        """ln p(measurements) as far as the belief at a step knows them, (runs,)."""
+        """Ln p(measurements) as far as the belief at a step knows them, (runs,)."""
         last = self.kind.last(step, self.graph.steps)
         weight: Array = self._forward.log_density[: last + 1].sum(axis=0)
         return weight if self._windows is None else self._windows.log_evidence[last]

@@ -10,6 +10,7 @@ import numpy as np
 from pgm.errors import NumericalError
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.vector import Measured
+from pgm.inference.family import cancellation
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, components_last, times
 from pgm.kernels.extended import Twofold
@@ -17,6 +18,8 @@ from pgm.kernels.extended import Twofold
 # A measurement this far from what an exact model says, as a part of the numbers' size, contradicts
 # it.
 CONTRADICTION = 1e-8
+# Or this many times the rounding of a linearisation, where that is more.
+_OF_ROUNDING = 10.0 * float(np.finfo(np.float64).eps)
 
 
 def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
@@ -40,12 +43,13 @@ def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
 
 def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
     """Refuse measurements (D, *batch) that contradict values fixed by an exact model."""
-    sizes = []
+    allowed = []
     for seen in parts:
         # Numbers of this size are summed up to the expected value.
         expected = times(np.abs(seen.matrix), np.abs(mean[seen.sensor.parents]))
-        sizes.append((np.abs(seen.reading) + expected + np.abs(seen.constant)).max(axis=0))
-    far = left > CONTRADICTION * np.max(sizes, axis=0)
+        size = (np.abs(seen.reading) + expected + np.abs(seen.constant)).max(axis=0)
+        allowed.append(max(CONTRADICTION, _OF_ROUNDING * cancellation(seen.sensor.family)) * size)
+    far = left > np.max(allowed, axis=0)
     if not far.any():
         return
     where = tuple(int(axis[0]) for axis in np.nonzero(far.T))
@@ -53,9 +57,10 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
     heights = [len(seen.value) for seen in parts]
     sensor = parts[int(np.searchsorted(np.cumsum(heights), place, side="right"))].sensor
     run, off = sensor.family.first_run + run, float(far.T[where] and left.T[where])
+    rule = "" if sensor.family.exact else f", as {sensor.family.lineariser!r} linearises it"
     raise NumericalError(
         f"a measurement of {sensor.variable!r} at step {step}, run {run}, contradicts an exact "
-        f"model: it is {off:.3g} from a value that is certain; give the sensor, the "
+        f"model{rule}: it is {off:.3g} from a value that is certain; give the sensor, the "
         "motion or the prior some noise",
         variable=sensor.variable,
         cpd=sensor.family.cpd,

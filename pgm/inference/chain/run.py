@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -16,7 +17,16 @@ from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.rows import as_rows, require_finite
 from pgm.factors.scope import positions
-from pgm.inference.chain import careful, certificate, fixed_lag, forward, gate, parallel, smoother
+from pgm.inference.chain import (
+    careful,
+    certificate,
+    close_points,
+    fixed_lag,
+    forward,
+    gate,
+    parallel,
+    smoother,
+)
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.balanced import BalancedPosterior
 from pgm.inference.chain.careful import Careful
@@ -28,7 +38,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.starting_points import Start, over_runs, require_hidden
-from pgm.inference.status import FILTERED, SMOOTHED, Kind, Status, digits
+from pgm.inference.status import CLOSE_POINTS, FILTERED, SMOOTHED, Kind, Status, digits
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -257,7 +267,7 @@ def _solved(
             smoothed = None if found._smoothed is None else found._smoothed.cov
             # Windows that slide have each been looked at.
             if found._windows or certificate.suffices(found._planned, found._swept, smoothed):
-                return found
+                return _told(found)
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
         plan = ChainPlan.make(graph, bound, lineariser, probe=False, judge=judge)
@@ -266,7 +276,23 @@ def _solved(
         plan.account.leave("float64 has too few digits, and twice as many are computed by NumPy")
     found = solver.carefully(plan, given)
     _refuse_infinite(found)
-    return found
+    return _told(found)
+
+
+def _told(posterior: ChainPosterior) -> ChainPosterior:
+    """The posterior, with the digits that sigma points close together leave, where some are lost.
+
+    They are in float64, whatever the passes are in.
+    """
+    lost = close_points.error(posterior._planned, posterior._swept)
+    if lost is None:
+        return posterior
+    status, left = posterior.status, digits(lost, posterior._planned.lead)
+    if status.digits is not None:
+        if (status.digits <= left).all():
+            return posterior
+        left = np.asarray(np.minimum(left, status.digits))
+    return replace(posterior, status=status.with_digits(left, CLOSE_POINTS))
 
 
 def _refuse_infinite(posterior: ChainPosterior) -> None:

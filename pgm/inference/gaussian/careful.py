@@ -18,23 +18,20 @@ from pgm.inference.gaussian.beliefs import Beliefs
 from pgm.inference.gaussian.conditionals import Conditional, Conditionals, Root
 from pgm.inference.gaussian.dense import Joint
 from pgm.inference.gaussian.layout import Layout
+from pgm.inference.gaussian.linearised_rounding import rounding
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.prior import SHARE, Frame
 from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.tree import TreePlan
-from pgm.kernels import decimals, differences
-from pgm.kernels.arrays import Array, Integers, apply, deviation, variances
+from pgm.kernels import decimals
+from pgm.kernels.arrays import Array, Integers, deviation, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
-from pgm.linearisers import Taylor
-from pgm.linearisers.regression import StatisticalRegression
 
 # How far a measurement that a model without noise determines may miss it: in parts of the numbers
 # that it is a sum of, and of deviations of the prior, as float64 leaves of a user's arithmetic.
 CONTRADICTION = Decimal("1e-12")
 # The same in parts of what rounding of linearised values comes to at most.
 OF_ROUNDING = 10
-# Rounding of a linearised value, in parts of its summands.
-ROUNDING = 2.0**-52
 # Digits of a mean that float64 holds.
 ALL_DIGITS = -np.log10(2.0**-52)
 # Element operations of a solution beyond which it would take longer than some ten seconds.
@@ -130,10 +127,10 @@ def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: De
     """
     layout = plan.layout
     sides = model.runs if model.shared else 1
-    rounding = [None if f.exact else _rounding(model, g) for g, f in enumerate(model.families)]
+    roundings = [None if f.exact else rounding(model, g) for g, f in enumerate(model.families)]
     columns = sum(
         len(group.cpds) * group.height
-        for group, lost in zip(layout.groups, rounding, strict=True)
+        for group, lost in zip(layout.groups, roundings, strict=True)
         if lost is not None
     )
     height = max((group.height for group in layout.groups if group.observed), default=0)
@@ -141,7 +138,7 @@ def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: De
     log_density, moved = np.zeros((conditionals.stacked, sides)), np.zeros(conditionals.stacked)
     done = sides
     for conditional in conditionals:
-        group, row, lost = conditional.group, conditional.row, rounding[conditional.g]
+        group, row, lost = conditional.group, conditional.row, roundings[conditional.g]
         offset = np.concatenate(
             [conditional.offset, decimals.zeros(conditionals.stacked, group.height, columns)],
             axis=-1,
@@ -216,29 +213,6 @@ def _read(
         moved = np.maximum(moved, read.moved)
     joint.forget(places)
     return total, moved
-
-
-def _rounding(model: Model, g: int) -> Array:
-    """The rounding that F x + b of a linearised CPD may have, (CPDs, runs, d)."""
-    family = model.families[g]
-    rule, template = family.lineariser, family.template
-    assert template is not None
-    at, spread = model.points[g]
-    here: Array = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
-    away: Array = apply(np.abs(family.matrix), spread)
-    if not family.hidden:
-        return ROUNDING * here
-    if isinstance(rule, StatisticalRegression):
-        # The slope is a sum of values at all points, and so is the offset.
-        points = rule.points(at.shape[-1], template.child.name, 0)
-        slope = float(np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max())
-        return ROUNDING * (float(np.abs(points.mean_weights).sum()) + slope) * (here + away)
-    share = np.ones((*at.shape[:-1], 1))
-    if isinstance(rule, Taylor):
-        some = list(template.numerical)
-        share += (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
-        away = away if some else np.zeros_like(away)
-    return ROUNDING * (here * share + away)
 
 
 def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:

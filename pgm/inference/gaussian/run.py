@@ -17,7 +17,7 @@ from pgm.evidence.static import BoundValues, bind_values
 from pgm.inference.argument_checks import require_gaussian, require_plain
 from pgm.inference.gaussian import careful
 from pgm.inference.gaussian.beliefs import Calibrated, TreePoint, relinearise
-from pgm.inference.gaussian.certificate import SAFE_DIGITS, kept_digits
+from pgm.inference.gaussian.certificate import SAFE_DIGITS, cause, kept_digits
 from pgm.inference.gaussian.layout import Layout, barren, known_parents
 from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
@@ -89,14 +89,14 @@ def _solved(
             return found
         if not again:
             every = np.full(bound.lead, digits)
-            return replace(found, status=found.status.with_digits(every))
+            return replace(found, status=found.status.with_digits(every, cause(model)))
     except NumericalError:
         if not again:
             raise
     model = Model.make(plan.layout, bound, lineariser, at, careful.predictive, judge=judge)
     done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
     assert done.digits is not None
-    status = status.with_digits(done.digits.reshape(bound.lead))
+    status = status.with_digits(done.digits.reshape(bound.lead), cause(model))
     return GaussianPosterior(graph, status, plan, model, done)
 
 

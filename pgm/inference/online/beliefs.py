@@ -17,7 +17,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable, set_writeable
 from pgm.inference.associations import NONE, Found
-from pgm.inference.chain import certificate
+from pgm.inference.chain import certificate, close_points
 from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.plan import ChainPlan
@@ -28,7 +28,7 @@ from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
 from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.inference.schedule import Filtering, FixedLag
-from pgm.inference.status import Kind, Status, digits
+from pgm.inference.status import CLOSE_POINTS, Kind, Status, digits
 from pgm.inference.summaries import at_a_step
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, Integers, Mask, block, symmetric
@@ -350,6 +350,17 @@ def is_plain(belief: OnlineBelief) -> bool:
 def is_moderate(found: Moments, before: Moments) -> bool:
     """Whether float64 has digits enough for a belief, after an earlier one."""
     return gaussian.is_moderate(found.mean, found.cov, before.cov, _REGULAR, certificate.FAR)
+
+
+def told(
+    status: Status, plan: ChainPlan, before: Moments, after: Moments, left: Array | None
+) -> Status:
+    """The status of a step, with the digits that sigma points close together leave; see `error`.
+
+    `left` are those that the belief had before.
+    """
+    lost = close_points.of_step(plan, before, after, left)
+    return status if lost is None else status.with_digits(digits(lost, plan.lead), CLOSE_POINTS)
 
 
 def refuse(step: int) -> NoReturn:

@@ -41,6 +41,7 @@ from pgm.inference.online.beliefs import (
     nothing_to_iterate,
     refuse,
     require_own,
+    told,
 )
 from pgm.inference.online.compiled import CompiledSteps
 from pgm.inference.online.judged import Watch, of_update, of_window
@@ -389,6 +390,7 @@ class OnlineFilter(InCode, Immutable):
             status = nothing_to_iterate(plan.lead)
         if isinstance(behind, Trail):
             behind = behind.on(Passed(plan, known, found))
+        status = told(status, plan, known, found, belief.status.digits)
         return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
@@ -484,6 +486,7 @@ class OnlineFilter(InCode, Immutable):
             tell_online(status.converged, self._filtering)
         else:
             status = _DONE if plan.linear else _LINEARISED
+        status = told(status, plan, known, found, belief.status.digits)
         made = belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
         judges = chain.gate is not None or belief.watch is not None
         return made.judged(*of_update(belief.watch, parts, known)) if judges else made

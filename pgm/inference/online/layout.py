@@ -8,6 +8,7 @@ from math import prod
 import numpy as np
 
 from pgm.cpds import AffineCPD
+from pgm.inference.chain.close_points import families, largest
 from pgm.inference.chain.compiled.sweep import Chain
 from pgm.inference.chain.compiled.table import Integers64, Uncompiled
 from pgm.inference.chain.plan import ChainPlan
@@ -65,6 +66,8 @@ class Layout:
         """Addresses and shapes of the step's arrays, as integers that machine code reads."""
         from pgm.kernels.compiled import sweeps as s
 
+        if largest(families(plan)):
+            raise Uncompiled("its sigma points lie close together, and lost digits are to be told")
         chain, layout = Chain(plan), plan.layout
         for family in plan.families:
             family.judge = self.judge

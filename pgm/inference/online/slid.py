@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.inference.chain import close_points
 from pgm.inference.chain.readings import Moments
 from pgm.inference.online.beliefs import OnlineBelief, belief_of, nothing_to_iterate, refuse
 from pgm.inference.online.window import Make, Sliding
-from pgm.inference.status import FILTERED, PREDICTED, Status, digits
+from pgm.inference.status import CLOSE_POINTS, FAR_APART, FILTERED, PREDICTED, Status, digits
 from pgm.kernels.arrays import Array
 
 
@@ -17,14 +18,18 @@ def slid(make: Make, step: int, behind: Sliding, log_evidence: Array) -> OnlineB
     if window is None:
         alone = behind.ahead(make, step)
         mean, cov, error = alone.ahead.mean[-1], alone.ahead.cov[-1], alone.error
-        status, kind, plan = nothing_to_iterate(lead), PREDICTED, alone.plan
+        status, kind, plan, ahead = nothing_to_iterate(lead), PREDICTED, alone.plan, alone.ahead
     else:
         mean, cov, plan = window.beliefs.mean[-1], window.beliefs.cov[-1], window.plan
+        ahead = window.ahead
         error = None if window.careful is None else window.careful.error
         status, kind = Status.of(window.residuals, window.converged, lead), FILTERED
         log_evidence = behind.log_evidence.reshape(lead)
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
         refuse(step)
+    lost, cause = close_points.error(plan, ahead), FAR_APART
+    if lost is not None:
+        error, cause = lost if error is None else np.maximum(lost, error), CLOSE_POINTS
     if error is not None:
-        status = status.with_digits(digits(error, lead))
+        status = status.with_digits(digits(error, lead), cause)
     return belief_of(plan, step, Moments.of(plan, mean, cov), log_evidence, status, kind, behind)

@@ -18,16 +18,17 @@ import numpy.typing as npt
 from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
-from pgm.inference.chain.backward import Reverse
+from pgm.inference.chain.backward import Reverse, between_slices
 from pgm.inference.chain.certificate import MODERATE
 from pgm.inference.chain.fixed_lag import Beginning, SingleStep, Window, filter_step, iterate_window
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
+from pgm.inference.chain.reversal_rounding import TOLD, accumulated, injected
 from pgm.inference.rows import At
 from pgm.inference.schedule import ONCE, FixedLag
 from pgm.kernels import moments
-from pgm.kernels.arrays import Array, Kind
+from pgm.kernels.arrays import Array, Kind, sandwich
 from pgm.kernels.moments import Conditional
 from pgm.networks import DynamicBayesianNetwork
 
@@ -211,9 +212,30 @@ class Passed:
         found: Array = np.einsum("...ii->...i", cov).reshape(*self._lead, cov.shape[-1])
         return found
 
+    @cached_property
+    def moments(self) -> tuple[Array, Array, Array, Array]:
+        """The transition A, its noise, P_y and P, (*lead, n, n), to bound the rounding by."""
+        plan, *ends = self._made
+        known, predicted = (each.by_run[1] for each in ends)
+        moves = between_slices(plan)
+        parts = moves.matrix[0], moves.cov[0], predicted, known
+        matrix, noise, after, before = (
+            np.broadcast_to(part, known.shape).reshape(*self._lead, *known.shape[1:])
+            for part in parts
+        )
+        return matrix, noise, after, before
+
+    @cached_property
+    def added(self) -> Array:
+        """The part of P that rounding of the reversal is at most, (*lead,)."""
+        predicted = self._made[2].by_run[1]
+        found: Array = accumulated(np.stack([predicted, predicted]))
+        return found.reshape(self._lead)
+
     def __getstate__(self) -> dict[str, Any]:
         # What they are found from need not travel.
-        return {"back": self.back, "variances": self.variances}
+        names = "back", "variances", "moments", "added"
+        return {name: getattr(self, name) for name in names}
 
 
 def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
@@ -244,15 +266,35 @@ class Trail(NamedTuple):
     def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
         """The trail's first step and its smoothed moments, from the moments at the last step."""
         first, before = step - len(self.passed), step
+        later, added = [cov], np.zeros(cov.shape[:-2])
         for passed in reversed(self.passed):
             before -= 1
             if passed is None or (self.imprecise and before == step - 1):
                 self._refuse(first, before, step)
             mean, cov = moments.push(mean, cov, passed.back)
-            left = np.einsum("...ii->...i", cov)
+            later.append(cov)
+            left, added = np.einsum("...ii->...i", cov), added + passed.added
             if ((MODERATE * left < passed.variances) & (left != 0.0)).any():
                 self._refuse(first, before, step)
+            doubtful = (added[..., None] * passed.variances > TOLD * left) & (left != 0.0)
+            if doubtful.any() and self._share(later) > TOLD:
+                self._refuse(first, before, step)
         return first, mean, cov
+
+    def _share(self, later: list[Array]) -> float:
+        """The largest share of the last of these variances that rounding may be, going back."""
+        error = np.zeros(later[0].shape)
+        for passed, cov in zip(reversed(self.passed), later[:-1], strict=False):
+            assert passed is not None
+            try:
+                gain, more = injected(*passed.moments, cov)
+            except np.linalg.LinAlgError:  # of a covariance that is singular in float64
+                return np.inf
+            error = sandwich(gain, error)
+            np.einsum("...ii->...i", error)[...] += more
+        left = np.einsum("...ii->...i", later[-1])
+        part = np.einsum("...ii->...i", error) / np.where(left > 0.0, left, np.inf)
+        return float(part.max(initial=0.0))
 
     def _refuse(self, first: int, before: int, step: int) -> NoReturn:
         """Refuse a lagged belief whose deviations lie too far apart for float64."""

@@ -30,7 +30,7 @@ from pgm.kernels.compiled.memory import (
 from pgm.kernels.compiled.packs import where, whole
 
 # As of `gaussian`, `regression` and `moments`, for the floats of one belief.
-_REGULAR, _PLAIN, _ROUNDING = 1e-11, 1e-16, 1e-14
+_REGULAR, _PLAIN, _SURELY, _ROUNDING = 1e-11, 1e-16, 1.0 / 64.0, 1e-14
 _TURN = 2.0 * pi
 
 
@@ -154,8 +154,9 @@ def _regress(cpd, row, run, x, cov, matrix, value, noise, work):
             matrix[i] += slope[j * tall + i] * slope[j * tall + i]
     sound = True
     least = numbers(cpd[t.LEAST])  # of the own noise, then the rounding of the rule
+    plain = max(_PLAIN, _SURELY * least[height] * least[height])
     for i in range(height):
-        sound = sound & (error[i * tall + i] + least[i] > _PLAIN * matrix[i])
+        sound = sound & (error[i * tall + i] + least[i] > plain * matrix[i])
     sizes = past(error, height * tall)
     copy(matrix, sizes, height)
     unwhiten(upper, inverse, slope, size, tall)  # F L = J
@@ -202,6 +203,7 @@ def _clear_rounding(cpd, x, matrix, reference, raw, error, sizes):
     size, height = cpd[t.SIZE], cpd[t.HEIGHT]
     wide, tall = width(size, x), width(height, x)
     least = numbers(cpd[t.LEAST])
+    plain = max(_PLAIN, _SURELY * least[height] * least[height])
     for i in range(height):
         variance, summands, farthest = error[i * tall + i], abs(reference[i]), 0.0
         for j in range(size):
@@ -210,7 +212,7 @@ def _clear_rounding(cpd, x, matrix, reference, raw, error, sizes):
             far = abs(raw[p * tall + i])
             farthest = where(far > farthest, far, farthest)
         most = least[height] * (summands + farthest)
-        sound = (variance + least[i] > _PLAIN * sizes[i]) | (abs(variance) > most * most)
+        sound = (variance + least[i] > plain * sizes[i]) | (abs(variance) > most * most)
         for j in range(height):
             error[i * tall + j] = where(sound, error[i * tall + j], 0.0)
             error[j * tall + i] = where(sound, error[j * tall + i], 0.0)

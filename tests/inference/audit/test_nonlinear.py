@@ -66,7 +66,7 @@ def test_a_scalar_chain(lineariser):
     evidence[z] = evidence[z].copy()
     evidence[z][1, 2] = np.nan
     due = np.array([on_grid(run[:, 0], inputs[:, 0]) for run in evidence[z]])
-    posterior = pgm.smooth(curved(), evidence, lineariser=lineariser, iterations=5)
+    posterior = pgm.smooth(curved(), evidence, lineariser=lineariser, iterations=20)
     found = pgm.audit(posterior, samples=20_000, rng=rng)
     near(found, due)
     assert found.standard_error.max() < 0.02
@@ -296,7 +296,7 @@ def test_a_pose_without_noise_driven_by_a_hidden_control(known_start):
 
     reference = particle_filter(np.random.default_rng(6), start, move, weigh, 5)
     for lineariser in (pgm.Taylor(), pgm.Cubature()):
-        posterior = pgm.smooth(model, evidence, lineariser=lineariser, iterations=5)
+        posterior = pgm.smooth(model, evidence, lineariser=lineariser, iterations=20)
         found = pgm.audit(posterior, samples=20_000, rng=1)
         assert found.effective_sample_size > 1000
         near(found, *reference)

@@ -32,7 +32,7 @@ def product(variance):
 
 
 def one_mode(net, lineariser):
-    schedule = pgm.Calibration(iterations=20)
+    schedule = pgm.Calibration(iterations=80)
     evidence = {z: np.full((RUNS, 1), 0.7)}
     start = {a: 0.8, b: 0.8}
     return pgm.infer(

@@ -29,7 +29,7 @@ def readings_of_four(seed, noise, unknowns=8):
 
 
 def sums_of_four(count=3, noise=1e-3):
-    """Return sharp readings of a sum of the same four unknowns, whose loops amplify fast, and J."""
+    """Return sharp readings of the sum of four unknowns, whose loops amplify fast, and J."""
     hidden = list(pgm.variables("v1 v2 v3 v4"))
     cpds, evidence, J = [pgm.GaussianCPD(v, 0.0, 1.0) for v in hidden], {}, np.eye(4)
     for k in range(count):

@@ -106,6 +106,7 @@ PARTS = {
 }
 
 
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # a few linearisations
 @pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented(), pgm.Cubature()])
 @pytest.mark.parametrize("iterations", [1, 4])
 @pytest.mark.parametrize(("part", "row"), [(far, [3.1, np.nan]), (way, [np.nan, -3.0])])

@@ -181,6 +181,7 @@ def test_first_at_the_prior_predictive_moments(graph, rule, twin, evidence):
     assert found.log_evidence_kind == "linearised"
 
 
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # a few linearisations
 @graphs
 @rules
 def test_then_at_the_beliefs_of_clusters(graph, rule, twin):
@@ -290,6 +291,7 @@ def test_random_points_are_keyed_by_seed_and_name():
     assert np.abs(moments(1) - moments(1, "other")).max() > 1e-6
 
 
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # a few linearisations
 def test_random_points_are_shared_by_runs():
     rng = np.random.default_rng(0)
     evidence = {e: rng.normal(size=(4, 1))}
@@ -345,7 +347,10 @@ def test_what_does_not_converge_says_so():
             pgm.NonlinearGaussianCPD(y, x, lambda v: np.arctan(v), 1e-6),
         ]
     )
-    found = pgm.infer(pgm.compile(net), {y: 0.0}, schedule=pgm.Calibration(7, 1e-9))
+    with pytest.warns(
+        pgm.ConvergenceWarning, match="after 7 linearisations: the last moved a mean"
+    ):
+        found = pgm.infer(pgm.compile(net), {y: 0.0}, schedule=pgm.Calibration(7, 1e-9))
     assert not found.status.converged
     assert found.status.iterations == 7
     assert found.status.residuals.shape == (6,)

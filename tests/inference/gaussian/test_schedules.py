@@ -148,8 +148,7 @@ def test_what_diverges_is_stopped_and_said_to_have_diverged(kind):
     assert status.iterations < 1000
     assert not status.converged
     assert status.residuals[-1] > 1e4 * status.residuals.min()
-    # A round may send a message through itself: of eight that are sent in turn each grows by 3⁸.
-    assert np.abs(messages.kept).max() < 1e6 * 3.0**16
+    assert np.isfinite(messages.kept).all()
 
 
 def test_flooding_sends_all_messages_at_once():

@@ -25,9 +25,9 @@ def routes(monkeypatch):
     for name in ("_eliminated", "_read"):
         found = getattr(question, name)
 
-        def recorded(*args, found=found, name=name):
+        def recorded(*args, found=found, name=name, **options):
             used.append(name)
-            return found(*args)
+            return found(*args, **options)
 
         monkeypatch.setattr(question, name, recorded)
     return used

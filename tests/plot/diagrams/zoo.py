@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from itertools import combinations
 
 import numpy as np
@@ -173,7 +174,9 @@ NETWORKS = {
 
 def flooded(graph, iterations):
     schedule = pgm.Flooding(iterations=iterations, tolerance=0.0)
-    return pgm.infer(graph, {}, schedule=schedule).status.by_edge
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pgm.ConvergenceWarning)  # pictures of messages on their way
+        return pgm.infer(graph, {}, schedule=schedule).status.by_edge
 
 
 def _bethe(parents):

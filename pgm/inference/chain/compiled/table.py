@@ -202,4 +202,4 @@ def _points(points: Points, variances: Sequence[float], rows: Rows) -> tuple[int
     rows.points = max(rows.points, count)
     signs = np.ones(count) if fit.signs is None else fit.signs
     numbers = np.concatenate([points.points.ravel(), fit.rows.ravel(), signs])
-    return rows.at(numbers), rows.at(np.array([*variances, points.rounding]))
+    return rows.at(numbers), rows.at(np.array([*variances, points.fitted_rounding]))

@@ -1,0 +1,58 @@
+"""The rounding of linearised CPDs of a network, and by how much it shifts its variables.
+
+F x + b is a difference of numbers as large as F μ, and where sigma points lie close together
+(`Points.cancellation`) a sum of values with large weights of both signs besides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.inference.family import cancellation
+from pgm.inference.gaussian.model import Model
+from pgm.kernels import differences
+from pgm.kernels.arrays import Array, apply, deviation
+from pgm.linearisers import Taylor
+from pgm.linearisers.regression import StatisticalRegression
+
+# Rounding of a linearised value, in parts of its summands.
+ROUNDING = 2.0**-52
+
+
+def rounding(model: Model, g: int) -> Array:
+    """The rounding that F x + b of a linearised CPD may have, (CPDs, runs, d)."""
+    family = model.families[g]
+    rule, template = family.lineariser, family.template
+    assert template is not None
+    at, spread = model.points[g]
+    here: Array = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
+    away: Array = apply(np.abs(family.matrix), spread)
+    if not family.hidden:
+        return ROUNDING * here
+    if isinstance(rule, StatisticalRegression):
+        # The slope is a sum of values at all points, and so is the offset.
+        points = rule.points(at.shape[-1], template.child.name, 0)
+        slope = float(np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max())
+        return ROUNDING * (float(np.abs(points.mean_weights).sum()) + slope) * (here + away)
+    share = np.ones((*at.shape[:-1], 1))
+    if isinstance(rule, Taylor):
+        some = list(template.numerical)
+        share += (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
+        away = away if some else np.zeros_like(away)
+    return ROUNDING * (here * share + away)
+
+
+def shift(model: Model) -> float:
+    """How many 10⁻¹⁶ of a deviation CPDs are shifted by, whose sigma points lie close together.
+
+    By the rounding of their values, counted from the noise, or where there is none from the prior.
+    """
+    most = 0.0
+    for g, family in enumerate(model.families):
+        if cancellation(family):
+            noise = deviation(family.noise)
+            prior = apply(np.abs(family.matrix), model.points[g][1])
+            unit = np.where(noise > 0.0, noise, prior)
+            lost = rounding(model, g) / np.where(unit > 0.0, unit, np.inf)
+            most = max(most, float(lost.max(initial=0.0)) / ROUNDING)
+    return most
