@@ -179,7 +179,7 @@ def chosen(weights: Array, shape: tuple[int, ...], rng: np.random.Generator) -> 
 
 
 def log_mixed(weights: Array, terms: Iterable[Array]) -> Array:
-    """Ln Σ_k w_k e^{t_k} of log-densities t_k; −∞ where all t_k are −∞."""
+    """Log-density ln Σ_k w_k e^{t_k} of log-densities t_k; −∞ where all t_k are −∞."""
     stacked = np.stack([np.log(w) + t for w, t in zip(weights, terms, strict=True)])
     found: Array = np.logaddexp.reduce(stacked, axis=0)
     return found

@@ -67,7 +67,7 @@ class RobustNoise(InCode, ABC):
         """Whether the density of this many components has a finite integral."""
 
     def log_scale(self, count: npt.ArrayLike) -> Array:
-        """Logarithm of c in the density c e^{−ρ}; for an improper one, the Gaussian's."""
+        """The value ln c of the density c e^{−ρ}; for an improper one, the Gaussian's."""
         sizes = np.asarray(count)
         if sizes.size == 1:
             return np.full(sizes.shape, _log_scale(self, int(sizes.item())))
@@ -105,7 +105,7 @@ class RobustNoise(InCode, ABC):
 
 @lru_cache(maxsize=256)
 def _log_scale(noise: RobustNoise, size: int) -> float:
-    """Logarithm of c, the normalising constant for this many components."""
+    """The value ln c, the normalising constant for this many components."""
     if not size:
         return 0.0
     return noise._log_scale(size) if noise.is_proper(size) else -0.5 * size * LOG_2PI

@@ -39,7 +39,10 @@ class Room:
 
     @classmethod
     def of(cls, memory: float | None, graph: ClusterGraph) -> Room:
-        """Limits that fit in so many bytes, else `BATCH` and `KEPT`; refuses too few for a run."""
+        """The limits for a memory in bytes, or by default.
+
+        Too little for a single run is refused.
+        """
         if memory is None:
             return cls(BATCH, KEPT)
         if not is_number(memory) or not 0 < memory < math.inf:

@@ -104,7 +104,7 @@ class PageTest(NamedTuple):
         return cls(np.zeros((2, runs)), both, np.zeros(runs, dtype=bool), *[nothing] * 3)
 
     def over(self, runs: int) -> PageTest:
-        """The record for several runs, copied where it has one."""
+        """The test for several runs, copied where it has one."""
         wide: list[Any] = [np.broadcast_to(part, (*part.shape[:-1], runs)) for part in self]
         return PageTest(*wide)
 

@@ -93,7 +93,7 @@ def whiten(lower: Array, residual: Array) -> Array:
 
 
 def log_determinant(lower: Array) -> Array:
-    """Ln |L Lᵀ| over the components with positive variance, (...).
+    """The value ln |L Lᵀ| over the components with positive variance, (...).
 
     A zero on the diagonal stands for a component that is known exactly, and is left out.
     """

@@ -87,7 +87,10 @@ class Spans:
         return found
 
     def _pieces(self, times: Array) -> tuple[Integers, Array, Integers]:
-        """Pieces of time, each within one row: the row, the share of it, and the step of times."""
+        """Spans of time cut at row boundaries.
+
+        Each piece has its row, its share of the row, and its span.
+        """
         self.require_time()
         first, last = self.starts[0], self.ends[-1]
         for time in (times[0], times[-1]):

@@ -148,7 +148,7 @@ class Tracer:
             self._proven, self._failures, self.reason = True, 0, None
 
     def doubt(self, doubted: Program, reason: str, *, moved: bool) -> None:
-        """Give up a trace that a call has found wrong; where values have moved, make it anew once.
+        """Give up a wrong trace; if the function's values have changed, trace it once more.
 
         It was right before then, so that its function may have changed.
         """

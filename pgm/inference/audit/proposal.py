@@ -94,7 +94,7 @@ class Proposal:
         return value
 
     def log_tails(self, row: int, squared: Array) -> Array:
-        """Logarithm of Student's t density over the Gaussian density, (runs, S)."""
+        """The logarithm of Student's t density over the Gaussian density, (runs, S)."""
         return log_ratio(self._constants[0][row][:, None], squared)
 
     def _mean(self, row: int, given: Array) -> Array:

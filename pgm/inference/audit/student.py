@@ -19,7 +19,7 @@ def stretch(white: Array, where: Mask, rng: np.random.Generator) -> None:
 
 
 def log_ratio(size: Integers, squared: Array) -> Array:
-    r"""Logarithm of Student's t density over the Gaussian, at |s|² of `size` components.
+    r"""The logarithm of Student's t density over the Gaussian, at |s|² of `size` components.
 
     .. math:: c_n - \tfrac{ν + n}{2} \ln(1 + |s|^2/ν) + \tfrac12 |s|^2
     """

@@ -174,7 +174,7 @@ class CarefulSmoothed:
         return block(np.array(found), wanted, wanted) if found else np.zeros(shape)
 
     def at(self, plan: ChainPlan, mean: Array) -> CarefulSmoothed:
-        """The same with other means."""
+        """The smoothed chain with other means, as step control may keep them."""
         shift = mean - self.beliefs.mean
         slices = [
             each._replace(belief=each.belief.shifted(own))

@@ -196,7 +196,7 @@ class CarefulUpdate:
         return Point(self.mean[None], self.cov[None], None, self.spread.cov[None])
 
     def at(self, mean: Array) -> CarefulUpdate:
-        """The same with the mean that a step control kept."""
+        """The belief with other means, as step control may keep them."""
         if np.array_equal(mean, self.mean):
             return self
         return replace(self, mean=mean, belief=self.belief.shifted(mean - self.mean))

@@ -176,7 +176,7 @@ def _solve(
         agrees = agrees and certificate.composes(predicted.cov, known.cov)
 
     def log_density() -> Array:
-        """Ln p(z_t | earlier measurements) of each step, (T+1, runs)."""
+        """Terms ln p(z_t | earlier measurements) of the log-evidence, (T+1, runs)."""
         total = evidence + readings.log_density(known.mean, predicted)
         total[0] = first.log_density
         return total

@@ -283,7 +283,7 @@ class ChainPosterior(Innovated, Posterior):
         )
 
     def _weight(self, step: int) -> Array:
-        """Ln p(measurements) as far as the belief at a step knows them, (runs,)."""
+        """The log-evidence of the measurements that the belief at a step knows, (runs,)."""
         last = self.kind.last(step, self.graph.steps)
         weight: Array = self._forward.log_density[: last + 1].sum(axis=0)
         return weight if self._windows is None else self._windows.log_evidence[last]

@@ -76,7 +76,7 @@ class Smoothed:
         return Point(self.beliefs.mean, self.beliefs.cov, joint)
 
     def at(self, plan: ChainPlan, mean: Array) -> Smoothed:
-        """The same with other means."""
+        """The smoothed chain with other means, as step control may keep them."""
         reverse = self.reverse.moved(mean, plan.layout.state_places)
         return Smoothed(self.forward, reverse, Beliefs(mean, self.beliefs.cov), self.paired)
 

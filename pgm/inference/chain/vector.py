@@ -44,7 +44,7 @@ class Measured(NamedTuple):
         return self.reading - (self.value + times(self.matrix, mean - self.point))
 
     def where(self, mask: Mask, other: Measured) -> Measured:
-        """The linearisation itself in the runs of the mask, another linearisation in the rest."""
+        """The linearisation in the runs of the mask, another linearisation in the rest."""
         return self._replace(
             matrix=np.where(mask, self.matrix, other.matrix),
             value=np.where(mask, self.value, other.value),

@@ -53,7 +53,7 @@ def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
 
 
 def entered(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
-    """Ln of one cluster's potential times its evidence, (sizes..., runs)."""
+    """Logarithms of one cluster's potential times its evidence, (sizes..., runs)."""
     scope = storage.scopes[cluster]
     table = np.repeat(storage.table(storage.logs, cluster)[..., None], evidence.runs, axis=-1)
     for variable, state in evidence.states.items():

@@ -118,7 +118,7 @@ class BackwardChain:
         return self.numbers(self.semiring.over(joint, self.total(joint)))
 
     def numbers(self, entries: Array) -> Array:
-        """The probabilities that entries of the semiring are."""
+        """Semiring entries as probabilities: exp of logarithms, or the entries themselves."""
         if self.semiring.linear:
             return entries
         with np.errstate(under="ignore"):

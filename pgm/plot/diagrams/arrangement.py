@@ -312,6 +312,6 @@ def _inside(curve: Array, box: Box) -> bool:
 
 
 def _around(start: Array, end: Array, down: float, beside: float, up: float) -> Array:
-    """From below a node, between two rows, past all of its slice, and in again from above."""
+    """A line from below a node, between two rows past its slice, and in from above."""
     corners = [(start[0], down), (beside, down), (beside, up), (end[0], up)]
     return rounded(np.array([start, *corners, end]))
