@@ -247,7 +247,7 @@ class Core:
 
     @classmethod
     def of(cls, graph: Filling, before: Sequence[int], sizes: Sequence[int]) -> Core:
-        """The vertices that a graph has left."""
+        """The vertices that remain of a graph after the first eliminations."""
         vertices = sorted(set(range(len(sizes))).difference(before))
         place = {vertex: k for k, vertex in enumerate(vertices)}
         adjacent = [set(map(place.__getitem__, graph.adjacent[vertex])) for vertex in vertices]

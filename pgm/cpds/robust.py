@@ -352,7 +352,7 @@ class TruncatedLeastSquares(RobustNoise):
         return np.where(np.asarray(count) > 0, _some(self.slope(square, count), square), 1.0)
 
     def is_proper(self, size: int) -> bool:
-        """Never."""
+        """False: a density with constant tails has no finite integral."""
         return False
 
     def _log_scale(self, size: int) -> float:
@@ -373,7 +373,7 @@ class TruncatedLeastSquares(RobustNoise):
         return np.where(stage > _HARD, inf, _GROWTH * stage)
 
     def surplus(self, square: Array, count: npt.ArrayLike, weight: Array) -> Array:
-        """The same, whose tangent has the offset (1 − w) c²/2."""
+        """The log-density less ln N(0, R/w); the tangent has the offset (1 − w) c²/2."""
         sizes = np.asarray(count)
         offset = 0.5 * (1.0 - weight) * self.threshold**2
         found = self.log_scale(sizes) - offset - 0.5 * sizes * (np.log(weight) - LOG_2PI)

@@ -47,9 +47,9 @@ class InCode:
 
 
 class NoArray:
-    """A value that NumPy would else put into an array of objects, without a word.
+    """A value that NumPy refuses to put silently into an array of objects.
 
-    Those that are asked for, as columns of a data frame are, may hold it.
+    An array of objects that is asked for, such as a data frame's column, may hold it.
     """
 
     __slots__ = ()

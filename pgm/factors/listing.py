@@ -129,7 +129,7 @@ class Moments(Protocol):
 
     @property
     def std(self) -> Array:
-        """(..., n)."""
+        """Standard deviations, (..., n)."""
 
     @property
     def steps(self) -> Integers | None:

@@ -136,7 +136,7 @@ class GaussianStep:
         return Expected(cpd, own, cross, gram, count, reference)
 
     def _by_row(self, cpd: Any, every: list[Residuals], count: int, reference: Array) -> Expected:
-        """The sums of rows, each weighed by the inverse of its own noise."""
+        """Sums over rows, each weighted by the inverse of its own noise covariance."""
         rows, columns = np.nonzero(self.free)
         normal, said = np.zeros((rows.size, rows.size)), np.zeros(rows.size)
         moments, ranks = [], 0

@@ -250,7 +250,7 @@ class Learner:
         return self._with(point, new, known), np.concatenate(slopes)
 
     def vanishing(self, point: Point) -> CPD | None:
-        """A CPD of whose noise next to nothing is left."""
+        """A CPD whose noise has shrunk to almost nothing, if any."""
         for block, cpd in zip(self.blocks, self._cpds(point), strict=True):
             if isinstance(block, GaussianStep) and block.noise and block.noise.vanishes(cpd):
                 found: CPD = cpd

@@ -104,7 +104,7 @@ class CovarianceStep:
             )
 
     def vanishes(self, cpd: Any) -> bool:
-        """Whether next to nothing is left of a deviation of the start."""
+        """Whether a deviation has shrunk to almost nothing of its starting value."""
         if self.declared.kind == "scaled":
             return self.factor(cpd) < _GONE**2
         kept = np.diagonal(cpd.cov)[self.there] / np.diagonal(self.start)[self.there]

@@ -130,7 +130,7 @@ def _carried(cpd: CPD) -> str:
 
 
 def check_templates(cpds: Iterable[CPD]) -> None:
-    """Refuse variables at single steps, and ones more than one step back."""
+    """Refuse variables at single steps, and variables more than one step back."""
     for cpd in cpds:
         for variable in cpd.scope:
             if variable.step is not None:

@@ -14,7 +14,7 @@ HEADING = "heading"
 
 
 def cut(truth: Stream, first: float, last: float) -> Stream:
-    """The rows from one time to another; and at these times, of variances that are unknown."""
+    """The rows between two times, with rows interpolated at both, whose variances are unknown."""
     known = truth.stamps
     rows = truth.take((known >= first) & (known <= last))
     edges = [t for t in (first, last) if len(known) and known[0] < t < known[-1] and t not in known]

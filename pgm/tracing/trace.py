@@ -117,7 +117,7 @@ class Tracer:
         self._stale = False
 
     def confirm(self, centres: Sequence[Array], *, anew: bool = False) -> bool:
-        """Whether there is a trace; a new one equals its function about some values (width,).
+        """Whether there is a trace. A new one must equal its function about some values (width,).
 
         Where nobody judges the trace afterwards it is to be made `anew`.
         """

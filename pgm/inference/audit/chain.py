@@ -121,7 +121,7 @@ class ChainDraws:
 
     @property
     def width(self) -> int:
-        """See `Drawing`."""
+        """Floats that one slice of one draw occupies at a time; see `Drawing`."""
         size = self.plan.layout.state_size + 2 * self.plan.layout.slice_size
         seen = [
             np.diff(sensor.bounds).max() * sum(sensor.family.shape[2:])
@@ -168,7 +168,7 @@ class ChainDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """See `Drawing`."""
+        """Draw a number of trajectories for each run, forward in time; see `Drawing`."""
         plan, layout = self.plan, self.plan.layout
         shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
         total = np.repeat(self.reference[:, None], count, axis=1)

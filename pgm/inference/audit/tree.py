@@ -87,16 +87,16 @@ class TreeDraws:
 
     @property
     def width(self) -> int:
-        """See `Drawing`."""
+        """Floats that one draw of one run occupies at a time; see `Drawing`."""
         return 3 * self.density.model.layout.size
 
     @property
     def length(self) -> int:
-        """See `Drawing`."""
+        """The number of components of a whole draw; see `Drawing`."""
         return self.density.model.layout.size
 
     def sums(self) -> list[Sums]:
-        """See `Drawing`."""
+        """Empty sums for the moments of hidden variables and clusters; see `Drawing`."""
         layout, every = self.density.model.layout, np.ones(1, dtype=bool)
         alone = [(variable,) for variable in layout.hidden]
         sums = []

@@ -11,11 +11,10 @@ filter and smoother can cancel so, and each has its ratio κ:
   measurements over P_ii after them, or after the smoother's later ones. A variance that falls to
   exactly zero loses nothing.
 - An innovation's covariance S = H P Hᵀ + R where the sensor has no noise. The part that the
-readings before it leave
-  open is its pivot L_jj² (S = L Lᵀ), and κ = (Σ_i |h_i| σ_i)² / L_jj².
+  readings before it leave open is its pivot L_jj² (S = L Lᵀ), and κ = (Σ_i |h_i| σ_i)² / L_jj².
 
 Every κ must stay below `MODERATE`, 2·10⁷, which leaves κ ε ≤ 4.4·10⁻⁹. The segments that a
-balanced tree composes multiply such losses, hence their limit is lower, `_GENTLE`.
+balanced tree composes multiply such losses, hence their limit is lower, `GENTLE`.
 
 Means have a test of their own. A mean is rounded to ε times the largest number that it came from,
 which may stand at another step: a start of 10⁸ m, say, for a state that is known to 1 mm later. The

@@ -67,7 +67,7 @@ class RowMessages:
         return RowRound(list(messages), self.buffer.rounds.messages(messages))
 
     def propose(self, round: RowRound) -> Array:
-        """Compute them from the messages kept; how much each would change, (messages, runs)."""
+        """Compute a round's messages from the kept ones; the change of each, (messages, runs)."""
         self._proposed = []
         change = np.empty((len(self.directed), self.runs))
         for stack in round.stacks:

@@ -73,14 +73,14 @@ class Dense:
     uneven: Uneven
 
     def forward(self, array: Array) -> Array:
-        """See `Operator`."""
+        """The probabilities in the target window, weights times probabilities; see `Operator`."""
         lines = self._lines(array)
         if self.weights.shape[1] < lines.shape[2]:
             lines = lines.sum(axis=2, keepdims=True)
         return self._whole(lines @ self.weights, self.target)
 
     def backward(self, array: Array) -> Array:
-        """See `Operator`."""
+        """The transposed operator, for backward messages; see `Operator`."""
         lines = self._lines(array) @ self.weights.swapaxes(1, 2)
         count = math.prod(self.source[k].length for k in self.axes)
         return self._whole(np.broadcast_to(lines, (*lines.shape[:2], count)), self.source)

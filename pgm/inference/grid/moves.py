@@ -19,11 +19,11 @@ class Operator(Protocol):
     """A linear map of the probabilities in one window to those in another."""
 
     def forward(self, array: Array) -> Array:
-        """The probabilities after it."""
+        """The probabilities in the target window."""
         ...
 
     def backward(self, array: Array) -> Array:
-        """The transpose."""
+        """The transposed operator applied to a backward message."""
         ...
 
     def added(self, array: Array) -> dict[int, float]:
@@ -89,11 +89,11 @@ class Move:
         return float((each * marginal.reshape(each.shape)).sum() / max(marginal.sum(), 1e-300))
 
     def forward(self, array: Array, node: int = 0) -> Array:
-        """See `Operator`."""
+        """The probabilities after the move along one axis; see `Operator`."""
         return along(self.matrix(node), array, self.axis, self.by)
 
     def backward(self, array: Array, node: int = 0) -> Array:
-        """See `Operator`."""
+        """The transposed move, for backward messages; see `Operator`."""
         return along(self.matrix(node).swapaxes(-1, -2), array, self.axis, self.by)
 
 
@@ -105,16 +105,16 @@ class Sweep:
     nodes: Array
 
     def forward(self, array: Array) -> Array:
-        """See `Operator`."""
+        """The probabilities after all moves, summed over nodes; see `Operator`."""
         return self._run(array, self.moves, lambda move, node, part: move.forward(part, node))
 
     def backward(self, array: Array) -> Array:
-        """See `Operator`."""
+        """The transposed moves in reverse order, for backward messages; see `Operator`."""
         last_first = self.moves[::-1]
         return self._run(array, last_first, lambda move, node, part: move.backward(part, node))
 
     def added(self, array: Array) -> dict[int, float]:
-        """See `Operator`."""
+        """The variance that the lattice adds, in squared cells by axis; see `Operator`."""
         return {move.axis: move.mean_added(array, self.nodes) for move in self.moves}
 
     def _run(
@@ -205,7 +205,7 @@ class Split:
         return found
 
     def forward(self, array: Array) -> Array:
-        """See `Operator`."""
+        """The probabilities after each cell is spread over its neighbours; see `Operator`."""
         counts = tuple(span.length for span in self.target)
         size, values = int(np.prod(counts)), array.reshape(-1)
         total = np.zeros(size)
@@ -218,7 +218,7 @@ class Split:
         return total.reshape(counts)
 
     def backward(self, array: Array) -> Array:
-        """See `Operator`."""
+        """The transposed spreading, for backward messages; see `Operator`."""
         values = np.ascontiguousarray(array).reshape(-1)
         total = np.zeros(self._rest.size)
         for node, share in enumerate(self.nodes):
@@ -230,7 +230,7 @@ class Split:
         return total.reshape(tuple(span.length for span in self.source))
 
     def added(self, array: Array) -> dict[int, float]:
-        """See `Operator`."""
+        """The variance that the lattice adds, in squared cells by axis; see `Operator`."""
         values, found = array.reshape(-1), dict.fromkeys(self.axes, 0.0)
         for node, share in enumerate(self.nodes):
             target = self.place(node)

@@ -69,7 +69,7 @@ class GridSensor(MeasuredSensor):
         return mean_at(self.cpd, self.lattice.values(points), known, step, run)
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """See `MeasuredSensor`."""
+        """The residuals of one measurement, and its log-density at zero residual."""
         step, reading = int(self.reading.step[row]), self.reading
         own = run if reading.values.shape[1] > 1 else 0
         taken = self.taken(row, run)
@@ -201,7 +201,7 @@ class GridSensor(MeasuredSensor):
         return not self._differ(whole - one, other - found[-1]).any()
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """See `MeasuredSensor`."""
+        """Deviations between the values at neighbouring cells, along the sharpest axis."""
         step, known = int(self.reading.step[row]), self.known(row, run)
         found = self.values(centres(self.lattice, self.around(cell)), known, step, run)
         gaps = found[1 : 1 + len(cell)] - found[0]

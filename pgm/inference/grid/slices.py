@@ -156,7 +156,7 @@ class GridSlices:
         self._awaiting: tuple[int, Window, Array] | None = None
 
     def prior(self) -> Array:
-        """See `Slices`."""
+        """The prior's probabilities of the cells at step 0."""
         found, added, uneven = start(self.lattice, self.model.first, self.run)
         self.added += added
         self._note(uneven=uneven)
@@ -199,7 +199,7 @@ class GridSlices:
         self.worst = self.worst.of(Worst(**found))
 
     def forward(self, step: int, belief: Array) -> Array:
-        """See `Slices`."""
+        """The predicted belief at a step, from the belief at the step before."""
         source = self.look(step - 1, belief)
         made = self.model.motion.at(step, self.run, source)
         part, added = made.forward(self.lattice.cut(belief, source))
@@ -230,7 +230,7 @@ class GridSlices:
         return self.lattice.put(part, made.target)
 
     def backward(self, step: int, message: Array) -> Array:
-        """See `Slices`."""
+        """The message to the slice before, through the transition of a step."""
         source, _ = self.windows[step]
         made = self.model.motion.at(step, self.run, source)
         part = made.backward(self.lattice.cut(message, made.target))
@@ -266,7 +266,7 @@ class GridSlices:
             self.unresolved += resolution.error(*given)
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """See `Slices`."""
+        """Raise the error for measurements of probability zero under a predicted belief."""
         read = [s.reading.cpd.child for s in self.model.sensors if len(s.rows(step))]
         raise EvidenceError(
             f"the measurements of {listed(read)} at step {step}, run {self.run}, are impossible: "

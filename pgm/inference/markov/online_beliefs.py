@@ -50,7 +50,7 @@ class Held(NamedTuple):
 
     @property
     def numbers(self) -> Array:
-        """The probabilities."""
+        """The probabilities of the states."""
         if self.linear:
             return self.entries
         with np.errstate(under="ignore"):
@@ -182,10 +182,10 @@ class _Window:
         return chain.posterior(0, message)
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """See `Slices`."""
+        """The likelihood of a step's measurements over its states, and its log-scale."""
         return self.held[step].weights, 0.0
 
     def backward(self, step: int, message: Array) -> Array:
-        """See `Behind`."""
+        """The message to the slice before, through the transition of a step."""
         ahead = self.ahead[step - 1].within(self.semiring)
         return ahead.backward(ahead.first, message)  # whose only row is of its own step

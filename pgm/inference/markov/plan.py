@@ -234,7 +234,7 @@ class TableSlices:
         return cast(tuple[TableCPD, ...], self.plan.model.prior)
 
     def prior(self) -> Array:
-        """See `Slices`."""
+        """The prior's probabilities of the states at step 0."""
         semiring = self.semiring
         tables = [semiring.entries(cpd.table) for cpd in self._prior_cpds]
         found = self.plan.prior.apply(np.full((), semiring.one), tables, semiring)
@@ -248,7 +248,7 @@ class TableSlices:
         return self.plan.onward.apply(belief, self.factors(step, "onward"), self.semiring)
 
     def backward(self, step: int, message: Array) -> Array:
-        """See `Slices`."""
+        """The message to the slice before, through the transition of a step."""
         if self.plan.controls:
             rest = message.shape[len(self.plan.shape) :]
             message = np.broadcast_to(message, (*self.plan.shape, *rest))
@@ -305,7 +305,7 @@ class TableSlices:
         return {}
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """See `Slices`."""
+        """The likelihood of a step's measurements over its states, and its log-scale."""
         found: Array | None = None
         log_scale: Array | float = 0.0
         for own, scale in self._weights_at(step):
@@ -330,7 +330,7 @@ class TableSlices:
                     yield own, weights.log_scale(row) if self.semiring.linear else 0.0
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """See `Slices`."""
+        """Raise the error for measurements of probability zero under a predicted belief."""
         left, culprit = belief, None
         for weights in self.weights:
             for row in weights.at(step):

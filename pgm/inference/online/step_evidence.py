@@ -39,7 +39,7 @@ class Place(Protocol):
 
     @property
     def step(self) -> int:
-        """The step."""
+        """The time step of the evidence."""
         ...
 
     @property

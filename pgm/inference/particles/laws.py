@@ -154,7 +154,7 @@ class GaussianLaw(Law):
     cpd: ConditionalGaussian
 
     def draw(self, row: int, some: Some, drawing: Drawing) -> States:
-        """See `Law`."""
+        """Draws of the child at particles, mean plus Gaussian noise, (d, m)."""
         white = drawing.white(self.cpd.child.dimension, some.size, self.dtype)
         root = self.root(row, some.step)
         if root.diagonal is not None:
@@ -194,7 +194,7 @@ class GaussianLaw(Law):
         return found
 
     def open(self, row: int, step: int) -> Integers:
-        """See `Law`."""
+        """The number of components with noise of their own, (runs or 1,)."""
         return self.root(row, step).open
 
     def mean(self, row: int, some: Some) -> States:
@@ -245,7 +245,7 @@ class GaussianLaw(Law):
         )
 
     def require_noise(self, steps: Integers) -> None:
-        """See `Law`."""
+        """Refuse a sensor without noise at one of the steps of its rows."""
         for row, step in enumerate(steps.tolist()):
             if not self.root(row, step).regular:
                 raise ModelError(

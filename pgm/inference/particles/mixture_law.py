@@ -25,7 +25,7 @@ class MixtureLaw(Law):
     parts: tuple[Law, ...]
 
     def draw(self, row: int, some: Some, drawing: Drawing) -> States:
-        """See `Law`; each draw is of one part."""
+        """Draws of the child at particles, (d, m); each comes from one part."""
         which = np.empty(some.size, dtype=np.intp)
         for place, rng in drawing.pieces:
             which[place] = chosen(self.cpd.weights, (place.stop - place.start,), rng)
@@ -37,7 +37,7 @@ class MixtureLaw(Law):
         return found
 
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
-        """See `Law`."""
+        """The log-densities of a child at particles, ln Σ_k w_k p_k, (m,)."""
         self.open(row, some.step)
         terms = (part.log_density(row, some, child, taken) for part in self.parts)
         return log_mixed(self.cpd.weights, terms)

@@ -140,7 +140,7 @@ def borrow(idle: list[Block], size: int) -> Block:
 
 
 def keep(idle: list[Block], block: Block) -> None:
-    """Keep a block for another call."""
+    """Keep an idle block for another call."""
     if len(idle) < _IDLE:
         idle.append(block)
 

@@ -114,7 +114,7 @@ class Cursor:
         self._at = found.end()
 
     def skip_block(self) -> None:
-        """Move past the braces of a block without measurement it."""
+        """Move past the braces of a block without reading its content."""
         found = BLOCK.match(self.text, self._at)
         if found is None:
             self.fail("the block that starts here has no '{', or no '}' at its end")

@@ -220,7 +220,7 @@ class Words:
         return np.array(self._values[self.at - count : self.at])
 
     def finish(self) -> None:
-        """Refuse what is left."""
+        """Refuse words after the end of the network."""
         if self.left:
             self.fail(f"{self.left} numbers follow the last table; remove them", self.at)
 

@@ -132,7 +132,7 @@ def _recording(
     origin: Origin,
     where: Path,
 ) -> Recording:
-    """The recording of messages by topic."""
+    """A recording made of messages by topic."""
     streams: dict[str, Stream] = {}
     scans: dict[str, Scans] = {}
     with files.told_of(origin):

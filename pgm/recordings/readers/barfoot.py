@@ -114,7 +114,7 @@ def _number(table: Array, key: str, origin: Origin) -> float:
 
 
 def _variances(spread: dict[str, float], rows: Array, *names: str) -> Array | None:
-    """The variances of each row, where all are told."""
+    """The variances of each row, if every component has one."""
     keys = [f"{name}_var" for name in names]
     if any(key not in spread for key in keys):
         return None

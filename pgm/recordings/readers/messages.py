@@ -26,7 +26,7 @@ Read = tuple[Any, list[Dropped]]
 
 
 def _odometry(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
-    """Messages of nav_msgs/Odometry."""
+    """Read messages of nav_msgs/Odometry."""
     if part != "velocities":
         return _poses(topic, part, rows, origin)
     return _speeds(topic, rows, [m.twist.twist for m in rows])
