@@ -87,7 +87,7 @@ class Compared(NamedTuple):
 
 
 def require_oracle(oracle: Any, kinds: Iterable[Kind]) -> None:
-    """Refuse what is no oracle, and one that has no beliefs of a kind that is compared."""
+    """Refuse an object that is no oracle, or an oracle without beliefs of a kind compared."""
     if isinstance(oracle, Grid):
         return
     if not isinstance(oracle, Oracle) or not isinstance(oracle.kind, Kind):

@@ -44,7 +44,7 @@ def check_innovations(innovations: Any) -> Innovations:
 
 
 def check_confidence(confidence: npt.ArrayLike) -> Array:
-    """Confidences, (...); refuses what is no probability strictly between 0 and 1."""
+    """Check confidences, (...): probabilities strictly between 0 and 1."""
     values = as_floats(confidence, "a confidence")
     if not ((values > 0.0) & (values < 1.0)).all():
         raise ModelError(f"a confidence lies between 0 and 1; {confidence!r} does not")
@@ -52,7 +52,7 @@ def check_confidence(confidence: npt.ArrayLike) -> Array:
 
 
 def check_count(what: str, value: Any) -> None:
-    """Refuse what is no whole number, 1 or more."""
+    """Check a whole number of 1 or more."""
     if not is_whole(value) or value < 1:
         raise ModelError(f"{what} = {value!r}; a whole number, 1 or more, was due")
 

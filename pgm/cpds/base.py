@@ -333,7 +333,7 @@ class CPD(Shown, Immutable):
         raise ModelError(f"{self!r} is of a kind that has no density here", cpd=self)
 
     def _counted(self, taken: Mask) -> Array:
-        """The number of components that a density weighs, of those taken (..., d)."""
+        """The number of measured components that enter a density, from a mask (..., d)."""
         return np.asarray(taken.sum(axis=-1), dtype=np.float64)
 
     def _log_peak(self, child: Values) -> Array:

@@ -81,7 +81,7 @@ class RobustNoise(InCode, ABC):
         """The value ln c of a density with an integral."""
 
     def surplus(self, square: Array, count: npt.ArrayLike, weight: Array) -> Array:
-        """The log-density of the tangent at a square, of its weight, less that of N(0, R/w)."""
+        """The log-density of the tangent N(0, R/w) with its offset, less ln N(0, R/w)."""
         sizes = np.asarray(count)
         offset = self.loss(square, sizes) - 0.5 * weight * square
         found = self.log_scale(sizes) - offset - 0.5 * sizes * (np.log(weight) - LOG_2PI)
@@ -348,7 +348,7 @@ class TruncatedLeastSquares(RobustNoise):
         return np.where(square <= self.threshold**2, 1.0, 0.0)
 
     def weight(self, square: Array, count: npt.ArrayLike) -> Array:
-        """The weights of squares, above zero; 1 of none."""
+        """The weights ρ'(s) at squares s, above zero; 1 where nothing was measured."""
         return np.where(np.asarray(count) > 0, _some(self.slope(square, count), square), 1.0)
 
     def is_proper(self, size: int) -> bool:

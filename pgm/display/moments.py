@@ -96,7 +96,7 @@ def axes(lead: tuple[int, ...], steps: Sequence[int] | npt.NDArray[Any] | None) 
 
 
 def deviations(cov: Array) -> Array:
-    """The roots of the variances, NaN of negative ones."""
+    """Standard deviations; NaN for negative variances."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1)))
 

@@ -31,7 +31,7 @@ class Listing:
     cell: int = CELL
 
     def lines(self, width: int) -> list[str]:
-        """The lines of the table, those columns left out that would not fit."""
+        """The lines of the table, without the columns that do not fit."""
         table = self._filled()
         if not any(map(any, table[:1])):
             table = table[1:]
@@ -134,7 +134,7 @@ def few(count: int, most: int = ALL) -> list[int | None]:
 
 
 def places(shape: Sequence[int], most: int = ALL) -> list[Place | None]:
-    """The places along several axes, those in the middle left out; None stands for them."""
+    """Indices along several axes with the middle ones left out, marked by None."""
     if math.prod(shape) <= most:
         return list(product(*map(range, shape)))
     *outer, inner = shape

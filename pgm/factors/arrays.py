@@ -90,7 +90,7 @@ def as_matrix(scope: Scope, value: Any, what: str, **about: Any) -> Array:
 def as_information(
     scope: Scope, K: npt.ArrayLike, h: npt.ArrayLike, g: npt.ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """Copies of the matrix, vector and constant of a canonical form; refuses what is none."""
+    """Checked copies of K, h and g of a canonical form."""
     size = dimension(scope)
     what = f"canonical form over {names(scope)}:"
     K, h = as_matrix(scope, K, f"{what} K"), as_vector(scope, h, f"{what} h")

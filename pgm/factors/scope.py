@@ -137,7 +137,7 @@ def components(scope: Sequence[Variable]) -> list[str]:
 
 
 def _name(variable: Variable, component: str, *, whole: bool = True) -> str:
-    """A component's name, `whole` with that of its variable; of most scalars the two are one."""
+    """A component's name; `whole` prefixes its variable's name, unless both are the same."""
     if variable.dimension == 1 and component == variable.name:
         return repr(variable)
     return f"{variable!r}.{component}" if whole else component

@@ -12,13 +12,13 @@ from pgm.kernels.arrays import Mask
 
 
 def require_count(owner: object, name: str, value: object) -> None:
-    """Refuse what is no whole number, 1 or more."""
+    """Check a whole number of 1 or more."""
     if not is_whole(value) or value < 1:
         raise ModelError(f"{owner!r}: {name} must be a whole number, 1 or more, not {value!r}")
 
 
 def require_tolerance(owner: object, tolerance: object) -> None:
-    """Refuse what is no number, 0 or more."""
+    """Check a number of 0 or more."""
     if not is_number(tolerance) or not tolerance >= 0.0:
         raise ModelError(f"{owner!r}: a tolerance must be 0 or more, not {tolerance!r}")
 

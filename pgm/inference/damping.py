@@ -78,7 +78,7 @@ Damping = float | LevenbergMarquardt
 
 
 def require_damping(schedule: object, damping: object) -> None:
-    """Refuse what is no damping."""
+    """Refuse a value that is no damping."""
     if isinstance(damping, LevenbergMarquardt):
         return
     if not is_number(damping) or not 0.0 <= damping < 1.0:

@@ -171,7 +171,7 @@ class Family(Rows):
 
     @property
     def expects(self) -> bool:
-        """Whether squares of residuals are expected ones, as functions are seen, not at a mean."""
+        """Whether robust squares are expectations under the belief rather than at its mean."""
         return not isinstance(self.lineariser, Taylor)
 
     @property

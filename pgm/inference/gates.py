@@ -38,7 +38,7 @@ Gate = float | Mapping[Variable, float] | None
 
 
 def as_gate(owner: str, gate: object) -> float | Gates | None:
-    """A gate as a schedule keeps it; what is none is refused."""
+    """A gate in the form that schedules keep; a value that is no gate is refused."""
     if gate is None:
         return None
     if not isinstance(gate, Mapping):

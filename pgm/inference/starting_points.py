@@ -17,7 +17,7 @@ Start = Mapping[Variable, npt.ArrayLike]
 
 
 def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
-    """Refuse a start that is no mapping, or names what is not hidden."""
+    """Refuse a start that is no mapping, or has keys other than hidden variables."""
     if not isinstance(start, Mapping):
         raise EvidenceError(f"start maps variables to means; found {type(start).__name__}")
     for variable in start:

@@ -120,7 +120,7 @@ def contiguous(matrix: Array) -> Array:
 
 
 def multiply(a: Array, b: Array) -> Array:
-    """A B, stacked; along rows of runs where those are contiguous in memory."""
+    """The product A B, stacked; computed along the runs where they are contiguous in memory."""
     many_a, many_b = by_runs(a), by_runs(b)
     if not (many_a or many_b):
         return a @ b

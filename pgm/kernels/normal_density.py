@@ -33,7 +33,7 @@ def draw(mean: Array, lower: Array, white: Array) -> Array:
 
 
 def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
-    """White residuals, (..., S, d), zero where determined; and what is left there."""
+    """White residuals, (..., S, d), zero at zero pivots, and the residual left there."""
     white = transpose(solve_lower(lower, transpose(residual)))
     fixed = determined(lower)
     if not fixed.any():

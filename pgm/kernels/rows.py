@@ -70,7 +70,7 @@ def triangular(matrix: Array, right: Array) -> Array:
 
 
 def largest_first(correlation: Array) -> Integers:
-    """The order of components, (..., n), in which each varies most of those left."""
+    """The pivot order of components, (..., n): each has the largest conditional variance left."""
     left = correlation
     order = np.empty(left.shape[:-1], dtype=np.intp)
     taken = np.zeros(left.shape[:-1], dtype=bool)

@@ -22,14 +22,14 @@ _MANY = 16
 
 
 def _regular(lower: Array, fixed: Mask) -> Array:
-    """The root with ones in place of its zero pivots, so that it can be divided by."""
+    """The root with ones for its zero pivots, so that division by it is safe."""
     if not fixed.any():
         return lower
     return lower + fixed[..., None] * np.eye(lower.shape[-1])
 
 
 def solve_lower(lower: Array, right: Array) -> Array:
-    """The Y with L Y = B, (..., n, m); in determined rows what is left of B."""
+    """The solution Y of L Y = B, (..., n, m); rows of zero pivots keep the residual of B."""
     return _solve(_regular(lower, determined(lower)), right, range(lower.shape[-1]))
 
 

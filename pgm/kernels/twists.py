@@ -20,7 +20,7 @@ WHOLE = TURN * (1.0 - 1e-6)
 
 
 def motions(twists: Array, share: Array | float = 1.0) -> Array:
-    """The motions (..., 3) that shares of steady ones, with twists (..., 3), are."""
+    """The motions (..., 3) after fractions of a steady motion with twists (..., 3)."""
     half = 0.5 * share * twists[..., 2]
     chord = turned(twists[..., :2], half) * (share * _sinc(half))[..., None]
     return np.concatenate([chord, np.asarray(share * twists[..., 2])[..., None]], axis=-1)

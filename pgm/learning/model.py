@@ -286,7 +286,7 @@ class Learner:
         return Fit(point.model, self._named(point), evidence, trace, posteriors, status)
 
     def _named(self, point: Point) -> dict[Variable, Any]:
-        """The parameters, and the CPDs that were learnt, by the variables that named them."""
+        """The learnt parameters and CPDs, by the variables that the user named."""
         named: dict[Variable, Any] = dict(point.parameters)
         for (role, _), cpd in zip(self.places, self._cpds(point), strict=True):
             named[cpd.child.at(0) if role == "prior" else cpd.child] = cpd

@@ -54,7 +54,7 @@ class Points(_Points):
 
     @cached_property
     def cancellation(self) -> float:
-        """How many times larger than a value's rounding is that of the line through all values.
+        """Rounding of the fitted line relative to the rounding of one value.
 
         √(Σ w² + Σ_j Σ (c s_j / Σ c s_j²)²), of the mean and of the slope over a deviation, for
         independent errors: about one for weights that are all positive, 1/α² for points at α.

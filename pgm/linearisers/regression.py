@@ -126,7 +126,7 @@ class StatisticalRegression(ArrayLineariser):
         return not self.prior_moments and bool((weights >= 0.0).all())
 
     def cancellation(self, dimension: int) -> float:
-        """How many times larger than a value's rounding is that of the line through all values.
+        """Rounding of the fitted line relative to the rounding of one value.
 
         Parameters
         ----------

@@ -43,7 +43,7 @@ def one_cpd_each(cpds: Iterable[CPD]) -> None:
 
 
 def runs(cpds: Iterable[CPD]) -> tuple[int, ...]:
-    """The axes of runs that the CPDs themselves have; refuses ones that do not broadcast."""
+    """The axes of runs of the CPDs, broadcast; axes that do not broadcast are refused."""
     shapes = [(cpd.child, cpd._lead()) for cpd in cpds]
     try:
         return np.broadcast_shapes(*(shape for _, shape in shapes))

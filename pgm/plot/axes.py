@@ -28,7 +28,7 @@ Unit = str | Mapping[str, str] | None
 
 
 def check_axes(ax: Any) -> Axes:
-    """The axes; refuses what is none, like the array that ``plt.subplots(2)`` returns."""
+    """Check that a value is an axes, and not an array as ``plt.subplots(2)`` returns."""
     if not isinstance(ax, Axes):
         raise ModelError(f"ax must be one matplotlib Axes, not {type(ax).__name__}; pick one")
     return ax

@@ -113,7 +113,7 @@ class Spans:
         return row, length / lasts[row], np.searchsorted(inner[1:], ends)
 
     def _parts(self, row: Integers, share: Array) -> Array:
-        """Shares of rows; whole ones are as they were told."""
+        """Motions over fractions of rows; whole rows stay exact."""
         found = self.whole[row]
         cut = np.flatnonzero(share != 1.0)
         if cut.size:

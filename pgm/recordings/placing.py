@@ -12,7 +12,7 @@ from pgm.recordings.pose_graph import Edges
 
 
 def poses(edges: Edges, count: int, root: int) -> tuple[Array, Mask]:
-    """Poses (N, 3) composed along edges from a root at (0, 0, 0), and which ones these lead to.
+    """Poses (N, 3) composed along edges from a root at (0, 0, 0), and the mask of those reached.
 
     An edge that measures the motion z = (p, φ) leads from x = (q, θ) on to its second end at
 

@@ -14,7 +14,7 @@ Operation = tuple[Any, ...]
 
 
 class Graph:
-    """Scalar operations, each on numbers of earlier ones.
+    """Scalar operations as nodes, each on earlier nodes.
 
     What simplifies does so exactly: no value of float64 changes by it, and no NaN is hidden.
     """
@@ -56,7 +56,7 @@ class Graph:
         return name in BOOLEAN
 
     def add(self, name: str, *operands: int) -> int:
-        """The number of an operation on earlier ones."""
+        """Add an operation on earlier nodes; returns its node number."""
         known = [self.value(k) for k in operands]
         if None not in known:
             with np.errstate(all="ignore"):

@@ -44,7 +44,7 @@ class Recorder(Graph):
         return Untraceable(reason)
 
     def add(self, name: str, *operands: int) -> int:
-        """The number of an operation on earlier ones."""
+        """Add an operation on earlier nodes; returns its node number."""
         if len(self.operations) > self.limit:
             raise self.refuse(f"it has more than {self.limit} operations on single numbers")
         return super().add(name, *operands)
@@ -243,7 +243,7 @@ def bare(value: Any) -> Any:
 
 
 def wrapped(value: Any) -> Any:
-    """An array of objects, or a traced number, as a traced array; anything else as it is."""
+    """An object array or traced number as a traced array; any other value unchanged."""
     if isinstance(value, Node):
         value = bare(value)
     if type(value) is np.ndarray and value.dtype == object:

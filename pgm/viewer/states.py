@@ -94,7 +94,7 @@ class _Chain:
         return found
 
     def potentials(self, run: Run, place: int) -> dict[str, Array]:
-        """Transitions and weights of measurements of a run; beliefs, where others do not make them.
+        """The transitions and likelihood weights of a run.
 
         Transitions are the same at all steps, mostly, and then take no room.
         """

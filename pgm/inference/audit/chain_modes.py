@@ -135,7 +135,7 @@ def _joined(found: list[Found], make: MakePath) -> Modes:
 
 @quiet()
 def _arrived(plan: ChainPlan, begun: Array) -> Arrived:
-    """Smooth from starts (T+1, N, n); those that fail together are tried in halves.
+    """Smooth from starts (T+1, N, n); a batch that fails is tried in halves.
 
     Smoothers that fail stay at their starts, with an evidence of −∞.
     """

@@ -132,7 +132,7 @@ class Term:
         return child
 
     def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
-        """Values (runs, S, d) with those named drawn afresh: f(parents) + L s, s of Student's t."""
+        """Values (runs, S, d), the masked ones drawn afresh: f(parents) + L s, s Student t."""
         places = afresh.where
         white: Array = np.zeros(proposed.shape)
         white[places] = afresh.rng.standard_normal((int(places.sum()), self.family.shape[2]))

@@ -29,7 +29,7 @@ class Draws(NamedTuple):
 
 @dataclass(eq=False)
 class Strand:
-    """Draws in the making, slice by slice, of the Gaussian answer or defensive ones.
+    """Draws under construction, slice by slice, from the Gaussian answer or defensive.
 
     A defensive draw leaves the answer for an excursion, or is of another mode's Gaussian:
 

@@ -105,7 +105,7 @@ class Search:
     count: int
 
     def solve(self, at: Array) -> Calibrated:
-        """Calibrate the network as it is linearised at points (runs, C, n)."""
+        """Calibrate the network linearised at points (runs, C, n)."""
         flat = at.swapaxes(0, 1).reshape(-1, at.shape[-1])
         model = self._linearised(flat)
         return calibrate(self.plan, Buffer.make(self.plan.rounds, model))

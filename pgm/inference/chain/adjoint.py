@@ -59,7 +59,7 @@ class Later(NamedTuple):
     blurred: Array
 
     def before(self, components: list[Component]) -> Later:
-        """The message with the components read at the step, to the belief before them."""
+        """The message after including the components measured at the step."""
         vector, matrix, rounding, drift, blurred = self
         for row, keep, innovation, weight, error, blur, moved in reversed(components):
             said = innovation * weight[:, None]

@@ -87,7 +87,7 @@ class Ahead(Protocol):
 
     @property
     def mean(self) -> Array:
-        """(T+1, runs, n): after them."""
+        """The filtered means, (T+1, runs, n)."""
         ...
 
     @property
@@ -164,7 +164,7 @@ class _Step(NamedTuple):
 
 
 def _reverse(step: _Step) -> Conditional:
-    """The slice at a step given the next one, by Bayes' rule for the transition between them."""
+    """p(x[t] | x[t + 1]) by Bayes' rule, from the filtered belief and the transition."""
     return moments.reverse(*step)
 
 

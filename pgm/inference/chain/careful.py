@@ -320,7 +320,7 @@ def start(plan: ChainPlan, *, linearise: bool) -> Belief:
 
 
 def transition(plan: ChainPlan, rows: slice) -> Move:
-    """The slices of some steps given the slices before them, whose controls play no part."""
+    """Conditionals of some slices given the slices before them; earlier controls do not matter."""
     layout = plan.layout
     found = _conditional(plan.transition, rows, layout.state_size, layout.slice_size, plan.runs)
     matrix = Twofold.zeros((*found.matrix.shape[:-1], layout.slice_size))

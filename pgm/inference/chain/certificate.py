@@ -21,6 +21,9 @@ which may stand at another step: a start of 10⁸ m, say, for a state that is kn
 rounding ε |m| / σ, in deviations, is carried along the chain. It counts where it is more than
 3·10⁻⁸ and 30 times the rounding that the mean has by its own size.
 
+A smoothed covariance is tested for the rounding of the reversed conditionals, too; see
+`reversal_rounding`.
+
 Where one test fails, the passes are done again in pairs of float64 (`careful`).
 """
 

@@ -151,7 +151,7 @@ class _Record:
             self.error = error if self.error is None else np.maximum(self.error, error)
 
     def _keep_open(self, new: slice, ahead: Forward, begun: int) -> None:
-        """Keep what is open in the predictions of some steps, if anything is or was."""
+        """Keep the predictions' unknown directions at some steps, if there are any."""
         if ahead.diffuse is not None and self.diffuse is None:
             shape, size = self.forward.mean.shape, ahead.diffuse.open.shape[-1]
             cov = stacked(shape[:2], shape[2:] * 2)

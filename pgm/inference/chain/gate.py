@@ -69,7 +69,7 @@ def decide(
     cov: Array,
     diffuse: Diffuse | None = None,
 ) -> list[Measured]:
-    """Gate the measurements of a step; rejected ones are not taken, in the plan too.
+    """Gate the measurements of a step; rejected ones are masked out, in the plan too.
 
     The predicted belief has a mean (n, *batch) and a covariance (n, n, *batch), or, where anything
     is unknown, the covariance `diffuse` with the runs first.

@@ -181,7 +181,7 @@ class Whitened:
         return Likelihood(precision, h)
 
     def log_density(self, mean: Array) -> Array:
-        """Ln N(z − h(x); 0, R) of each step's measurements at the slices' means, (T+1, runs)."""
+        """Sums Σ ln N(z − h(x); 0, R) by step at the slices' means, (T+1, runs)."""
         taken = self.sensor.taken
 
         def density(rows: slice, counts: Integers) -> tuple[Array]:

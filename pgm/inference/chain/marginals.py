@@ -115,7 +115,7 @@ def _of_measurement(layout: SliceLayout, variable: Variable) -> str:
 
 
 def require_at_steps(layout: SliceLayout, variables: Sequence[Variable], last: int) -> Scope:
-    """The scope of a joint; refuses variables that are not hidden ones at steps, or none."""
+    """Check the scope of a joint: hidden variables at steps, at least one."""
     if not variables:
         raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
     scope = as_scope(variables)

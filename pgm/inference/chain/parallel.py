@@ -237,7 +237,7 @@ def _predicted(moves: Conditional, start: Array) -> Array:
 
 
 def _refuse(known: Moments) -> None:
-    """Refuse what is not finite; a sum may not be where all its terms are."""
+    """Refuse results that are not finite. A sum may overflow although its terms do not."""
     bad = ~np.isfinite(known.cov).all(axis=(1, 2, 3)) | ~np.isfinite(known.mean).all(axis=(1, 2))
     if not bad.any():
         return

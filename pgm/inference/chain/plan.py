@@ -134,7 +134,7 @@ class ChainPlan:
         )
 
     def window(self, first: int, last: int, begin: tuple[Array, Array] | None = None) -> ChainPlan:
-        """The plan of a window, with views of these arrays; what is linearised is its own."""
+        """The plan of a window: a view of the arrays, with linearisations of its own."""
 
         def links(every: list[Link], start: int, end: int) -> list[Link]:
             return [replace(link, family=link.family.window(start, end)) for link in every]

@@ -266,7 +266,7 @@ class Reading:
         return total if self.sensor.family.batch else total.item()
 
     def expected(self, mean: Array, cov: Array) -> Array:
-        """The values at a belief over the slice as the lineariser sees them, or NaN."""
+        """E[h(x)] at a belief over the slice, by the lineariser; NaN where it fails."""
         sensor = self.sensor
         if not sensor.whole:
             mean, cov = mean[sensor.parents], within(cov, sensor.parents)

@@ -149,7 +149,7 @@ class LagSolver(Solver):
         return self._lagged(plan, fixed_lag.smooth)
 
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        """The same in pairs of float64, which windows decide upon for themselves."""
+        """The posterior in pairs of float64; sliding windows choose this for themselves."""
         return self._lagged(plan, fixed_lag.carefully)
 
     def _lagged(

@@ -1,4 +1,4 @@
-"""A sensor in place: its measurements by step, linearised, and the decisions of its gate."""
+"""One sensor of a chain: measurements by step, their linearisation, gate decisions."""
 
 from __future__ import annotations
 

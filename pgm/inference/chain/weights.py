@@ -69,7 +69,7 @@ class Weights:
         cov: Array | None = None,
         error: Array | None = None,
     ) -> Array:
-        """The squares of residuals, (k, runs); expected ones where a belief is given.
+        """The squares of residuals, (k, runs); expected squares if a belief is given.
 
         H (k, runs, d, m) and the parents' covariance are the belief's, `error` is Ω (k, runs, d,
         d).

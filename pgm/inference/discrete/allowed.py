@@ -21,7 +21,7 @@ RAISE, ALLOW = "raise", "allow"
 
 
 def allows(impossible: object) -> bool:
-    """Whether impossible evidence is to be allowed; refuses what is no answer to that."""
+    """Whether impossible evidence is allowed; any other answer than yes or no is refused."""
     if impossible not in (RAISE, ALLOW):
         raise ModelError(f'impossible is "{RAISE}" or "{ALLOW}", not {impossible!r}')
     return impossible == ALLOW

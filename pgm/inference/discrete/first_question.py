@@ -250,7 +250,7 @@ NOTHING = np.empty(0)
 
 
 def _to(wanted: Sequence[int], scope: Sequence[int], table: Array) -> Array:
-    """The sums of a table over all variables but the wanted ones, which stay in its order."""
+    """A table summed to the wanted variables, in the table's order."""
     if len(wanted) == len(scope):
         return table
     axes = [axis for axis, place in enumerate(scope) if place not in wanted]

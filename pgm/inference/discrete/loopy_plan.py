@@ -85,7 +85,7 @@ class LoopyPlan:
         return groups
 
     def _group(self, clusters: list[int], asked: dict[int, list[tuple[int, int]]]) -> Group:
-        """Clusters of one size as a group: their entries, and the messages to and from them.
+        """A group of clusters of one size: their entries, and the messages to and from them.
 
         `asked` has the messages of each cluster, with their places in the order of a round.
         """

@@ -88,7 +88,7 @@ class View:
     strides: tuple[int, ...]
 
     def of(self, tables: Array) -> Array:
-        """The table, a view with these axes and that of runs, if any."""
+        """A view of the table with these axes, and an axis of runs if any."""
         if tables.ndim == 1:
             return np.ndarray(self.shape, np.float64, tables, self.start, self.strides)
         runs = tables.shape[1]

@@ -152,7 +152,7 @@ class DiscretePosterior(Posterior):
         return self._table(scope, exp(logs - top), top)
 
     def _table(self, scope: States, values: Array, log_scale: Array | None = None) -> Table:
-        """Values (sizes..., [runs]) as a table whose leading axes are those of the runs."""
+        """Values (sizes..., [runs]) as a table with the leading axes of runs."""
         lead = self._beliefs.evidence.lead
         if values.ndim > len(scope):
             values = np.moveaxis(values, -1, 0)

@@ -135,7 +135,7 @@ class Stack:
 
     @cached_property
     def top(self) -> slice:
-        """The places of the messages' scales; behind them are those of a hub's table."""
+        """Where the messages' scales begin in storage; a hub table's scales follow them."""
         return slice(self.tops.start, self.tops.start + self.clusters.size)
 
     def largest(self, columns: Array) -> Array:
@@ -206,7 +206,7 @@ class TreePlan:
 
     @cached_property
     def _ways(self) -> dict[Discrete, tuple[int, int]]:
-        """The stack of each variable's home, and those on the way from it to the root."""
+        """The stack of each variable's home, and the stacks on its way to the root."""
         found = [(0, 0)] * len(self.graph)
         for stack in self.stacks:
             for k in stack.clusters.tolist():

@@ -73,7 +73,7 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """A cluster graph without its observed variables and those `absent`, in components.
+    """The hidden components of a cluster graph, without observed and `absent` variables.
 
     Made once for each set of observed variables; see `ClusterGraph.derived`.
     """
@@ -105,7 +105,7 @@ class Layout:
         return np.concatenate([self.places[v] for v in scope])
 
     def without_evidence(self, scope: Scope) -> Scope:
-        """The hidden ones of some variables."""
+        """The variables among some that are hidden."""
         return tuple(v for v in scope if v not in self.observed and v not in self.absent)
 
     @cached_property

@@ -91,7 +91,7 @@ class Dense:
 
     @property
     def _order(self) -> tuple[int, ...]:
-        """Axes as the weights have them: those depended on, those that stay, those moved."""
+        """The axes in the weights' order: depended on, resting, moved."""
         moved = {*self.axes, *self.by}
         return (*self.by, *(k for k in range(len(self.source)) if k not in moved), *self.axes)
 
@@ -298,7 +298,7 @@ class _Maker:
         return 2.0 * self.share + _ROUNDING
 
     def _error(self, found: str, reason: str) -> ModelError:
-        """An error about the density, which found what is wrong and names the step and the run."""
+        """The error for a density that fails, which names the step and the run."""
         states = self.group.states
         named = " and ".join(f"the density of {cpd!r}" for cpd in states)
         return ModelError(

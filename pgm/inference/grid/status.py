@@ -186,7 +186,7 @@ class GridStatus(Shown, Immutable):
 
     @property
     def rough(self) -> bool:
-        """Whether a density is so narrow for the cells that it has another shape on them."""
+        """Whether a density is too narrow for its shape to show on the cells."""
         return self.uneven.share > ROUGH
 
     def warn(self, before: GridStatus | None = None) -> None:

@@ -60,7 +60,7 @@ def _best(scores: Array) -> Integers:
 
 
 def _with_controls(plan: SlicePlan, before: Array, states: Integers) -> Integers:
-    """The states of the whole slice: of the controls the best ones beside the states found."""
+    """The states of the whole slice: the best controls, given the states found."""
     if not plan.controls:
         return states
     runs = before.shape[0]

@@ -256,7 +256,7 @@ class TableSlices:
         return np.expand_dims(found, self.plan.controls) if self.plan.controls else found
 
     def factors(self, step: int, way: str) -> Sequence[Factor]:
-        """The tables of the transition into a step, as a contraction of the plan takes them."""
+        """The tables of the transition into a step, as factors of a contraction."""
         fixed = self._fixed.get(way)
         if fixed is not None:
             return fixed

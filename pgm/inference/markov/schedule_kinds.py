@@ -10,7 +10,7 @@ from pgm.inference.status import Kind
 
 
 def require_chain(graph: DynamicGraph, beliefs: str) -> None:
-    """Refuse a balanced tree of slices; `beliefs` says what goes along them."""
+    """Refuse a balanced tree of slices for beliefs that sweep along a chain."""
     if isinstance(graph, BalancedGraph):
         raise GraphError(
             f"{beliefs} go along a chain of slices, which {titled(graph)} is not: leave method= "

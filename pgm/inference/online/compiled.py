@@ -188,7 +188,7 @@ class CompiledSteps:
 
 
 def _tried(kind: Layout, found: Array, due: OnlineBelief) -> bool:
-    """Whether moments of machine code, mean and covariance, are those made the general way."""
+    """Whether machine code gives the same mean and covariance as NumPy."""
     std = np.sqrt(np.maximum(due.cov.diagonal(), 0.0))
     close = np.abs(found[0] - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
     alike = np.abs(found[1:] - due.cov) <= _CLOSE * np.outer(std, std)

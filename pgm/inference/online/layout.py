@@ -121,7 +121,7 @@ class Layout:
 
 
 def _require_followed(family: Family) -> None:
-    """Refuse a function that makes floats of its input: later steps may decide otherwise by them.
+    """Refuse a function that calls float() on its input: its branches may change later.
 
     Jacobians may, which mostly write them into np.zeros and return it.
     """

@@ -54,7 +54,7 @@ class Place(Protocol):
 
 
 def mapping(value: Any, method: str, what: str) -> Mapping[Variable, Any]:
-    """Refuse what is no mapping."""
+    """Refuse a value that is no mapping."""
     if not isinstance(value, Mapping):
         raise EvidenceError(f"{method} takes a mapping of {what}, not {type(value).__name__}")
     return value
@@ -252,7 +252,7 @@ class _Layout(NamedTuple):
 
 
 class Layouts:
-    """Layouts of a step, by the kind of input; `make` makes a plan, or refuses what is given."""
+    """Layouts of a step, cached by the shapes of its evidence."""
 
     def __init__(
         self, make: Callable[[OnlineBelief, Values], ChainPlan], schedule: Filtering

@@ -171,7 +171,7 @@ def _joined(entries: Sequence[Entry], lead: tuple[int, ...], *, begun: bool) -> 
 
 
 def _rows(parts: Sequence[npt.NDArray[Kind]]) -> npt.NDArray[Kind]:
-    """Arrays (rows, runs or 1, d) as one, read-only, since functions of users see them."""
+    """Arrays (rows, runs or 1, d) stacked to one, read-only, as users' functions see it."""
     runs = max(part.shape[1] for part in parts)
     whole = np.concatenate([np.broadcast_to(p, (len(p), runs, p.shape[2])) for p in parts])
     whole.flags.writeable = False

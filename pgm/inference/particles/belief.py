@@ -103,11 +103,11 @@ class ParticleBelief(PointMassBelief):
         return self._by_lead(found.reshape(len(found), self._count, -1), first=True)
 
     def _mean(self) -> Array:
-        """Weighted means, (..., d), with leading axes as the user has them."""
+        """Weighted means, (..., d), with the user's leading axes."""
         return self._by_lead(np.stack([mean for mean, _ in self._moments], axis=0), first=True)
 
     def _cov(self) -> Array:
-        """Weighted covariances, (..., d, d), with leading axes as the user has them."""
+        """Weighted covariances, (..., d, d), with the user's leading axes."""
         return self._by_lead(np.stack([cov for _, cov in self._moments], axis=0), first=True)
 
     def _over(self, places: tuple[int, ...]) -> ParticleBelief:

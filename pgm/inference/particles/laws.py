@@ -347,7 +347,7 @@ class Root:
         return found
 
     def within(self, residual: Array, error: Array, some: Some) -> Array:
-        """The log-densities of residuals (d, m), −∞ of those that the noise cannot make."""
+        """Log-densities of residuals (d, m); −∞ off the subspace of singular noise."""
         lower = self.lower[0] if len(self.lower) == 1 else self.lower[self.of(some)]
         points = (-1, 1, len(residual)) if lower.ndim > 2 else (-1, len(residual))
         wide = np.broadcast_to(residual, (len(residual), some.size)).T.reshape(points)

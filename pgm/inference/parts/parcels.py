@@ -39,7 +39,7 @@ class _Place(NamedTuple):
 
 
 class Pickle(NamedTuple):
-    """A value as bytes, and its large arrays, unless an earlier pickle has brought them."""
+    """A pickled value and its large arrays, unless an earlier pickle has sent them."""
 
     data: bytes
     arrays: list[tuple[int, AnyArray]]

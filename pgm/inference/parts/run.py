@@ -99,7 +99,7 @@ def _results(
     share: Share,
     room: Sequence[Array],
 ) -> list[Result]:
-    """The results of all parts, their arrays in the room; of those up to a careful one, if any."""
+    """The results of all parts, with arrays in the room; stops at a careful one."""
     jobs = [
         Job(part, schedule, lineariser, share, _of(room, part) if workers.shares else None)
         for part in parts

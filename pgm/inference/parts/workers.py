@@ -79,7 +79,7 @@ class Workers:
         self._room: Room | None = None
 
     def room(self, shapes: Sequence[Shape]) -> list[Array]:
-        """Arrays of some leading axes and own ones, as of `vacant`."""
+        """Arrays with leading axes and own ones, in shared memory if there is any; see `vacant`."""
         if self._idle is None:
             return [vacant(*shape) for shape in shapes]
         self._room = Room(self._idle, shapes)

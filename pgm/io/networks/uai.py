@@ -183,7 +183,7 @@ def read_uai_evidence(
 
 
 class Words:
-    """The numbers of a file, taken one after the other; places count them from 0."""
+    """The numbers of a file, read one by one and counted from 0."""
 
     def __init__(self, content: Content, *, heading: bool) -> None:
         # Blanks for comments, so that lines and places stay.

@@ -199,7 +199,7 @@ def in_slices(graph: nx.DiGraph) -> bool:
 
 
 def last(steps: int, what: str, error: type[PgmError]) -> int:
-    """The last slice or cluster to draw; refuses what is none."""
+    """Check the last slice or cluster to draw."""
     if not is_whole(steps) or steps < 0:
         raise error(f"steps must be the last {what} to draw, 0 or more, not {steps!r}")
     return int(steps)

@@ -171,7 +171,7 @@ class Paths:
         return self._filtered.artists + (self._revised.artists if self._revised else [])
 
     def show(self, frame: Frame) -> None:
-        """Show what is known by a picture."""
+        """Show the paths up to a picture's steps."""
         path, revised = range(frame.filtered + 1), range(frame.revised[0], frame.revised[1] + 1)
         # A revised ellipse takes the place of the filtered one.
         standing = [step for step in path if step not in revised]
