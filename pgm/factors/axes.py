@@ -37,7 +37,7 @@ def as_states(scope: Variable | Iterable[Variable]) -> States:
 
 
 def discrete(scope: Scope) -> States:
-    """A scope of which it is known that all its variables are discrete."""
+    """The scope as one of discrete variables, once this has been checked."""
     return cast(States, scope)
 
 

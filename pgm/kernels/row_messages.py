@@ -95,7 +95,7 @@ def choose(active: Mask, new: Rows, old: Rows) -> Rows:
 
 
 def _relations(old: Rows, new: Rows) -> tuple[Array, Array, Array, Array] | None:
-    """Exact relations of old and new rows, the old ones padded to as many; None without."""
+    """Exact relations of old and new rows, the old ones cut to as many; None if there are none."""
     exact, sides, new_exact, new_sides = *old[2:], *new[2:]
     if exact is None or sides is None or new_exact is None or new_sides is None:
         return None

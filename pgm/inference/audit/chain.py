@@ -246,7 +246,7 @@ class _Law:
         )
 
     def path(self, beliefs: Beliefs, states: Conditional) -> Path:
-        """The law of trajectories, of smoothed slices and states given the slice after them."""
+        """The conditionals along a trajectory, from smoothed slices and reversed conditionals."""
         places, front = self.layout.state_places, self.layout.state_size
         mean, cov = beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places)
         start = Conditional(np.zeros((1, *cov.shape[1:-1], 0)), mean, cov)

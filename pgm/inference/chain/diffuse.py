@@ -75,7 +75,7 @@ class Diffuse(NamedTuple):
         return Diffuse(*(part[rows] for part in self))
 
     def reach(self, matrix: Array) -> Array:
-        """The U of measurements H (..., d, n): how they depend on what is open, (..., d, q)."""
+        """H U, (..., d, q): how measurements H (..., d, n) depend on the unknown directions U."""
         found = matrix @ self.open
         rounding = NEGLIGIBLE * (np.abs(matrix) @ self.size)
         clean: Array = np.where(np.abs(found) > rounding, found, 0.0)

@@ -92,7 +92,10 @@ class UpdateProblem(ABC, Generic[U]):
         part.linearise(mean, cov, active)
 
     def solve(self, anchor: Anchor | None = None) -> U:
-        """The belief given the measurements, robust ones weighed until the weights settle."""
+        """The belief given the measurements.
+
+        Robust ones are reweighted until the weights settle.
+        """
         found = self._solved(anchor)
         if not any(part.sensor.robust for part in self.parts):
             return found

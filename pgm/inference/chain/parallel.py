@@ -225,7 +225,7 @@ def _from(belief: Belief, reference: Array, steps: int) -> Moments:
 
 
 def _predicted(moves: Conditional, start: Array) -> Array:
-    """The prior's means as the transition moves them, unmeasured, (T+1, runs, n)."""
+    """The prior's means propagated by the transition, without measurements, (T+1, runs, n)."""
     out = room((moves.offset.shape[0] + 1, start.shape[0]), start.shape[1:])
     out[0] = start
     if len(out) > 1:

@@ -260,7 +260,7 @@ class Sensor:
         return part
 
     def put(self, first: int, part: Sensor, *, after: bool) -> None:
-        """Keep how the measurements of these steps were linearised."""
+        """Take over a window's linearisation of these measurements."""
         row = self.bounds[first + after]
         self.family.put(slice(row, row + part.family.step.size), part.family)
         if self.variable.angles:

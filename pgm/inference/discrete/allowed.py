@@ -21,7 +21,7 @@ RAISE, ALLOW = "raise", "allow"
 
 
 def allows(impossible: object) -> bool:
-    """Whether impossible evidence is allowed; any other answer than yes or no is refused."""
+    """Whether impossible evidence is allowed, from the user's ``"raise"`` or ``"allow"``."""
     if impossible not in (RAISE, ALLOW):
         raise ModelError(f'impossible is "{RAISE}" or "{ALLOW}", not {impossible!r}')
     return impossible == ALLOW

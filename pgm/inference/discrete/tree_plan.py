@@ -309,7 +309,9 @@ class _Planner:
         return self.graph.sizes[cluster] >= self.large
 
     def _ordered(self, cluster: int, scope: States, sepsets: Sequence[States]) -> States:
-        """Some variables of a cluster, in a large table those of each child's sepset together.
+        """A cluster's variables in storage order.
+
+        In a large table the variables of each child's sepset stand together.
 
         What is multiplied and summed there is then in few axes, the last of them long.
         """

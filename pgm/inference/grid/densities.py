@@ -59,7 +59,9 @@ EVEN = Uneven(0.0, None, 0)
 
 @dataclass(frozen=True, eq=False)
 class Dense:
-    """Weights from each cell to each along some axes, for each cell of those depended on.
+    """Transition weights from every cell to every cell along some axes.
+
+    There is one set for each cell of the axes depended on.
 
     by: The other axes on which they depend, ascending; G is the number of their cells.
     weights: (G, S, T): S source cells, or 1 where none is depended on, and T target cells.

@@ -117,7 +117,7 @@ class Motion:
         return found
 
     def _ordered(self, step: int, run: int, source: Window) -> list[Members]:
-        """The groups ordered so that each comes before or after the axes on which it depends.
+        """The groups in an order in which each finds the axes that it depends on.
 
         Groups that have no order among themselves are joined.
         """

@@ -181,7 +181,10 @@ class RowTables:
 
     @property
     def smallest(self) -> float:
-        """The smallest positive entry of any of its tables; of a function, of those so far."""
+        """The smallest positive entry of all tables.
+
+        For a function, only the tables called up to now count.
+        """
         return self.called.smallest if self.cpd.function is not None else self._least
 
     @cached_property
