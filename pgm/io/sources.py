@@ -112,7 +112,7 @@ def _unpacked(file: IO[Any], origin: Origin, limit: int) -> Content:
 
 
 def _all(file: Any, limit: int) -> str | bytes:
-    """The content of a file, or somewhat more than `limit` of it."""
+    """The content of a file, read up to slightly more than `limit`."""
     pieces, held = [], 0
     while held <= limit and (piece := file.read(limit + 1 - held)):  # may be less than asked for
         pieces.append(piece)

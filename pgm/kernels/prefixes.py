@@ -38,7 +38,7 @@ def by_rows(array: Array, *, copy: bool = False) -> Array:
 
 
 def gather(array: Array, steps: Integers) -> Array:
-    """Some steps of a stack, in any order, with components first in memory."""
+    """The steps of a stack at some indices, with components first in memory."""
     axes = array.ndim
     memory = array.transpose(*range(2, axes), 0, 1).take(steps, axis=axes - 2)
     return memory.transpose(axes - 2, axes - 1, *range(axes - 2))

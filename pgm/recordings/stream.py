@@ -141,7 +141,7 @@ class Stream(Shown, NoArray, Immutable):
         )
 
     def replace(self, **changes: Any) -> Stream:
-        """The stream with other attributes."""
+        """A copy of the stream with some attributes replaced."""
         given = {name: getattr(self, name) for name in type(self).__annotations__ if name[0] != "_"}
         return Stream(**given | changes)
 

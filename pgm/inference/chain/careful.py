@@ -245,7 +245,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
 
     @quiet()
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
-        """The belief given the measurements."""
+        """The belief updated with the measurements linearised at present."""
         belief, information, parts = self.belief, self.information, self.measured
         runs, size = belief.largest.shape
         rows, noises, seen = decorrelated(parts, runs, size)

@@ -64,7 +64,7 @@ class Belief(NamedTuple):
 
     @classmethod
     def of(cls, mean: Array, cov: Array) -> Belief:
-        """A belief of moments (runs, n) and (runs, n, n) that steps in float64 have found."""
+        """A belief in pairs of float64, from moments (runs, n) and (runs, n, n) in float64."""
         found = cls.first(Twofold(mean[..., None]), Twofold(cov), _LAST_DIGIT, _EPS)
         return found._replace(drift=found.drift + diagonal(_STEPS**2 * np.abs(variances(cov))))
 

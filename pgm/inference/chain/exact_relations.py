@@ -1,4 +1,4 @@
-"""Trajectories that obey all relations without noise, nearest to given ones."""
+"""Project trajectories onto the noise-free relations of a model, the nearest that satisfy all."""
 
 from __future__ import annotations
 

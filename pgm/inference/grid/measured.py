@@ -74,7 +74,7 @@ class MeasuredSensor:
         return range(int(low), int(high))
 
     def known(self, row: int, run: int) -> Known:
-        """The values of its observed parents."""
+        """The values of the sensor's observed parents."""
         inputs = self.reading.inputs
         return {v: a[row, run if a.shape[1] > 1 else 0] for v, a in inputs.items()}
 

@@ -53,7 +53,7 @@ def numbers(text: str, start: int, into: array[float]) -> int:
 
 
 class Cursor:
-    """A place in a text.
+    """A reading position in a text, token by token.
 
     kind: Of the token that was read last: MARK, QUOTED, WORD, or END.
     value: That token, without its quotes.

@@ -54,7 +54,7 @@ def convergence(
     Examples
     --------
     >>> from pgm.examples import squares, z
-    >>> smoothed = pgm.smooth(squares, {z: [[9.0]]}, iterations=5)
+    >>> smoothed = pgm.smooth(squares, {z: [[9.0]]}, iterations=10)
     >>> ax = pgm.plot.convergence(smoothed.status, tolerance=1e-6)
     """
     if not isinstance(status, Status):
