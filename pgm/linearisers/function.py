@@ -224,7 +224,7 @@ class BoundFunction(NamedTuple):
         else:
             value, slope, finite = answers.single(arguments, cov)
         if answers is None or not finite:
-            # Warnings and errors are the function's own, which may use its array again.
+            # Warnings and errors are the function's own; it may return an array that it uses again.
             followed = answers is not None or self._followed(program, x, std)
             due = self._value(x, arguments, shape)
             if answers is None and not (followed and _alike(due, value, self.angles)):
