@@ -60,7 +60,9 @@ def dense(noise, *, expected, precision=PRECISION, rounds=500):
     ("lineariser", "expected"), [(pgm.Taylor(), False), (pgm.Unscented(), True)], ids=repr
 )
 def test_smoother_settles_where_dense_reweighting_does(noise, lineariser, expected):
-    found = pgm.smooth(model(noise), EVIDENCE, iterations=500, lineariser=lineariser)
+    found = pgm.smooth(
+        model(noise), EVIDENCE, iterations=500, tolerance=1e-9, lineariser=lineariser
+    )
     mean, variance, weight, density = dense(noise, expected=expected)
     assert found.status.converged
     np.testing.assert_allclose(found[X].mean[:, 0], mean, atol=1e-7)
