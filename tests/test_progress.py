@@ -195,7 +195,7 @@ PROGRAM = """
 import sys
 from tests.test_progress import EVIDENCE, MODEL, pgm
 assert "tqdm" not in sys.modules
-pgm.smooth(MODEL, EVIDENCE, iterations=4, progress=True)
+pgm.smooth(MODEL, EVIDENCE, iterations=9, progress=True)
 assert "tqdm" in sys.modules
 """
 

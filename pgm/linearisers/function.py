@@ -212,7 +212,8 @@ class BoundFunction(NamedTuple):
             if answers is None:
                 value, slope = program.batch(arguments, shape)
             else:
-                value, slope = answers.batch(arguments, shape, std)
+                spread = std if cov is None else np.sqrt(np.maximum(cov.diagonal(), 0.0))
+                value, slope = answers.batch(arguments, shape, spread)
             value, slope = components_last(value, 1), components_last(slope, 2)
             if self.group is not None:
                 value = value.reshape(*x.shape[:-1], -1)

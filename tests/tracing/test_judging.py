@@ -212,6 +212,20 @@ def test_a_wrong_slope_counts_where_all_values_are_alike(kind, compiled, runs, s
 
 
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("runs", [(), (3,)])
+def test_a_wrong_slope_of_sightings_counts_where_all_values_are_alike(compiled, runs):
+    """Two sightings of a step, of which the later has the other gear."""
+    sight = pgm.NonlinearGaussianCPD(Y, (S, U), by_asarray, cov=1.0)
+    prior = pgm.GaussianCPD(S, np.zeros((*runs, 1)), 1.0)
+    stay = pgm.LinearGaussianCPD(S, {S.previous: 1.0}, 0.0)
+    model = pgm.DynamicBayesianNetwork([prior], [stay], [sight])
+    gears = np.array([[0.0], [2.0], [0.0], [2.0]])
+    seen = pgm.sightings(np.zeros((*runs, 4, 1)), step=[1, 1, 2, 2], given={U: gears})
+    found = pgm.filter(model, {Y: seen}, steps=2, compiled=compiled)[S].cov[..., -1, 0, 0]
+    assert_allclose(found, np.full(runs, 1.0 / (1.0 + 2 * 0.25 + 2 * 4.0)), rtol=1e-9)
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
 def test_online_a_frozen_slope_counts_where_all_values_are_alike(compiled):
     move = pgm.NonlinearGaussianCPD(S, (S.previous, U), by_asarray, cov=1e-3)
     model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(S, 0.0, 1.0)], [move], [])

@@ -223,8 +223,9 @@ def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
         return np.full(model.runs, ALL_DIGITS)
     variance = variances(joint.cov[:, :size, :size])
     std = decimals.floats(decimals.sqrt(np.maximum(variance, ZERO)))
-    # Where there is no deviation a billionth of the numbers is as good.
-    unit = np.where(std > 0.0, std, 1e-3 * model.frame.scale)
+    # Where there is no deviation a part of what it was, or a millionth of the number, is as good.
+    number = decimals.floats(np.abs(joint.mean[:, :size, :sides]).max(axis=-1))
+    unit = np.where(std > 0.0, std, np.maximum(1e-3 * model.frame.scale, 1e-6 * number))
     share = np.maximum((lost / unit).max(axis=-1, initial=0.0), moved)
     if model.first:
         # Far from where it was linearised a slope's rounding counts the more.
