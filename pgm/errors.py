@@ -90,7 +90,10 @@ class PrecisionWarning(UserWarning):
 
 
 class ConvergenceWarning(UserWarning):
-    """An iteration that ended before it settled; ``status`` says how far from that it was."""
+    """An iteration that ended before it settled; ``status`` says how far from that it was.
+
+    A tolerance of 0 asks for just so many iterations, of which nothing is told unless they diverge.
+    """
 
 
 class GridWarning(UserWarning):

@@ -6,7 +6,6 @@ With `compiled` sweeps are in machine code, for which there has to be Numba.
 from __future__ import annotations
 
 import math
-import warnings
 
 import numpy as np
 
@@ -97,15 +96,7 @@ def iterated(work: Robots, *, compiled: Choice = False) -> Contender:
 
 def thrice(work: Robots) -> Contender:
     """One run, linearised three times from the truth: dead reckoning is too far off after hours."""
-    contender = _iterated(work, pgm.Smoothing(iterations=3, tolerance=1e-12), work.truth[0])
-
-    def call() -> tuple[Array, Array]:
-        with warnings.catch_warnings():  # three, whether they settle or not
-            warnings.simplefilter("ignore", pgm.ConvergenceWarning)
-            found: tuple[Array, Array] = contender.call()
-            return found
-
-    return Contender(call, contender.units)
+    return _iterated(work, pgm.Smoothing(iterations=3, tolerance=0.0), work.truth[0])
 
 
 def _iterated(

@@ -1,7 +1,8 @@
 """The warning of a call whose iterations ended before they settled.
 
-A call warns once, of all its runs together. One linearisation is a plain filter or smoother, from
-which nobody expects a fixed point: of it nothing is said.
+A call warns once, of all its runs together. One linearisation is a plain filter or smoother, and a
+tolerance of 0 asks for a number of iterations: nobody expects a fixed point of either, and nothing
+is said, unless messages diverge.
 """
 
 from __future__ import annotations
@@ -43,7 +44,11 @@ def told(posterior: P, schedule: Schedule | None) -> P:
         return posterior
     if isinstance(schedule, Loopy):
         assert isinstance(posterior, Posterior)
+        if schedule.tolerance == 0.0 and not _diverged(status, schedule):
+            return posterior
         message = _of_messages(posterior, status, schedule)
+    elif schedule.tolerance == 0.0:
+        return posterior
     else:
         message = _of_linearisations(status, schedule)
     warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())
@@ -55,7 +60,7 @@ def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
 
     The words are the same at each step, so that Python's default filter shows them once.
     """
-    if is_iterated(schedule) and not converged.all():
+    if is_iterated(schedule) and schedule.tolerance > 0.0 and not converged.all():
         message = (
             f"a step of the online filter had not settled after its {schedule.iterations} "
             f"linearisations (tolerance {schedule.tolerance:g}); belief.status.residuals says how "
@@ -64,11 +69,16 @@ def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
         warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())
 
 
-def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
-    last, of = _last(status)
+def _diverged(status: Status, schedule: Loopy) -> bool:
+    """Whether messages of a run that did not settle grew, so that no more were sent."""
     record = status.residuals.reshape(len(status.residuals), -1)[:, ~status.converged.reshape(-1)]
     grown = ~np.isfinite(record[-1]) | (record[-1] > GROWN * record.min(axis=0))
-    if grown.any() or status.iterations < schedule.iterations:
+    return bool(grown.any()) or status.iterations < schedule.iterations
+
+
+def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
+    last, of = _last(status)
+    if _diverged(status, schedule):
         began = f"messages diverged{of}, and were stopped after {status.iterations} rounds"
         beliefs = ", and beliefs there mean nothing"
     else:

@@ -35,7 +35,8 @@ class Filtering(InCode):
         Linearisations of a step's sensors at the most.
     tolerance : float
         A step of a run is done when no mean is more than this many standard deviations from where
-        it was linearised.
+        it was linearised. With 0 all iterations are made, and none is missed (no
+        `ConvergenceWarning`).
     damping : float or LevenbergMarquardt
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
         step by its cost.
@@ -95,7 +96,8 @@ class Calibration(InCode):
     iterations : int
         Linearisations at the most.
     tolerance : float
-        A run stops when no mean moves by more than this many standard deviations.
+        A run stops when no mean moves by more than this many standard deviations; 0 as of
+        `Filtering`.
 
     Examples
     --------
@@ -131,7 +133,7 @@ class Smoothing(Calibration):
     ----------
     tolerance : float
         A run stops when no smoothed mean is more than this many standard deviations from where it
-        was linearised.
+        was linearised; 0 as of `Filtering`.
     iterations, damping, gate
         See `Filtering`; here for all CPDs. The gate is decided in the first forward pass and kept,
         so that all iterations are of the same measurements; with a start, as everything is
@@ -284,7 +286,8 @@ class Flooding(Loopy):
         Rounds of messages at the most; a round sends as many messages as the graph has.
     tolerance : float
         A run has converged when no message changes by more than this: in standard deviations of
-        the belief it makes, or in probability.
+        the belief it makes, or in probability. With 0 all rounds are sent, and none is missed
+        (no `ConvergenceWarning` unless messages diverge).
     damping : float
         The share of the old message that is kept, in [0, 1): a new one is the geometric mean.
 

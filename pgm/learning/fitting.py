@@ -326,7 +326,7 @@ def fit(
     with reporting(progress):
         search = Search(learner, int(iterations), float(tolerance), accelerate=accelerate)
         found = search.run()
-    _tell(found, smoothed=search.smoothed)
+    _tell(found, smoothed=search.smoothed or schedule.tolerance == 0.0)
     return found
 
 

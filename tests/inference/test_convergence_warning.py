@@ -70,6 +70,14 @@ def test_what_was_asked_for_is_what_counts():
     )
 
 
+@pytest.mark.parametrize("name", CALLS)
+def test_a_tolerance_of_zero_asks_for_a_number_of_iterations(name):
+    posterior, told = said(lambda: CALLS[name](iterations=3, tolerance=0))
+    assert posterior.status.iterations == 3
+    assert not posterior.status.converged.any()
+    assert told == []
+
+
 def test_linear_models_have_nothing_to_settle():
     for call in (pgm.filter, pgm.smooth):
         assert said(lambda call=call: call(walk, {z: [[4.0], [2.0]]}, iterations=5))[1] == []

@@ -80,6 +80,16 @@ def test_divergence_is_stopped_and_told(schedule):
         assert found[v].cov[0, 0] > 0.0
 
 
+def test_with_a_tolerance_of_zero_only_divergence_is_told():
+    net, evidence, _, _ = sums_of_four()
+    graph = pgm.compile(net, method=pgm.Bethe())
+    found, told = sent(graph, evidence, pgm.Flooding(iterations=3, tolerance=0))
+    assert not found.status.converged
+    assert told == ""
+    _, told = sent(graph, evidence, pgm.Flooding(tolerance=0))
+    assert "diverged, and were stopped" in told
+
+
 def test_messages_that_go_round_without_end_are_told():
     """Here the largest changes first neither settle nor diverge."""
     net, evidence, _, J = sums_of_four()
