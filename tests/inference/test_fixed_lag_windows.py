@@ -22,8 +22,8 @@ def test_no_reading_counts_twice(rule, lag):
     """However often CPDs are linearised: linear functions have one linearisation alone."""
     model, evidence, steps, due = drawn(11, nonlinear=True)
     found = lagged(model, evidence, lag, steps, rule, iterations=6, tolerance=0.0)
-    # Derivatives of a trace are exact, and so is the second iteration.
-    assert found.status.iterations == (2 if rule == pgm.Taylor() else 6)
+    # Derivatives of a trace are exact, and so is the second iteration; of others it may be.
+    assert 2 <= found.status.iterations <= (2 if rule == pgm.Taylor() else 6)
     assert (found.status.residuals < 1e-6).all()
     assert found.log_evidence_kind == "linearised"
     for run in range(2):

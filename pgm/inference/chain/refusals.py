@@ -20,6 +20,9 @@ from pgm.kernels.extended import Twofold
 CONTRADICTION = 1e-8
 # Or this many times the rounding of a linearisation, where that is more.
 _OF_ROUNDING = 10.0 * float(np.finfo(np.float64).eps)
+# Rounding is magnified by this much at the most where rows of exact readings are nearly parallel:
+# what is no further off may be a contradiction, or not.
+_MAGNIFIED = 1e3
 
 
 def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
@@ -43,12 +46,14 @@ def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
 
 def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
     """Refuse measurements (D, *batch) that contradict values fixed by an exact model."""
-    allowed = []
+    allowed, rounded = [], []
     for seen in parts:
         # Numbers of this size are summed up to the expected value.
         expected = times(np.abs(seen.matrix), np.abs(mean[seen.sensor.parents]))
         size = (np.abs(seen.reading) + expected + np.abs(seen.constant)).max(axis=0)
-        allowed.append(max(CONTRADICTION, _OF_ROUNDING * cancellation(seen.sensor.family)) * size)
+        rounding = _OF_ROUNDING * cancellation(seen.sensor.family)
+        allowed.append(max(CONTRADICTION, rounding) * size)
+        rounded.append(_MAGNIFIED * rounding * size)
     far = left > np.max(allowed, axis=0)
     if not far.any():
         return
@@ -56,12 +61,17 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
     run, place = where if far.ndim > 1 else (0, *where)
     heights = [len(seen.value) for seen in parts]
     sensor = parts[int(np.searchsorted(np.cumsum(heights), place, side="right"))].sensor
-    run, off = sensor.family.first_run + run, float(far.T[where] and left.T[where])
-    rule = "" if sensor.family.exact else f", as {sensor.family.lineariser!r} linearises it"
+    run, off = sensor.family.first_run + run, float(left.T[where])
+    fault = "contradicts an exact model"
+    if not sensor.family.exact:
+        fault += f", as {sensor.family.lineariser!r} linearises it"
+    advice = "give the sensor, the motion or the prior some noise"
+    if off <= np.max(rounded, axis=0).T[where[:-1]]:
+        fault = f"may contradict an exact model, or {sensor.family.lineariser!r} rounds by as much"
+        advice = f"use a larger alpha, so that sigma points lie further apart, or {advice}"
     raise NumericalError(
-        f"a measurement of {sensor.variable!r} at step {step}, run {run}, contradicts an exact "
-        f"model{rule}: it is {off:.3g} from a value that is certain; give the sensor, the "
-        "motion or the prior some noise",
+        f"a measurement of {sensor.variable!r} at step {step}, run {run}, {fault}: it is {off:.3g} "
+        f"from a value that is certain; {advice}",
         variable=sensor.variable,
         cpd=sensor.family.cpd,
         step=step,
