@@ -26,8 +26,8 @@ from pgm.tracing.trace import Tracer
 
 Found = TypeVar("Found")
 
-# From so many points on, a trace is made anew at each call, and is then judged at a sample of them.
-LARGE, _SAMPLE = 2**14, 2**12
+# From so many points on, a trace is made anew at each call, and is then judged at about so many.
+LARGE, _SAMPLE = 2**12, 2**11
 # So many points are judged at a time, and in a call so many derivatives.
 _BATCH, _DERIVATIVES = 4096, 64
 # Values that are the same differ by less: shares of a value, of the largest of a batch, and of the
@@ -102,8 +102,9 @@ class Answers:
         self.fault: str | None = None
         # Whether a value was wrong, as where the function has changed; whether there were any.
         self.moved, self.used = False, False
-        self.sampled = False
-        self._open = True
+        # Of so many points one is judged.
+        self.every = 1
+        self._open, self._passed = True, 0
         self._places, self._noise = list(places), np.sqrt(variances)
         starts = np.cumsum([0, *tracer.widths])
         self._cuts = starts[1:-1]
@@ -112,8 +113,8 @@ class Answers:
         self._asked: list[list[float]] = []
         self._told: list[tuple[float, ...]] = []
         self._covs: list[Array | None] = []
-        # Of batches: shape, arguments, value, derivative, deviations; how many points they have.
-        self._batches: list[tuple[tuple[int, ...], list[Array], Array, Array, Array | None]] = []
+        # Of batches; how many points they have.
+        self._batches: list[_Points] = []
         self._count = 0
         self._chosen: list[_Points] = []
 
@@ -128,7 +129,8 @@ class Answers:
             value, slope = self.program.batch(arguments, ())
             return value, slope, bool(np.isfinite(value).all() and np.isfinite(slope).all())
         finite = math.isfinite(sum(told))
-        if finite and self._open:
+        self._passed += 1
+        if finite and self._open and self._passed % self.every == 0:
             self._asked.append(asked)
             self._told.append(told)
             self._covs.append(cov)
@@ -147,21 +149,16 @@ class Answers:
         """
         value, slope = self.program.batch(arguments, shape)
         if self._open and self.fault is None:
-            kept = [argument.copy() for argument in arguments]  # of scratch memory, maybe
-            self._batches.append((shape, kept, value.copy(), slope.copy(), std))
-            self._count += math.prod(shape)
+            points = self._flat(shape, arguments, value, slope, std)
+            self._batches.append(points)
+            self._count += len(points.arguments)
             if self._count >= _BATCH:
                 self._look_back()
         return value, slope
 
     def sample(self, points: Integers) -> Integers:
-        """The points at which the trace is judged: all, or some of very many.
-
-        Those suffice where the trace is new and shows all that the function does.
-        """
-        if not self.sampled or len(points) <= _SAMPLE:
-            return points
-        return points[np.linspace(0, len(points) - 1, _SAMPLE).astype(np.intp)]
+        """The points of a call at which the trace is judged: all, or some of very many."""
+        return points[self.every // 2 :: self.every]
 
     def judge(self, arguments: Sequence[Array], std: Array | None) -> None:
         """Judge the trace at points (k, width) of each argument, where machine code evaluated it.
@@ -193,7 +190,7 @@ class Answers:
 
     def _look_back(self) -> None:
         """Judge what has been kept since this was done last."""
-        parts = [self._flat(*batch) for batch in self._batches] if self.fault is None else []
+        parts = self._batches if self.fault is None else []
         if self._asked:
             told, height = np.array(self._told, dtype=float), len(self.program.value)
             slope = told[:, height:].reshape(len(told), height, -1)
@@ -207,22 +204,28 @@ class Answers:
     def _flat(
         self,
         shape: tuple[int, ...],
-        arguments: list[Array],
+        arguments: Sequence[Array],
         value: Array,
         slope: Array,
         std: Array | None,
     ) -> _Points:
-        """A batch as points, one after another."""
-        count, width = math.prod(shape), len(self._places)
-        spread = np.full((count, width), np.nan)
+        """Copies of a batch's points to be judged, one after another."""
+        # Of batch after batch other points, such as other runs of the steps of a filter.
+        count, width, first = math.prod(shape), len(self._places), -self._passed % self.every
+        self._passed += count
+        chosen = slice(first, None, self.every)
+        told = value.reshape(len(value), count)[:, chosen]
+        steep = slope.reshape(len(value), width, count)[..., chosen]
+        spread = np.full((told.shape[-1], width), np.nan)
         if std is not None:
             own = std[..., self._places]
             own = own.reshape(*own.shape[:-1], *(1,) * (len(shape) + 1 - own.ndim), width)
-            spread = np.broadcast_to(own, (*shape, width)).reshape(count, width)
+            spread = np.broadcast_to(own, (*shape, width)).reshape(count, width)[chosen]
+        flat = [each.reshape(count, each.shape[-1])[chosen] for each in arguments]
         return _Points(
-            np.concatenate([each.reshape(count, each.shape[-1]) for each in arguments], axis=-1),
-            components_last(value, 1).reshape(count, -1),
-            components_last(slope, 2).reshape(count, len(value), width),
+            np.concatenate(flat, axis=-1),
+            components_last(told, 1).copy(),
+            components_last(steep, 2).copy(),
             spread,
         )
 
@@ -368,7 +371,9 @@ class Judge:
         if not self.trusting or not tracer.confirm(centres, anew=large):
             return None
         found = Answers(tracer, columns, places, variances)
-        found.sampled = large and not found.trace.cast
+        # A sample suffices where a trace is new and shows all that its function does.
+        if large and not found.trace.cast:
+            found.every = math.ceil(count / _SAMPLE)
         self.answers.append(found)
         return found
 

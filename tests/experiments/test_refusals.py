@@ -134,7 +134,10 @@ def test_a_recording_that_cannot_be_read_keeps_the_cause(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"GT": np.zeros((3, 3))}, r"the table GT has shape \(3, 3\); numbers in 4 columns were due"),
+        (
+            {"GT": np.zeros((3, 3))},
+            r"GT has shape \(3, 3\); numbers in 4 columns were due",
+        ),
         ({"TD": np.array(["a", "b"])}, "the table TD is text; numbers in 4 columns were due"),
         (
             {"TD": np.full((2, 4), 7.0)},

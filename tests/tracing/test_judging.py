@@ -168,13 +168,24 @@ def test_wrong_slopes_are_told_with_their_point():
     assert "[-0.5]" in found.fault
 
 
-def test_a_large_batch_is_judged_at_a_sample_only_where_the_trace_shows_all():
-    for function, sampled in ((np.sin, True), (lambda x: np.asarray(x, dtype=float), False)):
-        move = pgm.NonlinearGaussianCPD(Y, S, function, cov=0.01)
-        judge = pgm.tracing.Judge()
-        found = judge.asked(move._tracer, [np.zeros(1)], ((0, 0),), (0,), (0.01,), 10**6)
-        assert found.sampled == sampled
-        assert (found.sample(np.arange(10**5)).size < 10**4) == sampled
+@pytest.mark.parametrize("sampled", [True, False])
+def test_a_large_batch_is_judged_at_a_sample_only_where_the_trace_shows_all(sampled):
+    rows = []
+
+    def function(x):
+        rows.append(x[..., 0].size)
+        return np.sin(x) if sampled else np.asarray(x, dtype=float)
+
+    tracer = Tracer(function, (1,), np.array([False]))
+    found = pgm.tracing.Judge().asked(tracer, [np.zeros(1)], ((0, 0),), (0,), (0.01,), 10**6)
+    assert (found.sample(np.arange(10**6)).size < 10**4) == sampled
+    rows.clear()
+    for _ in range(50):
+        found.batch([np.ones((20_000, 1))], (20_000,), np.ones((20_000, 1)))
+    found.close()
+    assert found.fault is None
+    assert (sum(rows) < 10**4) == sampled
+    assert (sum(rows) > 10**6) != sampled
 
 
 def test_finer_differences():
