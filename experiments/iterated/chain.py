@@ -61,6 +61,7 @@ def growing(case: Case, lineariser: pgm.Lineariser, iterations: int) -> Array:
                 landmark: case.evidence[landmark],
             },
             lineariser=lineariser,
+            steps=steps,
             iterations=iterations,
             tolerance=1e-3,
         )

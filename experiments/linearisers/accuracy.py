@@ -115,7 +115,8 @@ class Trial:
         """Simulate, and find the best posteriors."""
         simulations, truth, *_ = seeds(seed, 4)
         network, sample = simulate(setting, runs, simulations)
-        best = pgm.filter(network, sample.evidence, lineariser=very_many(truth_samples, truth))
+        rule = very_many(truth_samples, truth)
+        best = pgm.filter(network, sample.evidence, lineariser=rule, steps=1)
         return cls(setting, network, sample, best)
 
     def filter(self, lineariser: pgm.Lineariser, runs: int | None = None) -> Outcome:
@@ -124,7 +125,7 @@ class Trial:
         reading = self.setting.reading
         evidence = {**self.sample.evidence, reading: self.sample[reading][:runs]}
         start = perf_counter()
-        posterior = pgm.filter(self.network, evidence, lineariser=kept)
+        posterior = pgm.filter(self.network, evidence, lineariser=kept, steps=1)
         seconds = perf_counter() - start
         best = self.best[pose.at(1)]
         found = posterior[pose.at(1)]

@@ -52,6 +52,7 @@ class Rule:
                 case.model,
                 case.evidence,
                 lineariser=rule,
+                steps=1,
                 iterations=self.iterations,
                 tolerance=TOLERANCE,
             )
@@ -61,6 +62,7 @@ class Rule:
             case.evidence,
             lineariser=rule,
             lag=lag,
+            steps=1,
             iterations=self.iterations,
             tolerance=TOLERANCE,
         )
