@@ -96,7 +96,9 @@ def stages(call):
             [(T + 1, T + 1), (T, T), (6, 6)],
         ),
         (
-            lambda p: pgm.audit(pgm.smooth(MODEL, RUNS), samples=100, rng=0, progress=p),
+            lambda p: pgm.audit(
+                pgm.smooth(MODEL, {z: RUNS[z][:300]}), samples=100, rng=0, progress=p
+            ),
             None,
         ),
         (lambda p: pgm.infer(LOOP, {}, schedule=pgm.Flooding(), progress=p), None),

@@ -41,7 +41,7 @@ from experiments.record import Out, Record, Seed
 
 # The effective sample size that a simulation's truth must have, at 2¹⁴ points.
 ENOUGH, POINTS = 500, 14
-QUICK: dict[str, Any] = {"runs": 60, "log2_points": 12}
+QUICK: dict[str, Any] = {"runs": 30, "log2_points": 12}
 
 
 def run(

@@ -55,6 +55,7 @@ def require_learnt(name, way, iterations, noise, smoother):
     return result
 
 
+@pytest.mark.slow
 def test_plaza2_tells_its_calibration_and_noise():
     result = require_learnt("plaza2", "parameter", 8, noise=0.1, smoother=0.27)
     assert result["start"]["smoother"] > 2.0  # ranges as recorded
@@ -62,6 +63,7 @@ def test_plaza2_tells_its_calibration_and_noise():
     assert result["start"]["range"] > 3.0 * result["end"]["range"]
 
 
+@pytest.mark.slow
 def test_a_static_state_tells_its_deviations():
     result = require_learnt("plaza2", "state", 3, noise=0.1, smoother=0.27)
     for key, due in zip(("scale", "offset"), FITTED["plaza2"], strict=True):

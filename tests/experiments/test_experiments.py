@@ -32,10 +32,9 @@ BASELINES = {
 }
 
 
-@pytest.mark.parametrize("words", [(), ("list",)])
-def test_the_list_has_a_line_for_each(words):
+def test_the_list_has_a_line_for_each():
     found = subprocess.run(
-        [sys.executable, "-m", "experiments", *words],
+        [sys.executable, "-m", "experiments", "list"],
         cwd=ROOT,
         capture_output=True,
         text=True,

@@ -259,6 +259,7 @@ def by_grid(recorded):
     }
 
 
+@pytest.mark.slow
 def test_linearisers_part_as_textbook_implementations_do(by_particles):
     """Within what 10⁵ particles leave: a tenth."""
     for (name, label), due in BASELINES.items():
@@ -272,6 +273,7 @@ def assert_alike(grid, particles, within):
             assert row.kl == pytest.approx(each["mean"], rel=within), (name, label)
 
 
+@pytest.mark.slow
 def test_the_grid_tells_what_particles_tell(by_grid, by_particles):
     """Particles are 10⁵ here, and leave some of the tenth that is allowed; 10⁶ below."""
     assert_alike(by_grid, by_particles, 0.1)

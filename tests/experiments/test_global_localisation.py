@@ -136,6 +136,7 @@ def test_a_carried_robot_is_elsewhere_and_its_odometer_does_not_tell(world):
 
 
 @needs_house
+@pytest.mark.slow
 def test_particles_and_the_grid_say_the_same_where_one_place_is_left(world):
     drives = world.drives(2, 12, np.random.default_rng(4))
     network = world.network(ways.field(world))

@@ -221,6 +221,7 @@ def test_what_cannot_be_run_is_refused(tmp_path, driven):
         localise.gridded(driven, 67, 0.5, 1000, 0)
 
 
+@pytest.mark.slow
 def test_the_recording_s_poses_are_an_optimum():
     """Least squares over its edges hardly moves them, while odometry alone leads far astray."""
     if log.find() is None:

@@ -40,7 +40,7 @@ OLD = {rule for rule, *_ in DUE}
 AGAIN = ["IteratedSmoother", "IteratedLag", "TaylorSmoother"]
 RULES = OLD | {*AGAIN}
 ORDER = [*reference.KL, *AGAIN]
-RUNS = 60
+RUNS = 30
 LANDMARKS = {
     "far": [(3.0, 2.0)],
     "near": [(1.6, 0.9)],
@@ -357,8 +357,8 @@ def test_the_audit_knows_wrong_beliefs_from_right_ones(done):
     wrong, caught, right, alarms = (
         sum(found[key] for found in each) for key in ("wrong", "caught", "right", "alarms")
     )
-    assert wrong > 200
-    assert right > 1000
+    assert wrong > 100
+    assert right > 500
     assert caught >= 0.95 * wrong
     assert alarms <= 0.02 * right
     for found in done[1]["audits"]["collinear"].values():

@@ -120,6 +120,7 @@ print(loaded(), loaded())
     assert told.splitlines() == ["False []", "False True"]
 
 
+@pytest.mark.slow
 def test_processes_that_write_at_once(run):
     """Two processes write over each other's file; each finds its own kernel whole, or none."""
     each = [

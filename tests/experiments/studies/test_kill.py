@@ -77,6 +77,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_a_study_that_is_killed_goes_on_where_it_was(tmp_path, client, monkeypatch):
     script, folder = tmp_path / "script.py", tmp_path / "study"
     script.write_text(CODE)

@@ -27,7 +27,7 @@ from pgm.inference.gaussian.model import Model
 
 KINDS = (pgm.Flooding, pgm.Sequential, pgm.Residual)
 kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-dampings = pytest.mark.parametrize("damping", [0.0, 0.3, 0.7])
+dampings = pytest.mark.parametrize("damping", [0.0, 0.7])
 TOLERANCE = 1e-10
 
 
@@ -326,7 +326,7 @@ def bent_case(seed):
 def test_relinearised_means_are_a_map(kind, damping):
     """At them the cost is level, and a junction tree iterated from there stays."""
     converged = 0
-    for seed in range(5):
+    for seed in range(3):
         net, graph, evidence = bent_case(seed)
         found = pgm.infer(graph, evidence, schedule=kind(damping=damping, iterations=300))
         assert bool(found.status.converged) == (found.status.residuals[-1] <= TOLERANCE)
@@ -405,7 +405,7 @@ def exact_case(seed, least=4, most=7):
 @kinds
 def test_exact_relations_in_loops_are_right_or_honest(kind):
     converged = 0
-    for seed in range(12):
+    for seed in range(8):
         net, graph, joint, evidence = exact_case(seed)
         posterior, _ = joint.given(evidence)
         schedule = kind(iterations=MOST[kind], damping=[0.0, 0.3][seed % 3 % 2])

@@ -231,7 +231,6 @@ GRAPHS = {
     "chain hub": _drawn(_chain(3, lambda: hub(12))),
     "chain ten robots": _drawn(_chain(3, lambda: robots(10))),
     "balanced 8": _drawn(_balanced(8), messages=True),
-    "balanced 60": _drawn(_balanced(60)),
     "junction tree 12": _drawn(_tree(random_parents(12)), messages=True),
     "junction tree 40": _drawn(_tree(random_parents(40)), sizes=True, colour="size"),
     "discrete": _drawn(lambda: pgm.compile(discrete()), sizes=True, colour="size"),
@@ -240,12 +239,13 @@ GRAPHS = {
     "bethe 4": _drawn(lambda: _bethe(square(2)), messages=True),
     "bethe 40": _drawn(lambda: _bethe(random_parents(40)), messages=True),
     "ltrip 25": _drawn(lambda: pgm.compile(static(square(5)), method=pgm.LTRIP())),
-    "bethe 80": _drawn(lambda: _bethe(random_parents(80))),
     "residuals": lambda: _flooded(5),
     "residuals of rounding": lambda: _flooded(300),
     "star": _drawn(lambda: _bethe([[], *([0] for _ in range(30))])),
 }
 LARGE = {
+    "bethe 80": _drawn(lambda: _bethe(random_parents(80))),
+    "balanced 60": _drawn(_balanced(60)),
     "static random 200": lambda: pgm.plot.network(static(random_parents(200))),
     "dynamic ten robots": lambda: pgm.plot.network(robots(10), steps=1),
     "dynamic ten robots cpds": lambda: pgm.plot.network(robots(10), cpds=True),
