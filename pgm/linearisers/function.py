@@ -241,11 +241,12 @@ class BoundFunction(NamedTuple):
         return value, slope
 
     def _followed(self, program: Program, x: Array, std: Array | None) -> bool:
-        """Whether a trace that makes floats has the values of its function beside x, too.
+        """Whether a trace has the values of its function beside x, too, where this is in doubt.
 
-        It may be of another branch than the function, which slopes show where values are alike.
+        It may be of another branch than the function, which slopes show where values are alike: as
+        at zero. A trace that makes floats is the likelier to be.
         """
-        if not program.cast:
+        if not program.cast and x.all():
             return True
         x = beside(x, np.full(x.shape, 1e-2) if std is None else std)
         arguments, shape = self._arguments(x)
