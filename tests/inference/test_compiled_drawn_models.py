@@ -119,11 +119,20 @@ class Drawn:
         return pgm.NonlinearGaussianCPD(z, given, see, cov=noise)
 
     def readings(self):
-        """Readings drawn from the model, some of them, or components of them, missing."""
-        drawn = self.network.sample(self.evidence, steps=self.steps, rng=self.rng)
+        """Readings drawn from the model, some of them, or components of them, missing.
+
+        Where a drawn motion grows beyond float64, they are of nothing.
+        """
+        try:
+            drawn = self.network.sample(self.evidence, steps=self.steps, rng=self.rng)
+        except pgm.LinearisationError:
+            drawn = None
         found = {}
         for sensor in self.sensors:
-            values = np.array(drawn[sensor.child], dtype=float)[..., -self.steps :, :]
+            if drawn is None:
+                values = self.rng.normal(size=(self.steps, sensor.child.dimension))
+            else:
+                values = np.array(drawn[sensor.child], dtype=float)[..., -self.steps :, :]
             values[self.rng.random(values.shape[:-1]) < 0.3] = np.nan
             values[self.rng.random(values.shape) < 0.1] = np.nan
             found[sensor.child] = values
