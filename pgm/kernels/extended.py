@@ -153,7 +153,7 @@ def solve_unit(unit: Twofold, right: Twofold) -> Twofold:
 def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
     """A solution X of U D Uᵀ X = B, (..., n, m), for a B in its range.
 
-    What X sums up keeps the digits that an inverse, whose entries are larger, would lose.
+    Sums over X keep the digits that an inverse, whose entries are larger, would lose.
     """
     solution = _divided(solve_unit(unit, right), pivots)
     upper = unit.mT

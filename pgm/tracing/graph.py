@@ -16,7 +16,7 @@ Operation = tuple[Any, ...]
 class Graph:
     """Scalar operations as nodes, each on earlier nodes.
 
-    What simplifies does so exactly: no value of float64 changes by it, and no NaN is hidden.
+    Operations are simplified exactly: no value of float64 changes by it, and no NaN is hidden.
     """
 
     def __init__(self) -> None:

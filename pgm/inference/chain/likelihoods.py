@@ -39,8 +39,8 @@ from pgm.kernels.segment_maps import Moments
 class Readings:
     """The plan's linearised measurements as likelihoods of x − reference, (T+1, runs, n).
 
-    Those with a regular noise make the `likelihood`; `stacks` are of singular noise, or with cross
-    terms.
+    Measurements with a regular noise make the `likelihood`; `stacks` are of singular noise, or with
+    cross terms.
     """
 
     reference: Array

@@ -28,7 +28,7 @@ Decided = tuple[Variable, GateRecord, Integers]
 class Watch(NamedTuple):
     """The test whether a belief is lost, after the step before, and what its step has read.
 
-    What is of sightings with candidates is apart, since a window reads all of its step again.
+    Sightings with candidates are counted apart, since a window reads all of its step again.
     """
 
     before: PageTest

@@ -184,7 +184,7 @@ def _gaussians(
 
 @dataclass(frozen=True)
 class Share:
-    """What of a posterior a worker sends back: `kept` marginals, all beliefs, or everything."""
+    """The part of a posterior that a worker sends back: `kept` marginals, all beliefs, or all."""
 
     kept: Scope | None
     beliefs: bool
