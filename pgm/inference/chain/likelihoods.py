@@ -173,7 +173,7 @@ class Whitened:
         )
 
     def likelihood(self) -> Likelihood:
-        """The likelihood of each step's measurements over the sensor's parents, (T+1, runs, ...)."""
+        """The likelihood of each step's measurements over the parents, (T+1, runs, ...)."""
 
         def said(rows: slice, counts: Integers) -> tuple[Array, Array]:
             """HᵀR⁻¹H and HᵀR⁻¹ν of each step, summed over its measurements: (steps, runs, ...).

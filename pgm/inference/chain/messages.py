@@ -47,7 +47,7 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
 
 
 def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonical:
-    """The messages about the filtered means, (T+1, runs, ...), step by step from the last one on."""
+    """The messages about the filtered means, (T+1, runs, ...), step by step from the last one."""
     messages = [message]
     conditionals = transition(plan)
     for later in range(plan.steps, 0, -1):
