@@ -147,7 +147,7 @@ class UpdateProblem(ABC, Generic[U]):
         return self.raised(found, surplus)
 
     def settled(self) -> Mask | bool:
-        """Whether robust weights moved by at most `TOLERANCE` in the last solution, (runs,).
+        """Whether robust weights moved by at most 10⁻⁶ at the end of the last solution, (runs,).
 
         True where no noise is robust.
         """
@@ -220,7 +220,7 @@ class UpdateProblem(ABC, Generic[U]):
         return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
-        """Mean (n, [runs]) and covariance (n, n, [runs]) at a point, in this belief's axes."""
+        """A point's mean (n, *batch) and covariance (n, n, *batch), in the axes of a sweep."""
         if self.mean.ndim == 1:
             return at.mean[0, 0], at.cov[0, 0]
         return components_first(at.mean[0], 1), components_first(at.cov[0], 2)
@@ -235,12 +235,12 @@ class MomentUpdate(UpdateProblem[Updated]):
         return Updated(known if anchor is None else known.held(anchor, 0), density)
 
     def raised(self, found: Updated, surplus: Array | float) -> Updated:
-        """The same belief, with `surplus` added to the log-density of its measurements."""
+        """The same belief, with `surplus` (*batch) added to the measurements' log-density."""
         return replace(found, log_density=found.log_density + surplus)
 
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """A sweep's array of `own` axes of components, (..., *batch), as a point's (1, runs, ...)."""
+    """A sweep's array (..., *batch), with `own` axes of components, as a point's (1, runs, ...)."""
     if array.ndim == own:
         return array[None, None]
     return components_last(array, own)[None]

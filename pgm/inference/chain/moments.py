@@ -85,7 +85,7 @@ class MomentChain:
         return Moments(whole, spread)
 
     def predict(self, step: int, belief: Moments) -> Moments:
-        """Predicted moments of a step's slice: m ← F m + b, P ← F P Fᵀ + Q."""
+        """Moments of a step's slice, from those of the one before: m ← F m + b, P ← F P Fᵀ + Q."""
         return self.predicted(self.motion(step), self.plan.first + step, belief)
 
     def take(self, step: int, belief: Moments) -> tuple[Moments, Array | float]:
@@ -166,7 +166,11 @@ class MomentChain:
     def _reweighed(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
-        """The update with robust sightings, reweighted at each linearisation."""
+        """The belief given sightings of which some are robust, and their log-density (*batch).
+
+        At each linearisation they are weighed until the weights settle. Linearisations are as many
+        as the schedule says, or one with `check`, which refuses what is not finite first.
+        """
         if self.check:
             for part in parts:
                 part.linearise(mean, cov)

@@ -1,13 +1,13 @@
 """The forward pass over a chain as a scan: 2 log₂ T rounds, every round one batched call.
 
 Each step is an *element*: the Gaussian of its slice given the slice before, with the likelihood of
-the measurements between (`kernels.elements`). Elements compose to those of segments, and filtered
-beliefs are the prefixes of all. Slices are counted from a *reference*, a trajectory (T+1, runs, n)
-near the beliefs, for T steps and n components, so that large coordinates cost no digits. An
-*anchor* is a further measurement of all components at each step, by which a step control holds the
-solution near a point. *Stacks* are the measurements of singular or correlated noise (`vector`).
-The scan gives way to the pass step by step, of `forward`, where composing segments would lose
-digits.
+the measurements at the slice before (`kernels.elements`). Elements compose to those of segments;
+the belief at step 0, pushed through the segment up to step t, is the prediction at t. Slices are
+counted from a *reference*, a trajectory (T+1, runs, n) near the beliefs, for T steps and slices of
+n components, so that large coordinates cost no digits. An *anchor* is a further measurement of all
+components at each step, by which a step control holds the solution near a point. *Stacks* are the
+measurements of singular or correlated noise (`vector`). Where composing segments would lose digits
+the pass is made step by step, by `forward`.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def _move(plan: ChainPlan, mean: Array) -> bool:
 
 
 class _First(NamedTuple):
-    """The beliefs at step 0 before and after its measurements, and their log-density (*batch)."""
+    """The beliefs at step 0 before and after its measurements, and ln p of these, (*batch)."""
 
     predicted: Belief
     known: Belief
@@ -230,10 +230,10 @@ def _read(predicted: Moments, readings: Readings) -> Moments:
 
 
 def _agree(found: Moments, due: Moments) -> bool:
-    """Whether means and standard deviations agree with those due to 10⁻⁷ standard deviations.
+    """Whether means and standard deviations are within 10⁻⁷ standard deviations of those `due`.
 
     A mean without a variance is compared with its own size, a standard deviation that is due to be
-    zero with the component's largest.
+    zero with the largest of its component.
     """
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)

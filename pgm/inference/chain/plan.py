@@ -60,8 +60,8 @@ class ChainPlan:
 
     `steps` is T; `runs` are flattened from the user's axes `lead`. `first` is the number of the
     first step, not zero online and of a window; `begin` the belief there given its measurements,
-    (n, *batch) and (n, n, *batch), where it takes the prior's place. `account` is of all sweeps of
-    this plan and of those cut from it.
+    (n, *batch) and (n, n, *batch), where it takes the prior's place. `account` tells which sweeps
+    of this plan, and of those cut from it, machine code made, and why not the others.
     """
 
     layout: SliceLayout
@@ -76,7 +76,7 @@ class ChainPlan:
 
     @cached_property
     def linear(self) -> bool:
-        """Whether every sensor with measurements is linear."""
+        """Whether every sensor with measurements is affine."""
         return all(s.family.exact for s in self.sensors if s.family.step.size)
 
     @cached_property

@@ -26,7 +26,7 @@ _MAGNIFIED = 1e3
 
 
 def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
-    """Refuse measurements whose predictive covariance is indefinite or not finite."""
+    """Raise the NumericalError for an indefinite or infinite covariance of some measurements."""
     names = ", ".join(seen.sensor.variable.name for seen in parts)
     blamed = [seen.sensor for seen in parts if not seen.sensor.family.taylor]
     sensor = blamed[0] if blamed else parts[0].sensor

@@ -133,7 +133,7 @@ def _swept(
 
 
 def _some(part: Array, rows: slice, runs: Integers) -> Array:
-    """Some steps and runs of a conditional's part, which may be one for all of either."""
+    """Some steps and runs of an array (steps or 1, runs or 1, ...), one standing for all."""
     part = part[rows] if len(part) > 1 else part
     return part[:, runs] if part.shape[1] > 1 else part
 

@@ -21,8 +21,8 @@ from pgm.kernels.prefixes import gather
 def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:
     """Weigh all robust sightings at a point, the beliefs at which the plan was linearised.
 
-    Their noise in the plan becomes R / w and the linearisation's error. Runs that are not `active`
-    (runs,) keep theirs; None means all.
+    Their noise in the plan becomes R / w, plus the covariance of the linearisation's error. Runs
+    that are not `active` (runs,) keep theirs; None means all.
     """
     for sensor in plan.robust:
         family = sensor.family

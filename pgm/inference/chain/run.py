@@ -190,7 +190,7 @@ class LagSolver(Solver):
 
 
 class SmootherSolver(Solver):
-    """Messages forward and back."""
+    """Smoothing: messages forward and back, iterated."""
 
     starts = True
 
@@ -375,7 +375,7 @@ def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
 def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Array:
     """The user's starting means as an array (T+1, runs, n).
 
-    Each hidden variable needs one row a step.
+    EvidenceError unless each hidden variable has one row for each step at which it stands.
     """
     require_hidden(start, layout.slice)
     mean = np.zeros((bound.steps + 1, bound.runs, layout.slice_size))

@@ -166,7 +166,7 @@ class Sensor:
         return bool(roots.determined(roots.root(self.family.own_noise)).any())
 
     def rows(self, step: int) -> slice:
-        """The measurements of a step."""
+        """The rows of a step's sightings."""
         return slice(self.bounds[step], self.bounds[step + 1])
 
     @cached_property
@@ -325,7 +325,7 @@ class Sensor:
         )
 
     def noise(self, rows: slice | Integers) -> Array:
-        """The noise covariance of some rows; missing components have unit variance."""
+        """The noise covariances (k, runs, d, d) of rows; missing components have unit variance."""
         noise, taken = self.family.noise[rows], self._taken(rows)
         return noise if taken is None else independent(noise, taken)
 

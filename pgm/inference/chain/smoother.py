@@ -201,10 +201,10 @@ def _iterated(
 
 
 def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
-    """Whether normal equations for the means do for all iterations.
+    """Whether all iterations may solve normal equations for the means alone.
 
-    Points are means alone then: no lineariser, and no robust noise, may need covariances. Of one
-    iteration, and under Levenberg–Marquardt, they do not.
+    Points are means alone then: no lineariser, and no robust noise, may need covariances. False of
+    a single iteration, and under Levenberg–Marquardt.
     """
     several = schedule.iterations > 1 and not isinstance(schedule.damping, LevenbergMarquardt)
     if any(sensor.family.expects for sensor in plan.robust):
@@ -374,11 +374,11 @@ class _Means:
     chain: Chain[Smoothed]
 
     def linearise(self, at: Point, active: Mask | None) -> None:
-        """As of `Chain`."""
+        """Linearise every CPD at a point, in the active runs; see `Chain.linearise`."""
         self.chain.linearise(at, active)
 
     def settled(self) -> Mask | bool:
-        """Whether graduated losses have reached those of the model; as of `Chain`."""
+        """Whether graduated robust losses have reached the losses of the model, (runs,)."""
         return self.chain.settled()
 
     def solve(self, anchor: Anchor | None = None) -> Means:
@@ -396,11 +396,11 @@ class _Means:
         return Means(solution.means, solution.point.std**2, Readings.of(plan, at), pair)
 
     def cost(self, at: Point) -> Array:
-        """As of `Chain`."""
+        """The cost of a trajectory of means, (runs,); see `Chain.cost`."""
         return self.chain.cost(at)
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """As of `Chain`."""
+        """Means projected onto the solutions of the exact CPDs; see `Chain.feasible`."""
         return self.chain.feasible(mean, found)
 
 
@@ -453,7 +453,7 @@ def _start(plan: ChainPlan, start: Array) -> Point:
 
 
 def dead_reckoning(plan: ChainPlan) -> Point:
-    """The means that the transition's functions make of the prior's, one step after another."""
+    """The prior's means carried on by the transition's functions, as a point of zero covariance."""
     layout = plan.layout
     front, states = layout.state_size, layout.state_places
     mean = np.zeros((plan.steps + 1, plan.runs, layout.slice_size))

@@ -94,7 +94,7 @@ class Vector(NamedTuple):
 
 
 def vector(parts: Sequence[Measured], mean: Array) -> Vector:
-    """Sightings as one vector, at a belief over the slice of mean (n, *batch)."""
+    """Sightings of some sensors as one `Vector`, of residuals at a slice's mean (n, *batch)."""
     if len(parts) == 1:
         only, sensor = _masked(parts[0], mean), parts[0].sensor
         if sensor.whole:

@@ -111,7 +111,7 @@ class Weights:
     def _weights(self, square: Array) -> tuple[Array, Array]:
         """The weights (k, runs) at squares s, and the stage (runs,) of the loss that they are of.
 
-        Truncated least squares takes the first stage, or the one after the last; its stage is
+        Truncated least squares takes its first stage, or the one after the present; its stage is
         infinite where the weights are those of the loss asked for. Other noise stays at its stage.
         """
         noise = self.noise
