@@ -89,7 +89,8 @@ def _passed(message: _Message, segment: Element) -> _Message:
 def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
     """The elements p(x[t], z[t] | x[t − 1]) of steps 1..T about the filtered means, (T, runs, ...).
 
-    x are the states and z a step's measurements; they are those of `absorbed`, in batched calls.
+    x are the states and z a step's measurements. The factors p(x[t] | x[t − 1], z[t]) and
+    p(z[t] | x[t − 1]) are those of `absorbed`, here in batched calls.
     """
     layout = plan.layout
     select = np.eye(layout.slice_size)[layout.state_places]

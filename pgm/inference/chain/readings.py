@@ -198,9 +198,9 @@ class Reading:
     ) -> Measured:
         """Linearise at a belief over the slice, (n, *batch) and (n, n, *batch).
 
-        Runs that are not `active` (runs,) keep their linearisation. Measured angles are moved to
-        the branch nearest the value. Without a copy H and the value may be arrays that the user's
-        function uses again.
+        The result is `seen`, too. Runs that are not `active` (runs,) keep their linearisation.
+        Measured angles are moved to the branch nearest the value. Without a copy H and the value
+        may be arrays that the user's function uses again.
         """
         sensor, at = self.sensor, self.at
         if not sensor.whole:

@@ -87,8 +87,8 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
 def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
     """Raise NumericalError if a covariance (d, d, *batch) predicted by a CPD is indefinite.
 
-    Only an approximation error that may be indefinite is looked for. With `finite` a covariance
-    that is not finite is refused, too.
+    Whether it is indefinite is looked at only where the covariance of the linearisation's error may
+    be. With `finite` a covariance that is not finite is refused, too.
     """
     family, whole = link.family, bool(np.isfinite(cov).all())
     proper = family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2)))

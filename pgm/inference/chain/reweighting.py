@@ -83,7 +83,7 @@ _HARDLY = 0.1
 
 
 class Weights(EachSensor[Array]):
-    """The weights of each sensor that was read, (*runs, M): 1 of Gaussian noise, NaN of nothing."""
+    """The weights (*runs, M) of each sensor: 1 for Gaussian noise, NaN where nothing was read."""
 
     _what = "weights"
 

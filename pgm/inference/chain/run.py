@@ -71,7 +71,7 @@ class Solver(ABC):
         """The posterior computed in float64.
 
         `start` (T+1, runs, n) are means of the slices for the first linearisation, or None; `room`
-        is arrays in which a filter may leave its moments.
+        are arrays in which a filter may leave its moments.
         """
 
     @abstractmethod
@@ -326,8 +326,8 @@ def _told(posterior: ChainPosterior) -> ChainPosterior:
 def _refuse_infinite(posterior: ChainPosterior) -> None:
     """NumericalError where moments or log-densities are not finite, or a variance is negative.
 
-    Infinite variances of a flat prior may be; variances are looked at where twice the digits, or
-    windows, have found them.
+    A flat prior's infinite variances are allowed. Negative ones are looked for where twice the
+    digits, or windows, have been used.
     """
     swept, smoothed = posterior._swept, posterior._smoothed
     if isinstance(swept, Filtered):  # whose numbers have been looked at

@@ -299,7 +299,7 @@ class Sensor:
     def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:
         """Move the measured angles of some rows to the branch nearest to `predicted`.
 
-        That are the CPD's values (rows, runs, d) at the point of linearisation. Runs that are not
+        These are the CPD's values (rows, runs, d) at the point of linearisation. Runs that are not
         `active` (runs,) keep their branches; None means all.
         """
         if not self.variable.angles:
