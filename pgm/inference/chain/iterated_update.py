@@ -1,4 +1,13 @@
-"""A step's measurement update as an iterated problem: linearised at any point, and solved."""
+"""A step's measurement update as an iterated problem: linearised at any point, and solved.
+
+The predicted belief N(m, P) of a slice, of n components, is conditioned on the sightings of its
+step, z = h(x) + noise. `iterate` linearises them at a point (a `Point`: moments (1, runs, n)),
+solves the linear problem, and goes on at the solution. In a sweep arrays have their components
+first and the runs last, (n, *batch), `batch` being () for one run.
+
+A robust sighting counts as a Gaussian of covariance R / w, w being its weight. Its *surplus* is the
+robust log-density less that of this Gaussian.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +37,10 @@ _REWEIGHINGS = 200
 
 @dataclass(frozen=True, eq=False)
 class Updated:
-    """The updated belief, in a sweep's axes, and ln p of its measurements, (*batch)."""
+    """The belief given a step's measurements: moments (n, *batch), (n, n, *batch) in `known`.
+
+    `log_density` (*batch) is that of the measurements under the predicted belief, in nats.
+    """
 
     known: Moments
     log_density: Array | float
@@ -49,7 +61,12 @@ U = TypeVar("U", bound=Solution)
 
 @dataclass(frozen=True, eq=False)
 class IteratedUpdate(Generic[U]):
-    """The belief at a step given its measurements; as `Iterated`, with means (runs, n)."""
+    """The belief at a step after its last linearisation, and how the iteration went.
+
+    `mean` (runs, n) is that of `solution`, or the one that a step control kept. `residuals` has for
+    each relinearisation the largest distance of a mean from where it was linearised, in standard
+    deviations, (runs,). `converged` (runs,) marks runs that settled, or had nothing to iterate.
+    """
 
     solution: U
     mean: Array
@@ -58,11 +75,15 @@ class IteratedUpdate(Generic[U]):
 
 
 class UpdateProblem(ABC, Generic[U]):
-    """The measurements of a step, linearised anywhere and taken into the predicted N(mean, cov)."""
+    """The update of a predicted belief with the measurements of its step, for `iterate`.
+
+    `parts` are the sightings of each sensor, `step` is the step's number for errors; `mean`
+    (n, *batch) and `cov` (n, n, *batch) are the predicted moments.
+    """
 
     def __init__(self, parts: Sequence[Reading], step: int, mean: Array, cov: Array) -> None:
         self.parts, self.step, self.mean, self.cov = parts, step, mean, cov
-        # Whether weights of robust noise have settled, (runs,).
+        # Whether the weights of robust noise have settled, (runs,).
         self._weighed: Mask | bool = True
 
     @property
@@ -76,25 +97,30 @@ class UpdateProblem(ABC, Generic[U]):
         return [part.seen for part in self.parts]
 
     def keep(self) -> None:
-        """Keep how they were linearised, in the plan."""
+        """Store the present linearisations, weights and branches of angles in the plan."""
         for part in self.parts:
             part.keep()
 
     def linearise(self, at: Point, active: Mask | None) -> None:
-        """Linearise each sensor, for the runs that are active."""
+        """Linearise each sensor at a point, in the `active` runs (runs,); None means all."""
         mean, cov = self._moments(at)
         some = None if active is None or active.all() else active
         for part in self.parts:
             self.move(part, mean, cov, some)
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
-        """Linearise a sensor's measurements."""
+        """Linearise one sensor at moments (n, *batch), (n, n, *batch) of the slice.
+
+        It is a hook for subclasses whose covariances may be infinite.
+        """
         part.linearise(mean, cov, active)
 
     def solve(self, anchor: Anchor | None = None) -> U:
-        """The belief given the measurements.
+        """The belief given the measurements as linearised, and the anchor's if there is one.
 
-        Robust ones are reweighted until the weights settle.
+        Robust sightings are weighed anew at each belief found, until no weight moves by more than
+        10⁻¹⁰, or 200 times. The log-density then includes their surplus. With an anchor, in a try
+        of a step control, the weights are put back to what they were.
         """
         found = self._solved(anchor)
         if not any(part.sensor.robust for part in self.parts):
@@ -112,7 +138,7 @@ class UpdateProblem(ABC, Generic[U]):
             active = left > SETTLED
             if not active.any():
                 break
-        # As of means: by so little a weight still moves at its fixed point.
+        # The schedules' default tolerance: by so much a weight may still move at its fixed point.
         self._weighed = left <= TOLERANCE
         surplus = sum((part.surplus for part in self.parts), 0.0)
         if anchor is not None:  # a try of a step control, which leaves no trace
@@ -121,11 +147,18 @@ class UpdateProblem(ABC, Generic[U]):
         return self.raised(found, surplus)
 
     def settled(self) -> Mask | bool:
-        """Whether the weights of robust noise have settled."""
+        """Whether robust weights moved by at most 10⁻⁶ at the end of the last solution, (runs,).
+
+        True where no noise is robust.
+        """
         return self._weighed
 
     def _solved(self, anchor: Anchor | None) -> U:
-        """The update about an anchor. If it fails, a reading that is not finite is named first."""
+        """The belief by `taken_in`.
+
+        Where that raises NumericalError, a linearisation with NaN or infinity is refused instead,
+        by the name of its CPD.
+        """
         try:
             return self.taken_in(anchor)
         except NumericalError:
@@ -135,14 +168,24 @@ class UpdateProblem(ABC, Generic[U]):
 
     @abstractmethod
     def taken_in(self, anchor: Anchor | None) -> U:
-        """The belief given the measurements, which may be refused."""
+        """The belief given the measurements as linearised, and the anchor's; weights stay.
+
+        Raises NumericalError if the predictive covariance is indefinite or not finite, or if a
+        measurement contradicts an exact model.
+        """
 
     @abstractmethod
     def raised(self, found: U, surplus: Array | float) -> U:
-        """The same belief, with `surplus` added to the log-density of its measurements."""
+        """The same belief, with `surplus` (*batch) added to the measurements' log-density."""
 
     def cost(self, at: Point) -> Array:
-        """The cost of means, (runs,)."""
+        """The cost of a point's means x: −2 ln p(x, measurements) less its constants, (runs,).
+
+        It sums (x − m)ᵀ P⁺ (x − m), for the predicted N(m, P), and rᵀ R⁺ r over the sensors, with
+        r = z − E[h(X)], angles wrapped, X ~ N(x, the point's covariance), and the noise R as it was
+        linearised; of robust sightings twice their losses, 2 ρ. Missing components do not count.
+        The cost is NaN where h is not defined.
+        """
         mean, cov = self._moments(at)
         spread = _as_point(self.cov, 2)[0]
         white = solving.whiten(roots.root(spread), at.mean[0] - _as_point(self.mean, 1)[0])
@@ -167,40 +210,51 @@ class UpdateProblem(ABC, Generic[U]):
         return total
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """The predicted means, given the exact measurements alone."""
+        """Means (1, runs, n) conditioned on the exact measurements alone: their cost is finite.
+
+        Exact measurements are those of singular noise; the covariance is the predicted one. The
+        moments of `found` are not read.
+        """
         exact = [seen for seen in self.measured if seen.sensor.exact]
         first = self._moments(found._replace(mean=mean))[0]
         return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
-        """Mean (n, [runs]) and covariance (n, n, [runs]) at a point, in this belief's axes."""
+        """A point's mean (n, *batch) and covariance (n, n, *batch), in the axes of a sweep."""
         if self.mean.ndim == 1:
             return at.mean[0, 0], at.cov[0, 0]
         return components_first(at.mean[0], 1), components_first(at.cov[0], 2)
 
 
 class MomentUpdate(UpdateProblem[Updated]):
-    """Measurements taken in as one vector, in float64."""
+    """An update in moment form and float64: the measurements of a step are one vector."""
 
     def taken_in(self, anchor: Anchor | None) -> Updated:
-        """The belief given the measurements."""
+        """The belief given the measurements as linearised, and the anchor's."""
         known, density = readings.update(self.measured, self.step, Moments(self.mean, self.cov))
         return Updated(known if anchor is None else known.held(anchor, 0), density)
 
     def raised(self, found: Updated, surplus: Array | float) -> Updated:
-        """The same belief, with `surplus` added to the log-density of its measurements."""
+        """The same belief, with `surplus` (*batch) added to the measurements' log-density."""
         return replace(found, log_density=found.log_density + surplus)
 
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array with axes (1, runs, ...), as a point of linearisation has them."""
+    """A sweep's array (..., *batch), with `own` axes of components, as a point's (1, runs, ...)."""
     if array.ndim == own:
         return array[None, None]
     return components_last(array, own)[None]
 
 
 def iterated(reading: UpdateProblem[U], schedule: Filtering) -> IteratedUpdate[U]:
-    """Take the measurements of a step, linearised as often as is due, into the predicted belief."""
+    """The predicted belief given the measurements of its step, relinearised until it settles.
+
+    The first linearisation is at the prediction, each further one at the solution before, or where
+    the schedule's damping puts the next point; all start from the predicted belief, so that no
+    measurement counts twice. A run ends when no mean is more than `schedule.tolerance` standard
+    deviations from where it was linearised and its robust weights have settled; all end after
+    `schedule.iterations` linearisations. Where all sensors are affine the first is the last.
+    """
     predicted = reading.predicted
     reading.linearise(predicted, None)
     once = reading.solve()

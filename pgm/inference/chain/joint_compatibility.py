@@ -7,6 +7,9 @@ taken, and of several the likeliest, by Σ ln w + ln N(ν; 0, S). Each pairing i
 belief before the next sighting, so that squares and densities add up; a branch is left that cannot
 have as many pairings as the best so far, or not so likely ones, or whose square is beyond any gate
 ahead (Neira & Tardós, 2001).
+
+P is the predicted covariance of the slice, of n components; w is the prior share of a candidate; d
+are the components of a sighting. The gate is the probability of the χ² quantile.
 """
 
 from __future__ import annotations
@@ -26,9 +29,10 @@ NOTHING = -1
 class Pairs(NamedTuple):
     """The pairs of sightings of a step with candidates, (k, runs, candidates), as linearised.
 
-    `matrix`, `residual`, `noise` are H (..., d, n) over the slice, ν and R; a missing component has
-    unit variance and says nothing. `size` (k, runs) are the components measured; `compatible` pairs
-    are within the gate by themselves.
+    `matrix`, `residual`, `noise` are H (..., d, n) over the slice, ν (..., d) and R (..., d, d); a
+    missing component has unit variance in R and zeros in H and ν. `size` (k, runs) counts the
+    components measured; `compatible` marks pairs that are within the gate by themselves;
+    `log_weight` (candidates,) is ln w.
     """
 
     matrix: Array
@@ -40,13 +44,14 @@ class Pairs(NamedTuple):
 
 
 class TooManyError(Exception):
-    """A search that looked at as many hypotheses as it may."""
+    """Raised when a run's search has looked at `NODES` hypotheses; the argument is the run."""
 
 
 def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
-    """The candidate of each sighting, (k, runs), or `NOTHING`; P is (runs, n, n).
+    """The number of each sighting's candidate in the best hypothesis, (k, runs), or `NOTHING`.
 
-    TooManyError with the number of a run that has more hypotheses than may be looked at.
+    `cov` is P (runs, n, n), `gate` a probability. Raises TooManyError for a run with more than
+    `NODES` hypotheses to look at.
     """
     every = int(pairs.size.sum(axis=0).max(initial=0))
     limits = np.concatenate([[0.0], mahalanobis.square_within(gate, np.arange(1, every + 1))])
@@ -62,7 +67,11 @@ def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
 
 
 def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Integers) -> Mask:
-    """Whether `chosen` hypotheses, (sightings, all runs), of some runs lie within the gate."""
+    """Whether the hypotheses of some runs lie within the gate, (len(runs),).
+
+    `chosen` (k, all runs) are candidates or `NOTHING`, `runs` the numbers of the runs; limits[j] is
+    the χ² quantile of j degrees of freedom.
+    """
     spread, shift = cov[runs], np.zeros((runs.size, cov.shape[-1]))
     square, dof = np.zeros(runs.size), np.zeros(runs.size, dtype=np.intp)
     for k, own in enumerate(chosen[:, runs]):
@@ -77,9 +86,10 @@ def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Int
 
 
 class _Step(NamedTuple):
-    """Accepted pairings, with the belief and the Mahalanobis square after each.
+    """Beliefs after one pairing more, with its Mahalanobis square and log-density, (...).
 
-    Their log-density lacks its constant with 2π.
+    `shift` (..., n) is the mean less the predicted one, `cov` (..., n, n) the covariance. `square`
+    and `density` are of this pairing alone, the latter without −½ d ln 2π.
     """
 
     shift: Array
@@ -89,9 +99,10 @@ class _Step(NamedTuple):
 
 
 def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Step:
-    """Take pairings into beliefs N(shift, cov), (..., n) and (..., n, n), about the mean.
+    """Condition beliefs N(shift, cov), counted from the predicted mean, on one pairing each.
 
-    `matrix` is H (..., d, n). The square is νᵀ S⁻¹ ν, the density −½ (νᵀ S⁻¹ ν + ln |S|), for the
+    `matrix` is H (..., d, n), `residual` ν at the predicted mean and `noise` R; shift and cov are
+    (..., n) and (..., n, n). The square is νᵀ S⁻¹ ν, the density −½ (νᵀ S⁻¹ ν + ln |S|), for the
     innovation ν given the pairings before.
     """
     cross = matrix @ cov
@@ -105,17 +116,24 @@ def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Arr
 
 
 class _Search:
+    """The search for the best hypothesis of one run, by branch and bound; `best` (k,) is it.
+
+    `cov` is P (n, n) of the run; limits[j] is the χ² quantile of j degrees of freedom. Depth i of
+    the search decides about sighting order[i]: choices[i] are its compatible candidates, ahead[i]
+    counts the components from there on, and most[i] bounds the score that they can still add.
+    """
+
     def __init__(self, pairs: Pairs, cov: Array, limits: Array, run: int) -> None:
         self.pairs, self.run, self.limits, self.nodes = pairs, run, limits, 0
         compatible = pairs.compatible[:, run]
         number = compatible.sum(axis=-1)
-        # Those with the fewest choices first.
+        # Sightings with the fewest choices first.
         self.order = [k for k in np.argsort(number, kind="stable").tolist() if number[k]]
         self.choices = [np.flatnonzero(compatible[k]) for k in self.order]
         counts = [int(pairs.size[k, run]) for k in self.order]
         likeliest = []
         for k, some, count in zip(self.order, self.choices, counts, strict=True):
-            # S is at least R.
+            # S is at least R: with ν = 0 and S = R no pairing is likelier.
             volume = np.linalg.slogdet(pairs.noise[k, run, some])[1] + count * LOG_2PI
             likeliest.append(float((pairs.log_weight[some] - 0.5 * volume).max()))
         self.counts = counts
@@ -140,6 +158,10 @@ class _Search:
         Branch and bound (Neira & Tardós, 2001): a branch is left where it cannot pair as many
         sightings, or as well, as the best hypothesis, or where its squared length is beyond the
         gate of all that may follow.
+
+        `chosen` are the candidates of the sightings before, or `NOTHING`; N(shift, cov) is the
+        belief given them, counted from the predicted mean, and `square`, `dof`, `score` are their
+        νᵀS⁻¹ν, components measured, and Σ ln w + ln N(ν; 0, S).
         """
         self.nodes += 1
         if self.nodes > NODES:

@@ -1,4 +1,4 @@
-"""Joints of variables at several steps, by way of the reversed transitions."""
+"""Joints of variables at several steps, by the gains of the reversed transitions."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ _ROWS = 256
 def joint_moments(
     reverse: Reverse, beliefs: Beliefs, layout: SliceLayout, variables: Sequence[Variable]
 ) -> tuple[Array, Array]:
-    r"""Mean (runs, n) and covariance (runs, n, n) of variables at steps.
+    r"""Mean (runs, n) and covariance (runs, n, n) of variables at steps, in the order given.
 
-    With the gain A_t of the slice at t given the one at t + 1, the covariance of the slice at s
-    with those of all later steps is that of its successor, moved back once:
+    `beliefs` are the slices' moments given all measurements, or after a filter those up to their
+    step; only those at the latest step wanted are read. With the gain A_t of the slice at t given
+    the one at t + 1, the covariance of the slice at s with those of all later steps is that of its
+    successor, moved back once:
 
         cov(x_s, x_t) = A_s cov(x_{s+1}, x_t),    t > s,
 
@@ -64,7 +66,7 @@ def joint_moments(
 
 
 def _gain(reverse: Reverse, step: int) -> Array:
-    """The regression of the slice at a step on the slice after it."""
+    """The gain A_t, (runs, n, n): the regression of the slice at step t on the slice at t + 1."""
     gain: Array = reverse.states.matrix[step]
     return gain if reverse.slices is None else reverse.slices.matrix[step] @ gain
 

@@ -40,11 +40,11 @@ class KeptPosterior(Posterior):
     kind : Kind
         Which measurements the marginals know.
     log_evidence : ndarray
-        (...).
+        (...): the value ln p(measurements), in nats.
     log_evidence_kind : str
-        ``exact``, ``linearised`` or ``laplace``.
+        As of `ChainPosterior`: ``exact``, ``linearised``, ``laplace`` or one of robust noise.
     associations : mapping of Variable to Associations
-        By sensor, of sightings that left open what was seen, with `unknown`.
+        By sensor: what its sightings were taken to be of, where `unknown` left that open.
 
     Raises
     ------
@@ -95,12 +95,12 @@ class KeptPosterior(Posterior):
 
     @property
     def log_evidence(self) -> Array:
-        """The value ln p(measurements), (...)."""
+        """The log-evidence ln p(measurements), in nats, (...)."""
         return self._log_evidence
 
     @property
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`: exact, linearised or laplace."""
+        """The kind of `log_evidence`, as of `ChainPosterior`: exact, linearised, laplace, ..."""
         return self._log_evidence_kind
 
     @property

@@ -1,7 +1,11 @@
 """Likelihoods of the measurements of all steps at once, about a reference, in information form.
 
-Measurements are whitened, put in units of their noise; what those of a step say together is a
-quadratic in the slice.
+The *reference* is a trajectory (T+1, runs, n) near the beliefs, for T steps and slices of n
+components; slices are counted from it, x being x − reference, so that large coordinates cost no
+digits. A measurement z = H x + b + n, n ~ N(0, R), R = L Lᵀ, of d components is *whitened* by L⁻¹:
+v = W x + n, n ~ N(0, I), with W = L⁻¹H. The measurements of a step together are the likelihood
+exp(−½ xᵀK x + hᵀx) with K = Σ WᵀW and h = Σ Wᵀv. Arrays of measurements have M rows, sorted by
+step.
 """
 
 from __future__ import annotations
@@ -39,8 +43,9 @@ from pgm.kernels.segment_maps import Moments
 class Readings:
     """The plan's linearised measurements as likelihoods of x − reference, (T+1, runs, n).
 
-    Measurements with a regular noise make the `likelihood`; `stacks` are of singular noise, or with
-    cross terms.
+    Sensors of regular noise are `_whitened`, and add up to the `likelihood` of each step. The
+    measurements of the others are `stacks`: of singular noise, or with correlated errors of the
+    sightings of a step. `_robust` are the sensors of robust noise.
     """
 
     reference: Array
@@ -51,7 +56,7 @@ class Readings:
 
     @classmethod
     def of(cls, plan: ChainPlan, reference: Array) -> Readings:
-        """Whiten and add up all measurements."""
+        """Whiten and add up all measurements, as the plan is linearised at present."""
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
         sensors = [sensor for sensor in plan.sensors if sensor.family.step.size]
         whitened = [Whitened.of(sensor, reference) for sensor in sensors]
@@ -70,7 +75,11 @@ class Readings:
         return cls(reference, likelihood, stacks(plan, rest, reference), regular, plan.robust)
 
     def held(self, anchor: Anchor | None) -> Likelihood:
-        """The likelihood with an anchor's measurements of all components."""
+        """The likelihood times that of an anchor, x = anchor.mean + n, n ~ N(0, diag(std² / λ)).
+
+        λ is its weight. A component whose std or weight is zero is not held; without an anchor it
+        is `likelihood` itself.
+        """
         if anchor is None:
             return self.likelihood
         weight = anchor.weight[:, None]
@@ -81,10 +90,12 @@ class Readings:
         return Likelihood(added, h)
 
     def log_density(self, known: Array, predicted: Moments) -> Array:
-        """The log-density of each step's measurements, (T+1, runs), without `Known.evidence`.
+        """The log-density of each step's measurements given earlier ones, less `Known.evidence`.
 
-        `known` are the means given the measurements, as deviations. The plan has to be linearised
-        as it was.
+        It adds up, to (T+1, runs), ln N(z − h(x⁺); 0, R) of whitened measurements at the means x⁺
+        given them, the surplus of robust ones, and the log-density of each of the `stacks` under
+        the predictions. `known` are the x⁺ and `predicted` the moments before a step's
+        measurements, both counted from the reference. The plan has to be linearised as it was.
         """
         total = np.zeros(known.shape[:2])
         for each in self._whitened:
@@ -99,9 +110,10 @@ class Readings:
 
 
 class Known(NamedTuple):
-    """Filtered moments as deviations from a reference.
+    """Moments (..., n), (..., n, n) of x − reference given the measurements of a step.
 
-    `evidence` is the measurements' log-density, but for each one's own part.
+    `evidence` (...) is the log-density of these measurements without the terms ln N(z − h(x⁺); 0,
+    R) of each; see `know`.
     """
 
     mean: Array
@@ -110,10 +122,11 @@ class Known(NamedTuple):
 
 
 def know(before: Belief, likelihood: Likelihood) -> Known:
-    """Take measurements into beliefs.
+    """Condition beliefs N(x⁻, P), (..., n) and (..., n, n), on whitened measurements v = W x + n.
 
-    With x⁺ the mean given the measurements, ln N(v; W x⁻, I + W P Wᵀ) is
-    −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) − ½ ln |I + P WᵀW|, which does not subtract.
+    With x⁺ the mean given the measurements and P⁺ the pseudo-inverse, the log-density
+    ln N(v; W x⁻, I + W P Wᵀ) is, but for −½ d ln 2π, −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) −
+    ½ ln |I + P WᵀW|: no term is above zero, so that nothing cancels. `evidence` is the last two.
     """
     after = condition(before, likelihood)
     evidence = -0.5 * (inner(after.moved, after.moved) + solving.log_determinant(after.U))
@@ -133,8 +146,8 @@ _CHUNK = 8192
 class Whitened:
     """A sensor's measurements about a reference, in units of their noise: v = W x + n, n ~ N(0, I).
 
-    `white` and `scale` are L⁻¹ and ln N(0; 0, L Lᵀ) of each noise L Lᵀ, (M or 1, runs or 1, ...);
-    of a reading of some components alone, of their part of it.
+    `white` (M or 1, runs or 1, d, d) is L⁻¹ and `scale` (M or 1, runs or 1) is ln N(0; 0, L Lᵀ) of
+    each noise L Lᵀ. Where a measurement lacks components, the scale is that of the others.
     """
 
     sensor: Sensor
@@ -144,7 +157,7 @@ class Whitened:
 
     @classmethod
     def of(cls, sensor: Sensor, reference: Array) -> Whitened | None:
-        """The sensor's whitened measurements; None if R is singular or errors are correlated."""
+        """The whitened measurements; None if an R is not regular or errors are correlated."""
         if sensor.exact or sensor.cross:
             return None
         noise, taken = shortened(sensor.family.noise), sensor.taken
@@ -160,10 +173,13 @@ class Whitened:
         )
 
     def likelihood(self) -> Likelihood:
-        """The likelihood of all measurements of each step, (T+1, runs, ...)."""
+        """The likelihood of each step's measurements over the parents, (T+1, runs, ...)."""
 
         def said(rows: slice, counts: Integers) -> tuple[Array, Array]:
-            """HᵀR⁻¹H and HᵀR⁻¹ν of each step, summed over its measurements."""
+            """HᵀR⁻¹H and HᵀR⁻¹ν of each step, summed over its measurements: (steps, runs, ...).
+
+            ν = z − h(reference); for `rows` and `counts` see `_by_step`.
+            """
             matrix = self.sensor.family.matrix[rows]
             if self.sensor.taken is not None:
                 matrix = np.where(self.sensor.taken[rows][..., None], matrix, 0.0)
@@ -181,7 +197,11 @@ class Whitened:
         return Likelihood(precision, h)
 
     def log_density(self, mean: Array) -> Array:
-        """Sums Σ ln N(z − h(x); 0, R) by step at the slices' means, (T+1, runs)."""
+        """Sums Σ ln N(z − h(x); 0, R) of each step's measurements, (T+1, runs).
+
+        x is the slice's mean, `mean` (T+1, runs, n), not counted from the reference; missing
+        components do not count.
+        """
         taken = self.sensor.taken
 
         def density(rows: slice, counts: Integers) -> tuple[Array]:
@@ -195,11 +215,14 @@ class Whitened:
         return _by_step(self.sensor, density)[0]
 
     def _white(self, rows: slice) -> Array:
-        """The whitening matrices R^(−1/2) of some rows; a single one serves for all."""
+        """The whitening matrices L⁻¹ of some rows, or the single one that serves for all."""
         return self.white if len(self.white) == 1 else self.white[rows]
 
     def _residual(self, rows: slice, mean: Array) -> Array:
-        """Residuals at means in deviations of the noise, (rows, runs, d); zero where missing."""
+        """Whitened residuals L⁻¹ (z − H x − b) of some rows, (rows, runs, d); zero where missing.
+
+        x is the mean of the row's slice, of `mean` (T+1, runs, n).
+        """
         sensor, family = self.sensor, self.sensor.family
         at = gather(mean, family.step[rows])[..., sensor.parents]
         left = sensor.moved[rows] - family.offset[rows] - apply(family.matrix[rows], at)
@@ -209,13 +232,13 @@ class Whitened:
 
 
 def _surplus(sensor: Sensor) -> Array:
-    """The log-density of robust measurements beyond their weighted Gaussians', (T+1, runs)."""
+    """Each step's log-density of robust measurements less Σ ln N(ν; 0, R / w), (T+1, runs)."""
     each = sensor.weights.surplus()
     return _by_step(sensor, lambda rows, counts: (_added(each[rows], counts),))[0]
 
 
 def shortened(array: Array) -> Array:
-    """A broadcast stack, its constant leading axes reduced to length one."""
+    """An array (steps, runs, ...), with either axis cut to length one where it is broadcast."""
     for axis in (0, 1):
         if array.strides[axis] == 0 and array.shape[axis] > 1:
             array = array.take([0], axis=axis)
@@ -225,7 +248,14 @@ def shortened(array: Array) -> Array:
 def _by_step(
     sensor: Sensor, part: Callable[[slice, Integers], tuple[Array, ...]]
 ) -> tuple[Array, ...]:
-    """Arrays (T+1, ...) computed from each step's measurement rows, a chunk of steps at a time."""
+    """Arrays (T+1, runs, ...) computed from the measurements by `part`, a chunk of steps at a time.
+
+    `part(rows, counts)` gets the measurement rows of some consecutive steps, as a slice of the M
+    axis, and how many of them each of these steps has, (steps,). It returns a tuple of arrays
+    (steps, runs, ...), with a row for each of these steps, also for those without measurements.
+    The result has the same arrays in the same order, for all steps. A chunk has about `_CHUNK` rows
+    times runs; the sensor has at least one measurement.
+    """
     bounds = np.asarray(sensor.bounds)
     counts = np.diff(bounds)
     size = max(_CHUNK // sensor.moved.shape[1], 1)
@@ -256,7 +286,7 @@ def _added(parts: Array, counts: Integers) -> Array:
 
 
 def _one_a_step(parts: Array, steps: int) -> Array:
-    """Equally many rows a step, one below the other: (S k, R, d, ...) to (S, R, k d, ...)."""
+    """The k rows of each of S steps, one below the other: (S k, R, d, ...) to (S, R, k d, ...)."""
     rows, runs, *shape = parts.shape
     count = rows // steps
     memory = parts.transpose(*range(2, parts.ndim), 0, 1).reshape(*shape, steps, count, runs)

@@ -30,6 +30,7 @@ class Marginals(Shown, NoArray):
         Which measurements they know.
     """
 
+    # The moments of the slices, whose runs are flattened from the axes `lead`.
     layout: SliceLayout
     beliefs: Beliefs
     lead: tuple[int, ...]
@@ -75,7 +76,11 @@ class Marginals(Shown, NoArray):
 
 
 def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variable, int]:
-    """The template of a hidden variable, and its first step; refuses what has no marginal."""
+    """The template of a hidden variable, and its first step: 0 of a state, 1 of a control.
+
+    `last` is T. Raises EvidenceError for an input, a measurement, a variable that is not hidden,
+    and a step where it does not stand.
+    """
     template = require_variable(variable).template
     if template in layout.model.inputs:
         raise EvidenceError(
@@ -115,7 +120,7 @@ def _of_measurement(layout: SliceLayout, variable: Variable) -> str:
 
 
 def require_at_steps(layout: SliceLayout, variables: Sequence[Variable], last: int) -> Scope:
-    """Check the scope of a joint: hidden variables at steps, at least one."""
+    """The scope of a joint, checked: one hidden variable or more, each at a step up to `last`."""
     if not variables:
         raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
     scope = as_scope(variables)

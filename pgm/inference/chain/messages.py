@@ -1,6 +1,9 @@
 """Messages back along a chain and the potentials of its clusters, in information form.
 
-Messages are for those who want to read them: marginals and joints come from the reversed chain.
+Messages are for those who want to read them: marginals and joints come from the reversed chain. A
+canonical form (K, h, g) is exp(−½ xᵀK x + hᵀx + g). *About* the filtered means it is a function of
+the deviation of x from its filtered mean. Cluster 0 is over the states at step 0, cluster t over
+the states at t − 1 and the slice at t; T is the last step.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from pgm.kernels.prefixes import levels, prefixes, take
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
-    """The likelihood of the measurements after each step, over its states; NaN if none exists.
+    """p(measurements after t | states at t), t = 0..T, (T+1, runs, ...); NaN if there is none.
 
     Messages are carried about the filtered mean, so that large coordinates cost no digits, and
     moved to the origin at the end: by a scan, or step by step where that is faster.
@@ -44,7 +47,7 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
 
 
 def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonical:
-    """The messages to all slices, last to first, one step after the other."""
+    """The messages about the filtered means, (T+1, runs, ...), step by step from the last one."""
     messages = [message]
     conditionals = transition(plan)
     for later in range(plan.steps, 0, -1):
@@ -58,7 +61,7 @@ def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonica
 
 
 def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | None:
-    """Messages by a scan of 2 log₂ T rounds; None where a root or inverse does not exist."""
+    """`_stepwise` by a scan of 2 log₂ T rounds; None where a root or inverse does not exist."""
     segments = take(absorbed_at_once(plan, forward), slice(None, None, -1))
     tree = levels(segments, lambda later, sooner: elements.compose(sooner, later))
     found = prefixes(_Message(*(part[None] for part in last)), tree, _passed)
@@ -69,6 +72,8 @@ def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | 
 
 
 class _Message(NamedTuple):
+    """Canonical forms (K, h, g) over the states, (steps, runs, ...)."""
+
     K: Array
     h: Array
     g: Array
@@ -82,7 +87,11 @@ def _passed(message: _Message, segment: Element) -> _Message:
 
 
 def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
-    """`absorbed`, of the steps 1..T in batched calls: (T, runs, ...)."""
+    """The elements p(x[t], z[t] | x[t − 1]) of steps 1..T about the filtered means, (T, runs, ...).
+
+    x are the states and z a step's measurements. The factors p(x[t] | x[t − 1], z[t]) and
+    p(z[t] | x[t − 1]) are those of `absorbed`, here in batched calls.
+    """
     layout = plan.layout
     select = np.eye(layout.slice_size)[layout.state_places]
     matrix, _, noise = transition(plan)
@@ -108,9 +117,10 @@ def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
 def absorbed(
     plan: ChainPlan, forward: Forward, conditionals: Conditional, later: int
 ) -> tuple[Conditional, Canonical | None]:
-    """p(x[t] | x[t − 1], z[t]) and the likelihood p(z[t] | x[t − 1]) of a step.
+    """p(x[t] | x[t − 1], z[t]) and the likelihood p(z[t] | x[t − 1]) of a step t, `later`.
 
-    Both are about the filtered means; the latter is a function of the states before.
+    x are the states, z the measurements; `conditionals` is the `transition`. Both are about the
+    filtered means, and have (runs, ...) arrays; the likelihood is None without measurements.
     """
     layout = plan.layout
     select = np.eye(layout.slice_size)[layout.state_places]
@@ -134,10 +144,12 @@ def absorb_readings(
     reading_noise: Array,
     missing: Array | None,
 ) -> tuple[Array, Array, Array, Canonical]:
-    """Bring a step's measurements into its transition w = A x + q, both about predicted means.
+    """Condition transitions w = A x + q, q ~ N(0, Q), on measurements z = H w + n, n ~ N(0, R).
 
-    Returns w given x and the measurements, and their likelihood over x, by a regular S = H Q Hᵀ +
-    noise.
+    `matrix` is A, `noise` Q, `h_matrix` H, `reading_noise` R, and `residual` z less its value at
+    x = 0; `missing` components have H = 0 and unit variance. Returns of w given x and z, with the
+    gain G = Q Hᵀ S⁻¹, the matrix (I − G H) A, the offset G · residual and the covariance; and the
+    likelihood (K, h, g) of z over x. NaN where S = H Q Hᵀ + R is singular.
     """
     cross = h_matrix @ noise
     lower = canonical.strict_root(cross @ transpose(h_matrix) + reading_noise)
@@ -160,7 +172,7 @@ def absorb_readings(
 
 
 def likelihoods(plan: ChainPlan, reference: Array) -> Canonical:
-    """The likelihood of each step's measurements, over the slice about a reference.
+    """The likelihood of each step's measurements, over the slice less its reference (T+1, runs, n).
 
     (T+1, runs, ...), as the plan was linearised; NaN where the noise of a measurement is singular.
     """
@@ -192,8 +204,8 @@ def first_potential(plan: ChainPlan, forward: Ahead) -> Canonical:
 def potentials(plan: ChainPlan, forward: Ahead) -> Canonical:
     """The potentials of clusters 1..T, over the states of the step before and the slice.
 
-    (T, runs, ...), as the plan was linearised and about the means of `forward`; NaN where a noise
-    is singular.
+    (T, runs, ...), as the plan was linearised; NaN where a noise is singular. They are computed
+    about the means of `forward`, so that large coordinates cost no digits, and moved to the origin.
     """
     layout, reference = plan.layout, forward.mean
     front, size = layout.state_size, layout.slice_size

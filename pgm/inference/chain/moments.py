@@ -1,4 +1,10 @@
-"""The Gaussian family of a chain: messages in moment form, components first and the batch last."""
+"""The Gaussian family of a chain: messages in moment form, components first and the batch last.
+
+A belief over a slice has the moments (n, *batch) and (n, n, *batch), with `batch` () for one run
+and (runs,) for several. A *pair* is the vector of the states of the step before, then the slice:
+its CPDs are written into it one after another. Angles live on one unwrapped chart: where a function
+wraps an angle, it is moved by whole turns to within half a turn of the same angle a step before.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +30,12 @@ _HALF_TURN = 0.5 * TURN
 class MomentChain:
     """The Gaussian family forward: predicts a slice, and takes in the measurements of its step.
 
-    Without a schedule all CPDs stay as they were linearised. `keep` has the plan keep
-    linearisations; `anchor` holds the beliefs near a point; `room` gives arrays for the moments of
-    a sweep of many runs; `check` refuses numbers that are not finite; `gated` are the gates where
-    no schedule tells. `residuals` (runs,) are the largest of all steps.
+    With a `schedule` each CPD is linearised at its incoming belief, and the sensors of a step again
+    as it says; without one all stay as they were linearised, and `gated` are the gates. With `keep`
+    linearisations are stored in the plan. An `anchor` is a further measurement of all components at
+    each step, which holds beliefs near a point. `room(step)` gives the arrays that the update of a
+    step may write into; `check` refuses what is not finite. `residuals` has for each
+    relinearisation the largest of all steps, (runs,).
     """
 
     def __init__(
@@ -53,13 +61,13 @@ class MomentChain:
 
     @property
     def converged(self) -> Mask:
-        """Whether runs have settled at each step, or had nothing to iterate, (runs,)."""
+        """Whether each step's update has settled, or had nothing to iterate, (runs,)."""
         if self._settled is not None:
             return self._settled
         return np.full(self.plan.runs, self.plan.linear)
 
     def start(self) -> Moments:
-        """The slice at step 0 before its measurements and controls; or where a window begins."""
+        """The slice at step 0 before its measurements, controls zero; or where a window begins."""
         plan = self.plan
         if plan.begin is not None:
             return Moments(*plan.begin)
@@ -77,22 +85,22 @@ class MomentChain:
         return Moments(whole, spread)
 
     def predict(self, step: int, belief: Moments) -> Moments:
-        """Predicted moments of a step's slice: m ← F m + b, P ← F P Fᵀ + Q."""
+        """Moments of a step's slice, from those of the one before: m ← F m + b, P ← F P Fᵀ + Q."""
         return self.predicted(self.motion(step), self.plan.first + step, belief)
 
     def take(self, step: int, belief: Moments) -> tuple[Moments, Array | float]:
-        """The belief given the measurements of its step."""
+        """The belief given the measurements of its step, and their log-density (*batch)."""
         parts = self.readings(step)
         if not parts and self.anchor is None:
             return belief, 0.0
         return self.taken(parts, self.plan.first + step, belief)
 
     def motion(self, step: int) -> list[At]:
-        """The CPDs of the transition to a step."""
+        """The transition's CPDs with the evidence of a step bound, parents before children."""
         return [self._at(link, step - 1) for link in self.plan.transition]
 
     def readings(self, step: int) -> list[Reading]:
-        """The measurements of a step."""
+        """The sightings of a step by sensor, to be linearised; sensors without any are left out."""
         found = []
         for sensor in self.plan.sensors:
             due = sensor.at(step, stored=not self.linearises)
@@ -101,7 +109,11 @@ class MomentChain:
         return found
 
     def predicted(self, ats: Sequence[At], step: int, belief: Moments) -> Moments:
-        """Moments of the slice at a step, predicted with the transition bound at its rows."""
+        """Moments of the slice at a step, predicted by the transition from the slice before.
+
+        `ats` are the transition's CPDs with their evidence, as of `motion`; `step` is its number in
+        errors.
+        """
         layout, (mean, cov, _) = self.plan.layout, belief
         if self.states is not None:
             mean, cov = mean[self.states], within(cov, self.states)
@@ -124,7 +136,7 @@ class MomentChain:
     def taken(
         self, parts: Sequence[Reading], step: int, belief: Moments
     ) -> tuple[Moments, Array | float]:
-        """The belief given measurements of its step, and their log-density."""
+        """The belief given some measurements of its step, and their log-density (*batch)."""
         mean, cov, _ = belief
         schedule = self.schedule
         robust = self.plan.robust
@@ -154,7 +166,11 @@ class MomentChain:
     def _reweighed(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
-        """The update with robust sightings, reweighted at each linearisation."""
+        """The belief given sightings of which some are robust, and their log-density (*batch).
+
+        At each linearisation they are weighed until the weights settle. Linearisations are as many
+        as the schedule says, or one with `check`, which refuses what is not finite first.
+        """
         if self.check:
             for part in parts:
                 part.linearise(mean, cov)
@@ -164,7 +180,10 @@ class MomentChain:
     def _iterated(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
-        """The belief given sightings linearised several times, and their log-density."""
+        """The belief given sightings, relinearised until it settles, and their log-density.
+
+        Gates decide once, at the predicted belief N(mean, cov).
+        """
         if self.gate is not None:
             seen = [part.linearise(mean, cov) for part in parts]
             gate.decide(self.gate, parts, seen, mean, cov)
@@ -178,13 +197,17 @@ class MomentChain:
         return Moments(shown, last.known.cov, False), last.log_density
 
     def _at(self, link: Link, row: int) -> At:
-        """A CPD at its row, to be linearised anew or with its stored linearisation."""
+        """A CPD with a row's evidence, to be linearised or with its stored linearisation."""
         if self.linearises:
             return link.family.at(row, row + 1)
         return link.family.stored_at(row, row + 1)
 
     def _extend(self, link: Link, at: At, step: int, mean: Array, cov: Array) -> None:
-        """Write a CPD's child into the joint moments that its parents stand in, in place."""
+        """Write a CPD's child into the joint moments that its parents stand in, in place.
+
+        `mean` and `cov` are of the vector that `link` has its places in: the states for the prior,
+        the pair for the transition. `step` is its number in errors.
+        """
         parents = mean[link.parents]
         matrix, value, noise, bare = self._linearised(
             link, at, mean, parents, within(cov, link.parents)
@@ -197,7 +220,13 @@ class MomentChain:
     def _linearised(
         self, link: Link, at: At, before: Array, mean: Array, cov: Array
     ) -> tuple[Array, Array, Array, tuple[int, ...]]:
-        """F, F μ + b, the noise, and which components have none, at a belief over the parents."""
+        """A CPD as y = F x + b + n at a belief N(μ, P), `mean` and `cov`, over its parents.
+
+        Returns F (d, m, *batch), the child's mean F μ + b (d, *batch), the covariance of n with the
+        approximation error (d, d, *batch), and the components without noise. `before` is the vector
+        in which the places `link.before` stand: angles that a function wraps are moved to within
+        half a turn of those there.
+        """
         family, bare = link.family, link.family.bare
         line = family.line(at, mean, cov)
         matrix, value, error = line
@@ -220,7 +249,10 @@ class MomentChain:
 
 
 def turns_far(link: Link, before: Array, value: Array) -> bool:
-    """Whether an angle is more than half a turn from where it was."""
+    """Whether some angle of a child is more than half a turn from where it was a step before.
+
+    `value` (d, *batch) is the child's, `before` the vector with the places `link.before`.
+    """
     if value.ndim == 1:
         for new, old in link.turning:
             if abs(value.item(new) - before.item(old)) > _HALF_TURN:
@@ -232,7 +264,12 @@ def turns_far(link: Link, before: Array, value: Array) -> bool:
 
 
 def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
-    """The value of a CPD, without the whole turns by which its function wraps angles."""
+    """The value (d, *batch) of a CPD without the whole turns by which its function wraps angles.
+
+    `before` is the vector with the places `link.before`. A function wraps an angle if its value
+    stays the same when the angles there are a turn further. Such an angle is moved to within half a
+    turn of the one before; others stay.
+    """
     assert at.function is not None
     turned = value[link.angles] - before[link.before]
     # A function that wraps gives the same for an angle a whole turn on; another turns too.
@@ -247,7 +284,10 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
 
 
 def largest(record: list[Array], residuals: Iterable[Array]) -> list[Array]:
-    """The largest residuals of all steps; a step that settled earlier keeps its last one."""
+    """The larger residuals of two records, each a list of (runs,) by relinearisation.
+
+    A step that settled earlier has a shorter record, and keeps its last residual.
+    """
     residuals = list(residuals)
     if not record or not residuals:
         return record or residuals

@@ -1,7 +1,9 @@
 """Gauss–Newton steps: the means of a linearised chain, from its normal equations.
 
-They cost a fraction of a smoother's two passes. Where noises differ much they lose digits, which
-the next step restores, and after the last one the passes of a smoother.
+They cost a fraction of a smoother's two passes. Where the variances of noises differ by many orders
+they lose digits, which the next step restores, and after the last one the passes of a smoother.
+The *reference* is the trajectory (T+1, runs, n) at which the plan is linearised, for T steps and
+slices of n components; means are solved for as moves from it.
 """
 
 from __future__ import annotations
@@ -24,10 +26,12 @@ from pgm.kernels.tridiagonal import Tridiagonal
 
 @dataclass(frozen=True, eq=False)
 class Means:
-    """Means (T+1, runs, n), and the variance of each component given all others.
+    """Means (T+1, runs, n), and the `variance` (T+1, runs, n) of each component given all others.
 
-    This is no larger than its marginal variance, which machine code finds, without `readings`.
-    There are no covariances of pairs, of `pair` components.
+    That is one over the diagonal of the information matrix, at most the marginal variance.
+    `readings` are the measurements about the reference. Machine code finds marginal variances
+    instead, and has no `readings`. `pair` counts the components of a pair: the states of the step
+    before, and the slice.
     """
 
     means: Array
@@ -37,7 +41,7 @@ class Means:
 
     @property
     def point(self) -> Point:
-        """Moments of the slices; of covariances only the diagonals count."""
+        """The means with covariances of which only the diagonals count; those of pairs are zero."""
         steps, runs, size = self.means.shape
         joint = np.broadcast_to(0.0, (steps - 1, runs, self.pair, self.pair))
         cov = np.broadcast_to(self.variance[..., None], (steps, runs, size, size))
@@ -47,7 +51,8 @@ class Means:
 def step(plan: ChainPlan, reference: Array) -> Means | None:
     """One Gauss–Newton step: the means of the plan linearised at a reference, (T+1, runs, n).
 
-    None where a noise or the prior is singular, so that there are no normal equations.
+    None where a noise or the prior is singular, or errors of sightings are correlated, so that
+    there are no normal equations here, and where rounding leaves these without a solution.
     """
     readings = Readings.of(plan, reference)
     if readings.stacks:
@@ -65,10 +70,10 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
 
 
 def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
-    """The normal equations A ξ = r of the means, as moves ξ from the reference of the measurements.
+    """The normal equations A ξ = r of the means, as moves ξ from the reference of `readings`.
 
     With x_t = F x_{t−1} + b + n, n ~ N(0, Q), diagonal blocks are Q⁻¹ + Fᵀ Q⁻¹ F + HᵀR⁻¹H, the
-    blocks beside them −Fᵀ Q⁻¹. None where a noise is singular, and has no precision.
+    blocks beside them −Fᵀ Q⁻¹. None where the prior's covariance or some Q is singular.
     """
     layout = plan.layout
     states = layout.state_places
@@ -99,20 +104,23 @@ def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
 
 
 class _Move(NamedTuple):
-    """A linearised transition x[t] = F x[t − 1] + b + noise."""
+    """Linearised transitions x[t] = F x[t − 1] + b + noise: F (steps, runs, n, n), b."""
 
     matrix: Array
     offset: Array
 
 
 class _Precision(NamedTuple):
-    """The information matrix of noise, the inverse of its covariance."""
+    """The information matrices W = Q⁻¹ of transitions' noise, (steps or 1, runs or 1, n, n)."""
 
     matrix: Array
 
 
 class _Terms(NamedTuple):
-    """A transition's terms in the normal equations of its two slices, but its precision."""
+    """The terms of transitions in the normal equations of their two slices, without W itself.
+
+    In order Fᵀ W F and W F (steps, runs, n, n), Fᵀ W b and W b (steps, runs, n).
+    """
 
     before: Array
     across: Array
@@ -121,7 +129,7 @@ class _Terms(NamedTuple):
 
 
 def _terms(move: _Move, precision: _Precision) -> _Terms:
-    """The products Fᵀ W F, W F, Fᵀ W b and W b of a transition and its precision W."""
+    """The products Fᵀ W F, W F, Fᵀ W b and W b of transitions and their precisions W."""
     across = multiply(precision.matrix, move.matrix)
     after = apply(precision.matrix, move.offset)
     back = transpose(move.matrix)
@@ -129,7 +137,7 @@ def _terms(move: _Move, precision: _Precision) -> _Terms:
 
 
 def precision(cov: Array) -> Array | None:
-    """The inverses of covariances, (..., n, n); None where one is singular."""
+    """The inverses of covariances (..., n, n); None where one is singular or indefinite."""
     lower = roots.root(cov)
     white = normal_density.whitener(lower) if roots.is_proper(lower) else None
     return None if white is None else multiply(transpose(white), white)

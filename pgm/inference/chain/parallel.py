@@ -1,4 +1,14 @@
-"""Both passes over a chain as scans: 2 log₂ T rounds each, every round one batched call."""
+"""The forward pass over a chain as a scan: 2 log₂ T rounds, every round one batched call.
+
+Each step is an *element*: the Gaussian of its slice given the slice before, with the likelihood of
+the measurements at the slice before (`kernels.elements`). Elements compose to those of segments;
+the belief at step 0, pushed through the segment up to step t, is the prediction at t. Slices are
+counted from a *reference*, a trajectory (T+1, runs, n) near the beliefs, for T steps and slices of
+n components, so that large coordinates cost no digits. An *anchor* is a further measurement of all
+components at each step, by which a step control holds the solution near a point. *Stacks* are the
+measurements of singular or correlated noise (`vector`). Where composing segments would lose digits
+the pass is made step by step, by `forward`.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +36,11 @@ from pgm.kernels.moments import Conditional
 from pgm.kernels.prefixes import gather, in_chunks, levels, prefixes, take
 from pgm.kernels.segment_maps import Map, Moments, Value, after, push_moments, send
 
-# Beliefs this many deviations from the reference leave too few digits: they are solved for again.
+# Beliefs so many standard deviations from the reference leave too few digits: they are solved for
+# again.
 _FAR = 1e4
 _TRIES = 5
-# Beliefs that follow from one another do so within this part of a deviation.
+# Beliefs that follow from one another do so within this part of a standard deviation.
 _CLOSE = 1e-7
 # Predictions as large as this are of no use.
 _BEYOND = 1e30
@@ -39,9 +50,10 @@ _BEYOND = 1e30
 class Scanned:
     """The forward pass of a scan: a `Forward` whose log-densities are computed when asked for.
 
-    That is to be before the plan is linearised again. `agrees` says whether each belief follows
-    from the one before it and variances are moderate: then composing segments costs no digits, nor
-    does the way back.
+    They have to be asked for before the plan is linearised again. `agrees` says whether each belief
+    follows from the one before it to 10⁻⁷ standard deviations, and each variance keeps a share of
+    1 / `certificate.GENTLE` given the components before it, and through measurements. Then
+    composing segments loses no digits, in the backward pass either.
     """
 
     predicted_mean: Array
@@ -53,7 +65,7 @@ class Scanned:
 
 
 def whole(ahead: Ahead) -> Forward:
-    """All of a forward pass."""
+    """The forward pass as a `Forward`, with the log-densities that a scan has put off."""
     if isinstance(ahead, Scanned):
         predicted = ahead.predicted_mean, ahead.predicted_cov
         closest = 1.0 / certificate.GENTLE if ahead.agrees else 0.0
@@ -70,9 +82,11 @@ def filtered(
 ) -> Ahead:
     """The forward pass with stored linearisations, like `forward.stored`, by a parallel scan.
 
-    `forward.stored` makes it where composing segments costs digits. Elements are about the
-    `reference` (T+1, runs, n), a trajectory near the beliefs, so that large coordinates cost no
-    digits; `readings` are the measurements about it, where known.
+    Elements are counted from the `reference` (T+1, runs, n), a trajectory near the beliefs.
+    `readings` are the measurements about it; None has them made here. Where composing segments
+    would lose digits, the sequential `forward.stored` makes the pass instead. NumericalError where
+    a step has no element: a covariance is indefinite or not finite, or an exact measurement is of
+    what is certain already.
     """
     readings = Readings.of(plan, reference) if readings is None else readings
     found = _solve(plan, between_slices(plan), _first(plan, anchor), readings, anchor)
@@ -82,9 +96,10 @@ def filtered(
 def run(plan: ChainPlan) -> Ahead:
     """The forward pass of an affine model, as `forward.run` gives it.
 
-    Elements are about a guess of the means. Where that is far from the beliefs, or puts an angle on
-    another branch than the prediction does, the pass is repeated about the means found; where that
-    does not end soon, it goes step by step.
+    The reference is a guess of the means. Where that is more than 10⁴ standard deviations from the
+    beliefs, or puts a measured angle on another branch than the prediction does, the scan is
+    repeated about the means found. After five scans, or where composing segments would lose digits,
+    `forward.run` makes the pass, step by step.
     """
     moves = between_slices(plan)
     reference = _guess(plan, moves)
@@ -102,7 +117,12 @@ def run(plan: ChainPlan) -> Ahead:
 
 
 def _guess(plan: ChainPlan, moves: Conditional) -> Array:
-    """Means near the beliefs: the solution for means alone, or the prior's as they move."""
+    """Means (T+1, runs, n) near the beliefs, for a reference.
+
+    They are the smoothed means by the normal equations, which an affine model has at once. Where
+    angles are measured, or there are no such equations, they are the prior's means propagated by
+    the transition `moves`, and the measured angles are moved to the branch nearest to them.
+    """
     start = MomentChain(plan, None).start().by_run[0]
     if not any(sensor.variable.angle_mask.any() for sensor in plan.sensors):
         found = newton.step(plan, np.broadcast_to(start, (plan.steps + 1, *start.shape)))
@@ -114,7 +134,10 @@ def _guess(plan: ChainPlan, moves: Conditional) -> Array:
 
 
 def _move(plan: ChainPlan, mean: Array) -> bool:
-    """Move measurements of angles to the branch nearest to means; whether one has changed."""
+    """Move measured angles to the branch nearest their values at means (T+1, runs, n), in place.
+
+    Returns whether one has changed.
+    """
     changed = False
     for sensor in plan.sensors:
         if sensor.variable.angle_mask.any() and sensor.family.step.size:
@@ -126,7 +149,7 @@ def _move(plan: ChainPlan, mean: Array) -> bool:
 
 
 class _First(NamedTuple):
-    """The first step: its prediction, its belief, and the log-density of its measurements."""
+    """The beliefs at step 0 before and after its measurements, and ln p of these, (*batch)."""
 
     predicted: Belief
     known: Belief
@@ -134,7 +157,7 @@ class _First(NamedTuple):
 
 
 def _first(plan: ChainPlan, anchor: Anchor | None) -> _First:
-    """The beliefs at step 0, before and after its measurements, and the log-density of these."""
+    """The beliefs at step 0, with the anchor's measurement there if there is one."""
     chain = MomentChain(plan, None, anchor=anchor)
     predicted = chain.start()
     known, log_density = chain.take(0, predicted)
@@ -144,10 +167,13 @@ def _first(plan: ChainPlan, anchor: Anchor | None) -> _First:
 def _solve(
     plan: ChainPlan, moves: Conditional, first: _First, readings: Readings, anchor: Anchor | None
 ) -> Scanned:
-    """Both passes by scans, as deviations from the reference of the measurements.
+    """The forward pass by a scan, about the reference of `readings`.
 
-    The filtered beliefs are prefixes of the elements of all steps. Whether they can be trusted is
-    found by predicting each anew from the one before: rounding in sharp elements would show there.
+    `moves` are the transitions between slices (T, runs, ...), `first` is the solution of step 0.
+    The beliefs before measurements are the prefixes of the elements of all steps, and those after
+    them follow by `know`. Whether they can be trusted is found by predicting each anew from the one
+    before, since rounding in sharp elements would show there, and by the certificate: see
+    `Scanned.agrees`.
     """
     reference = readings.reference
     near = about(moves, reference)
@@ -192,7 +218,7 @@ def _solve(
 
 
 def _read(predicted: Moments, readings: Readings) -> Moments:
-    """Predictions after the measurements of their steps."""
+    """Predictions about the reference, (T+1, runs, ...), given the measurements of their steps."""
     mean, cov, _ = in_chunks(
         know, Belief(*predicted, np.zeros(predicted.mean.shape[:2])), readings.likelihood
     )
@@ -204,7 +230,11 @@ def _read(predicted: Moments, readings: Readings) -> Moments:
 
 
 def _agree(found: Moments, due: Moments) -> bool:
-    """Whether moments agree up to rounding that does not matter."""
+    """Whether means and standard deviations are within 10⁻⁷ standard deviations of those `due`.
+
+    A mean without a variance is compared with its own size, a standard deviation that is due to be
+    zero with the largest of its component.
+    """
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)
     far = off > _CLOSE * np.where(std > 0.0, std, np.abs(due.mean) + off.max(initial=0.0))
@@ -214,9 +244,9 @@ def _agree(found: Moments, due: Moments) -> bool:
 
 
 def _from(belief: Belief, reference: Array, steps: int) -> Moments:
-    """Arrays for the moments of all steps about a reference.
+    """Room for moments (steps + 1, runs, ...) about a reference, with a belief in row 0.
 
-    Row 0 already holds the first step's belief.
+    `reference` (runs, n) is that of step 0, and `belief` is not counted from it.
     """
     runs, size = belief.mean.shape
     out = Moments(room((steps + 1, runs), (size,)), room((steps + 1, runs), (size, size)))
@@ -225,7 +255,10 @@ def _from(belief: Belief, reference: Array, steps: int) -> Moments:
 
 
 def _predicted(moves: Conditional, start: Array) -> Array:
-    """The prior's means propagated by the transition, without measurements, (T+1, runs, n)."""
+    """The prior's means propagated by the transition, without measurements, (T+1, runs, n).
+
+    `start` (runs, n) are those at step 0; they stand in where a mean would be 10³⁰ or larger.
+    """
     out = room((moves.offset.shape[0] + 1, start.shape[0]), start.shape[1:])
     out[0] = start
     if len(out) > 1:
@@ -237,7 +270,10 @@ def _predicted(moves: Conditional, start: Array) -> Array:
 
 
 def _refuse(known: Moments) -> None:
-    """Refuse results that are not finite. A sum may overflow although its terms do not."""
+    """Raise NumericalError with the first step whose moments are not finite, if there is one.
+
+    There may be none: the caller looks at a sum, which may overflow although no term does.
+    """
     bad = ~np.isfinite(known.cov).all(axis=(1, 2, 3)) | ~np.isfinite(known.mean).all(axis=(1, 2))
     if not bad.any():
         return
@@ -251,11 +287,12 @@ def _refuse(known: Moments) -> None:
 
 
 def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[Stack]) -> Element:
-    """The element of every step, in deviations from a reference: (T, runs, ...).
+    """The element of each step 1..T about a reference, (T, runs, ...).
 
-    It begins with the measurements at the step before, and ends before those of its own step; but
-    for those of a singular noise, the `stacks`, which only the transition that leads to them can
-    absorb. Step 0 is left to the belief from which all begins. `moves` are as of `about`.
+    It begins with the measurements at the step before, and ends before those of its own step,
+    except the `stacks`, of singular or correlated noise: these are absorbed by the transition that
+    leads to them. The measurements of step 0 are in the belief from which all begins. `moves` are
+    the transitions, as of `about`.
     """
     precision = room(moves.matrix.shape[:2], moves.matrix.shape[2:])
     h = room(moves.offset.shape[:2], moves.offset.shape[2:])
@@ -271,7 +308,11 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
 
 
 def _absorb_exact(moves: Element, stack: Stack) -> None:
-    """Take measurements without noise into the transitions to their steps, in place."""
+    """Condition the transitions to a stack's steps on its measurements, in place.
+
+    NumericalError where an exact measurement is of what the transition makes certain: then the
+    covariance of the measurements given the states before is singular.
+    """
     later = np.flatnonzero(stack.steps)
     if not later.size:
         return

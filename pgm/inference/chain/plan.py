@@ -2,7 +2,9 @@
 
 A sweep goes from step to step, with a few batched kernel calls for each. Reversing a chain, and
 linearising it again, is one call for all steps, on arrays that have the time axis first and the
-runs second.
+runs second. A *family* is a CPD at its rows: the steps of a transition, the sightings of a sensor.
+A *pair* is the vector of the states of the step before, then the slice. A *window* is a run of
+consecutive steps, with a plan of its own.
 """
 
 from __future__ import annotations
@@ -35,8 +37,9 @@ class Link:
     """A CPD at its rows, and where its hidden parents and its child stand.
 
     For the prior both stand in the vector of states, for the transition in that of the pair.
-    `angles` are the child's components that are angles, `before` those of the step before; empty
-    where the child does not depend on itself.
+    `angles` are the components of the child that are angles, `before` the places in that vector of
+    the same angles one step before; both are empty for an affine CPD, and where the child does not
+    depend on itself.
     """
 
     family: Family
@@ -47,7 +50,7 @@ class Link:
 
     @cached_property
     def turning(self) -> list[tuple[int, int]]:
-        """Each of these angles, and the place of the same angle in the step before."""
+        """Pairs (i, j): component i of the child is an angle, and stands at j one step before."""
         return list(zip(self.angles.tolist(), self.before.tolist(), strict=True))
 
 
@@ -57,8 +60,8 @@ class ChainPlan:
 
     `steps` is T; `runs` are flattened from the user's axes `lead`. `first` is the number of the
     first step, not zero online and of a window; `begin` the belief there given its measurements,
-    (n, *batch) and (n, n, *batch), where it takes the prior's place. `account` is of all sweeps of
-    this plan and of those cut from it.
+    (n, *batch) and (n, n, *batch), where it takes the prior's place. `account` tells which sweeps
+    of this plan, and of those cut from it, machine code made, and why not the others.
     """
 
     layout: SliceLayout
@@ -73,7 +76,7 @@ class ChainPlan:
 
     @cached_property
     def linear(self) -> bool:
-        """Whether every sensor with measurements is linear."""
+        """Whether every sensor with measurements is affine."""
         return all(s.family.exact for s in self.sensors if s.family.step.size)
 
     @cached_property
@@ -93,7 +96,7 @@ class ChainPlan:
 
     @property
     def families(self) -> list[Family]:
-        """All families."""
+        """The families of the prior, the transition and the sensors, in this order."""
         links = [link.family for link in (*self.prior, *self.transition)]
         return links + [sensor.family for sensor in self.sensors]
 
@@ -108,7 +111,7 @@ class ChainPlan:
         return all(family.exact for family in self.families) and not self.robust
 
     def of(self, runs: slice) -> ChainPlan:
-        """The plan of some runs: a view of the arrays, with linearisations of its own."""
+        """The plan of some runs: views of the evidence, with linearisations of its own."""
 
         def links(every: list[Link]) -> list[Link]:
             return [replace(link, family=link.family.of(runs)) for link in every]
@@ -134,7 +137,11 @@ class ChainPlan:
         )
 
     def window(self, first: int, last: int, begin: tuple[Array, Array] | None = None) -> ChainPlan:
-        """The plan of a window: a view of the arrays, with linearisations of its own."""
+        """The plan of the steps `first` to `last`: a view of the evidence, its own linearisations.
+
+        `begin` is the belief at `first` given its measurements, (n, *batch) and (n, n, *batch): the
+        window then has no prior, and no measurements there. Without it the prior is kept.
+        """
 
         def links(every: list[Link], start: int, end: int) -> list[Link]:
             return [replace(link, family=link.family.window(start, end)) for link in every]
@@ -151,7 +158,10 @@ class ChainPlan:
         )
 
     def put(self, first: int, part: ChainPlan) -> None:
-        """Keep how the CPDs of a window, which begins at the first step, were linearised."""
+        """Copy into this plan how the CPDs of a window were linearised, its gates and its weights.
+
+        `first` is the step of this plan where the window `part` begins.
+        """
         for link, own in zip(self.prior if part.prior else [], part.prior, strict=True):
             link.family.put(slice(0, own.family.step.size), own.family)
         for link, own in zip(self.transition, part.transition, strict=True):
@@ -163,7 +173,10 @@ class ChainPlan:
                 sensor.put(first, read, after=part.begin is not None)
 
     def put_runs(self, runs: slice, part: ChainPlan) -> None:
-        """Keep how the CPDs were linearised for some of the runs; none is robust, or has a gate."""
+        """Copy into this plan how the CPDs were linearised in `part`, the plan of some of its runs.
+
+        No sensor may be robust, or have a gate.
+        """
         where = slice(None), runs
         for family, own in zip(self.families, part.families, strict=True):
             family.put(where, own)
@@ -185,7 +198,10 @@ class ChainPlan:
     ) -> ChainPlan:
         """Lay out the families of a graph with evidence, and probe their functions.
 
-        Their traces have a judge, or are compared with them at each evaluation.
+        `first` is the number of the first step, and without `prior` the plan has none: both are for
+        a plan of later steps. With `probe` each function is called once on trial, if the graph has
+        not done so before. The answers of traces, which stand in for functions, are judged by the
+        `judge` after the call; without one, each is compared with its function at once.
         """
         layout, lead = graph.layout, bound.lead
 
@@ -246,6 +262,10 @@ class ChainPlan:
 def _sensor(
     family: Family, place: Place, reading: Reading, layout: SliceLayout, steps: int
 ) -> Sensor:
+    """The sensor of a family with its measurements; `steps` is T.
+
+    EvidenceError for a sighting at step 0 of a control, which does not exist there.
+    """
     number = int(family.step[0]) if family.step.size else 1
     for parent in family.hidden:
         if number == 0 and parent not in layout.states:

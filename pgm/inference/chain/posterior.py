@@ -56,7 +56,7 @@ class ChainPosterior(Innovated, Posterior):
     weights : mapping of Variable to ndarray
         By sensor, w of each sighting, (*runs, M), which counts with the covariance `cov` / w.
     associations : mapping of Variable to Associations
-        By sensor, of sightings that left open what was seen, with `unknown`.
+        By sensor: what its sightings were taken to be of, where `unknown` left that open.
 
     Examples
     --------
@@ -102,7 +102,7 @@ class ChainPosterior(Innovated, Posterior):
 
     @property
     def _plan(self) -> ChainPlan:
-        """The plan, linearised as the forward pass left it."""
+        """The plan, linearised as the forward pass left it, which is redone where needed."""
         assert self._forward is not None
         return self._planned
 
@@ -131,7 +131,7 @@ class ChainPosterior(Innovated, Posterior):
     def filtered(self) -> Marginals:
         """Marginals given the measurements up to each step: the forward pass.
 
-        For an iterated fixed lag, the weights of each window at its newest step.
+        For an iterated fixed lag, those of each window at its newest step.
         """
         beliefs = Beliefs(self._swept.mean, self._swept.cov)
         return self._marginals(beliefs if self._windows is None else self._windows.newest, FILTERED)
@@ -143,7 +143,7 @@ class ChainPosterior(Innovated, Posterior):
 
     @property
     def log_evidence(self) -> Array:
-        """The value ln p(measurements), (...): the sum of the innovations' log-densities."""
+        """The log-evidence ln p(measurements), in nats, (...): a sum of log-densities by step."""
         total: Array = self._swept.log_density.sum(axis=0)
         return total.reshape(self._planned.lead)
 
@@ -155,19 +155,19 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def _reverse(self) -> Reverse:
-        """The conditionals p(x[t] | x[t + 1]), from the solver or from the forward pass."""
+        """The conditionals p(x[t] | x[t + 1], measurements up to t), of the solver or made here."""
         return self._reverse_given or Reverse.make(self._plan, self._forward)
 
     @cached_property
     def _backward_messages(self) -> canonical.Canonical:
-        """The canonical messages of later measurements to each slice."""
+        """The canonical messages p(measurements after t | states at t), (T+1, runs, ...)."""
         return backward_messages(self._plan, self._forward)
 
     @quiet()
     def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
         """The joint of hidden variables at any steps, given the measurements that the latest knows.
 
-        After filtering those up to its step, after smoothing all, as `kind` says.
+        After filtering these are those up to its step, after smoothing all, as `kind` says.
 
         Parameters
         ----------
@@ -209,7 +209,10 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def _careful_slices(self) -> list[adjoint.Smooth] | None:
-        """All slices given all measurements, in twice the digits; None if none knows all."""
+        """All slices given all measurements, in twice the digits.
+
+        None if the pass was in float64, or did not smooth.
+        """
         if self._careful is None or self.kind != SMOOTHED:
             return None
         return adjoint.smoothed(self._careful, self.graph.steps)
@@ -283,7 +286,7 @@ class ChainPosterior(Innovated, Posterior):
         )
 
     def _weight(self, step: int) -> Array:
-        """The log-evidence of the measurements that the belief at a step knows, (runs,)."""
+        """The log-evidence of what the belief at a step knows, by its `kind`, (runs,)."""
         last = self.kind.last(step, self.graph.steps)
         weight: Array = self._forward.log_density[: last + 1].sum(axis=0)
         return weight if self._windows is None else self._windows.log_evidence[last]
@@ -339,7 +342,7 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def _potentials(self) -> canonical.Canonical:
-        """The linearised CPDs of all clusters in canonical form."""
+        """The potentials of clusters 1..T in canonical form, (T, runs, ...)."""
         return potentials(self._plan, self._forward)
 
     @quiet()
@@ -375,9 +378,10 @@ class ChainPosterior(Innovated, Posterior):
     def _form(
         self, scope: Scope, parts: canonical.Canonical, what: str, cluster: int
     ) -> CanonicalForm:
-        """A canonical form for a user, with the leading axes of runs.
+        """A canonical form for a user, with the leading axes of runs, from (K, h, g), (runs, ...).
 
-        A singular covariance has none: K = P⁻¹ would be NaN, and is refused.
+        Where its g is NaN, a covariance was singular, and the form does not exist: NumericalError
+        tells `what` of which cluster it would be.
         """
         if np.isnan(parts[2]).any():
             raise NumericalError(

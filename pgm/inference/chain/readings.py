@@ -1,4 +1,9 @@
-"""The measurements of a step: linearised at a belief, and taken in; the batch is last."""
+"""The measurements of a step: linearised at a belief, and taken in; the batch is last.
+
+The k sightings of a sensor, of d components each, are stacked to one vector of D = k d. Components
+stand first and runs last, (D, *batch), `batch` being () for one run. A sighting of robust noise
+counts as a Gaussian of covariance R / w, w being its weight.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +44,11 @@ Room = tuple[Array, Array]
 
 
 class Moments(NamedTuple):
-    """Mean (n, *batch) and covariance (n, n, *batch) of a slice; `mild` as of `gaussian.Update`."""
+    """Mean (n, *batch) and covariance (n, n, *batch) of a slice.
+
+    `mild` says that the update they come from is known to shrink no variance more than a thousand
+    times.
+    """
 
     mean: Array
     cov: Array
@@ -53,7 +62,7 @@ class Moments(NamedTuple):
         return cls(components_first(mean, 1), components_first(cov, 2))
 
     def held(self, anchor: Anchor, step: int) -> Moments:
-        """The belief held near a point, by the measurement of an anchor."""
+        """The belief given an anchor's measurement of all components at a row `step` of it."""
         mean, cov = anchor.hold(step, *self.by_run)
         if self.mean.ndim == 1:
             return Moments(mean[0], cov[0], False)
@@ -70,10 +79,12 @@ class Moments(NamedTuple):
 def update(
     parts: Sequence[Measured], step: int, belief: Moments, room: Room | None = None
 ) -> tuple[Moments, Array | float]:
-    """The belief given sightings of a step, and their log-density; `room` may take its moments.
+    """The belief given linearised sightings of a step, and their log-density (*batch).
 
-    Where the joint predictive covariance is nearly singular, as with sharp measurements of a wide
-    belief, they are taken in one by one, which is equal but for rounding.
+    The moments may be written into `room`. Where the joint predictive covariance is nearly
+    singular, as with sharp measurements of a wide belief, exact sensors are taken in together and
+    the other sightings one by one, which is equal but for rounding. NumericalError where that
+    covariance is indefinite or not finite, or an exact model is contradicted.
     """
     if not parts:
         return belief, 0.0
@@ -104,9 +115,10 @@ def update(
 def _absorb(
     parts: Sequence[Measured], step: int, belief: Moments, least: float, room: Room | None = None
 ) -> tuple[Moments, Array | float] | None:
-    """Take in sightings as one vector; None where too little of a component is left open.
+    """`update` with the sightings as one vector; None if their covariance S is nearly singular.
 
-    Too little is the share `least` of its variance; with zero nothing is.
+    It is so where a component of z, given those before it, has a share of its variance in S below
+    `least`, and that is `NEARLY_SINGULAR`; with a smaller `least` there is always a result.
     """
     mean, cov, _ = belief
     sharp, first = None, parts[0]
@@ -136,8 +148,9 @@ def _absorb(
 class Reading:
     """The sightings of one sensor at a step, to be linearised at any belief.
 
-    `values` (D, *batch) are as given, with a batch of one for all; `taken` as of `Measured`; angles
-    may be `fixed` on their branch already.
+    `values` (D, *batch) are as given, with a batch of one for all; `taken` as of `Measured`. With
+    `fixed` the sensor's stored linearisation is used as it is: angles stay on their branch, and
+    weights are not found anew. `seen` is the last linearisation.
     """
 
     __slots__ = (
@@ -155,7 +168,7 @@ class Reading:
     )
 
     seen: Measured
-    # Of robust noise that is to be weighed.
+    # Weights of robust noise, where they are to be found.
     weights: Weights | None
     error: Array | None
     taken: Mask | None
@@ -171,7 +184,7 @@ class Reading:
         self.take(taken)
 
     def take(self, taken: Mask | None) -> None:
-        """Use only the components that a mask `taken` marks, with unit weights."""
+        """Use only the components that `taken` (D, *batch) marks, None for all; weights are one."""
         sensor, at = self.sensor, self.at
         self.taken, self.weights = taken, None
         if sensor.robust and not self.fixed:
@@ -183,9 +196,11 @@ class Reading:
     def linearise(
         self, mean: Array, cov: Array, active: Mask | None = None, copy: bool = True
     ) -> Measured:
-        """Linearise at a belief over the slice, for the active runs.
+        """Linearise at a belief over the slice, (n, *batch) and (n, n, *batch).
 
-        Without a copy H and the value may be arrays that the user's function uses again.
+        The result is `seen`, too. Runs that are not `active` (runs,) keep their linearisation.
+        Measured angles are moved to the branch nearest the value. Without a copy H and the value
+        may be arrays that the user's function uses again.
         """
         sensor, at = self.sensor, self.at
         if not sensor.whole:
@@ -208,19 +223,26 @@ class Reading:
         return seen
 
     def _weighed(self, weights: Weights) -> Array:
-        """The noise of the sightings, each divided by its weight."""
+        """The noise covariance (D, D, *batch) with each sighting's block R replaced by R / w.
+
+        Its rows and columns are scaled by 1/√w, w being the sighting's weight.
+        """
         each = scale(weights.weight, self.sensor.height, self.sensor.family.batch)
         found: Array = self.at.noise * each[:, None] * each[None]
         return found
 
     def _keep_error(self, error: Array | None, active: Mask | None) -> None:
-        """Keep the error of a linearisation, for the active runs."""
+        """Keep the covariance of a linearisation's error, (D, D, *batch), for the active runs."""
         if active is not None and self.error is not None and error is not None:
             error = np.where(active, error, self.error)
         self.error = error
 
     def reweigh(self, mean: Array, cov: Array, active: Mask) -> Array:
-        """Weigh the sightings at a belief over the slice; how far weights move, (runs,)."""
+        """Weigh robust sightings at a belief over the slice; returns how far weights move, (runs,).
+
+        That is the largest change of a weight, infinite while a graduated loss is not yet the one
+        asked for, and zero in runs that are not active. `seen` has the new noise then.
+        """
         weights, sensor, seen = self.weights, self.sensor, self.seen
         assert weights is not None
         if not sensor.whole:
@@ -242,7 +264,10 @@ class Reading:
         return moved
 
     def loss(self, left: Array, cov: Array) -> Array:
-        """Twice the losses of residuals (runs, D) at a belief over the slice, (runs,)."""
+        """Twice the sum of the losses ρ of residuals `left` (runs, D) of robust sightings, (runs,).
+
+        `cov` (runs, n, n) is that of the belief over the slice, for rules that take expectations.
+        """
         weights, height = self.weights, self.sensor.height
         assert weights is not None
         residual = left.reshape(len(left), -1, height).swapaxes(0, 1)
@@ -255,7 +280,7 @@ class Reading:
 
     @property
     def surplus(self) -> Array | float:
-        """The robust log-density less the Gaussian log-density of the sightings, (*batch)."""
+        """The sightings' robust log-density less that of their N(0, R / w), (*batch); else zero."""
         if not self.sensor.robust:
             return 0.0
         if self.weights is None:
@@ -266,14 +291,14 @@ class Reading:
         return total if self.sensor.family.batch else total.item()
 
     def expected(self, mean: Array, cov: Array) -> Array:
-        """E[h(x)] at a belief over the slice, by the lineariser; NaN where it fails."""
+        """E[h(x)] at a belief over the slice, by the lineariser, (D, *batch); NaN where h is."""
         sensor = self.sensor
         if not sensor.whole:
             mean, cov = mean[sensor.parents], within(cov, sensor.parents)
         return sensor.family.line(self.at, mean, cov).value
 
     def require_finite(self) -> None:
-        """Refuse values of NaN or infinity."""
+        """Refuse a linearisation with values of NaN or infinity, with LinearisationError."""
         function, seen = self.at.function, self.seen
         if function is not None:
             error = seen.noise if self.erroneous else None
@@ -281,7 +306,7 @@ class Reading:
             require_finite(self.sensor.family, function, seen.point, line)
 
     def keep(self) -> None:
-        """Keep the linearisation of the sightings in the plan."""
+        """Store the linearisation of the sightings, their weights and branches in the plan."""
         seen, sensor = self.seen, self.sensor
         if self.at.function is not None:
             weighed = self.erroneous or self.weights is not None
@@ -295,7 +320,7 @@ class Reading:
 
 
 def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
-    """A measurement with angles, at the places `turning`, moved to the branch nearest a value."""
+    """A measurement (D, *batch), its angles at `turning` moved to within half a turn of a value."""
     moved = reading
     for k in turning:
         if reading.ndim == 1:
@@ -314,7 +339,10 @@ def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
 
 
 def stored(plan: ChainPlan, step: int, mean: Array) -> Vector | None:
-    """The measurements of a step, as linearised, as one vector at means (runs, n); or None."""
+    """The measurements of a step, with stored linearisations, as one vector, or None without any.
+
+    `mean` (runs, n) is that of the slice; the result has its runs first, too.
+    """
     at = components_first(mean, 1) if plan.batch else mean[0]
     nothing = np.zeros((len(at), len(at), *plan.batch))
     due = [(sensor, sensor.at(step, stored=True)) for sensor in plan.sensors]

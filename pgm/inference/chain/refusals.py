@@ -26,7 +26,7 @@ _MAGNIFIED = 1e3
 
 
 def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
-    """Refuse measurements whose predictive covariance is indefinite or not finite."""
+    """Raise the NumericalError for an indefinite or infinite covariance of some measurements."""
     names = ", ".join(seen.sensor.variable.name for seen in parts)
     blamed = [seen.sensor for seen in parts if not seen.sensor.family.taylor]
     sensor = blamed[0] if blamed else parts[0].sensor
@@ -45,7 +45,12 @@ def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
 
 
 def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
-    """Refuse measurements (D, *batch) that contradict values fixed by an exact model."""
+    """Raise NumericalError if a measurement contradicts a value that an exact model determines.
+
+    `left` (D, *batch) is how far each stacked component is from the determined value, zero where
+    none is; `mean` (n, *batch) is that of the predicted slice. Rounding of the numbers summed up,
+    and of a linearisation, is allowed.
+    """
     allowed, rounded = [], []
     for seen in parts:
         # Numbers of this size are summed up to the expected value.
@@ -80,7 +85,11 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
 
 
 def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
-    """Refuse a predicted covariance that is indefinite by a lineariser's error, or infinite."""
+    """Raise NumericalError if a covariance (d, d, *batch) predicted by a CPD is indefinite.
+
+    Whether it is indefinite is looked at only where the covariance of the linearisation's error may
+    be. With `finite` a covariance that is not finite is refused, too.
+    """
     family, whole = link.family, bool(np.isfinite(cov).all())
     proper = family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2)))
     if proper and (whole or not finite):
@@ -99,7 +108,11 @@ def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
 
 
 def belief(plan: ChainPlan, step: int, *beliefs: tuple[Twofold, Twofold]) -> None:
-    """Refuse beliefs in twice the digits that are not finite, or indefinite by linearisation."""
+    """Raise NumericalError if beliefs in twice the digits are not finite or indefinite.
+
+    A belief is its means (runs, n, 1 + q) and covariance (runs, n, n). An indefinite one is blamed
+    on a CPD whose approximation error may be so; without such a CPD it is not looked for.
+    """
     for belief in beliefs:
         if not all(np.isfinite(part.hi + part.lo).all() for part in belief):
             infinite("the belief", step)
@@ -118,7 +131,7 @@ def belief(plan: ChainPlan, step: int, *beliefs: tuple[Twofold, Twofold]) -> Non
 
 
 def infinite(what: str, step: int) -> NoReturn:
-    """Refuse a belief that is not finite."""
+    """Raise the NumericalError for a belief, named by `what`, that is not finite at a step."""
     raise NumericalError(
         f"{what} at step {step} is not finite; are its inputs, measurements and noises of a size "
         "that float64 can hold?",

@@ -5,12 +5,14 @@ the backward pass finds
 
     P′ = (1 − G A) P (1 − G A)ᵀ + G (Q + P_y′) Gᵀ
 
-from the smoothed P_y′. It subtracts nothing, and is the least that any gain gives as long as the
-later measurements say nothing (P_y′ = P_y). An error of the gain still changes it by
-δG P_y′ Gᵀ and the transpose. With deviations σ, rounding changes P Aᵀ by ε σ aᵀ and
-P_y = A P Aᵀ + Q by ε a aᵀ, a = |A| σ + σ_Q, hence G by up to ε g aᵀ |P_y⁻¹|, g = σ + |G| a: much,
-where components of y hardly vary given all others, as with a motion whose noise has few directions.
-The certificate's shares are of the components *before* each one, and do not tell.
+from the smoothed P_y′; P is the covariance of the filtered x, P_y that of the predicted y. It
+subtracts nothing, and is the least that any gain gives as long as the later measurements say
+nothing (P_y′ = P_y). An error of the gain still changes it by δG P_y′ Gᵀ and the transpose. With
+the standard deviations σ under P, σ_Q under Q and σ_y′ under P_y′, rounding changes P Aᵀ by ε σ aᵀ
+and P_y = A P Aᵀ + Q by ε a aᵀ, a = |A| σ + σ_Q, hence G by up to ε g aᵀ |P_y⁻¹|, g = σ + |G| a:
+much, where components of y hardly vary given all others, as with a motion whose noise has few
+directions. The ratios of the certificate compare a variance with that given the components *before*
+it alone, and do not show this.
 
 Errors go back as covariances do, in the order of semidefinite matrices:
 
@@ -49,15 +51,15 @@ _CHUNK = 1 << 16
 
 
 def keeps_digits(plan: ChainPlan, predicted: Array, known: Array, smoothed: Array) -> bool:
-    """Whether rounding is a small part of smoothed variances.
+    """Whether the bound of rounding is at most 10⁻⁷ of every smoothed variance.
 
     Parameters
     ----------
     plan : ChainPlan
         As it was linearised for the pass.
     predicted, known, smoothed : ndarray
-        Covariances of the slices (T+1, runs, n, n), before and after the measurements of their
-        steps, and given later ones.
+        Covariances of the slices (T+1, runs, n, n): before the measurements of their steps, after
+        them, and given all.
     """
     if len(predicted) < 2 or predicted.shape[-1] < 2:
         return True
@@ -74,7 +76,11 @@ def keeps_digits(plan: ChainPlan, predicted: Array, known: Array, smoothed: Arra
 
 
 def accumulated(predicted: Array) -> Array:
-    """The part of P that the rounding at a step and all later ones is at most, (T, runs)."""
+    """A bound of the rounding at a step and all later ones, as a share of P, (T, runs).
+
+    Row t sums ε (tr C⁻¹)² over the predicted covariances of the steps after t, C being their
+    correlations. `predicted` is (T+1, runs, n, n).
+    """
     steps, runs, size = len(predicted) - 1, *predicted.shape[1:3]
     added = np.empty((steps, runs))
     length = max(_CHUNK // (runs * size * size), 1)
@@ -94,10 +100,11 @@ def _swept(
     added: Array,
     doubtful: Mask,
 ) -> float:
-    """The largest share of a smoothed variance that the bound E comes to, going back.
+    """The largest share of a smoothed variance that the bound E comes to, by a sweep back.
 
-    Of the runs that are doubtful at some step, from the last of these steps on, behind which it is
-    the `accumulated` part of P, as `added`.
+    It is over the runs that are `doubtful` (T, runs) at some step. The sweep begins at the last
+    doubtful step, with the share of P that has `accumulated` behind it, `added` (T, runs); it ends
+    with infinity where a share is beyond `TOLD`. `moves` are the transitions between slices.
     """
     runs, size = np.flatnonzero(doubtful.any(axis=0)), predicted.shape[-1]
     end = int(np.flatnonzero(doubtful.any(axis=1))[-1]) + 1
@@ -126,7 +133,7 @@ def _swept(
 
 
 def _some(part: Array, rows: slice, runs: Integers) -> Array:
-    """Some steps and runs of a conditional's part, which may be one for all of either."""
+    """Some steps and runs of an array (steps or 1, runs or 1, ...), one standing for all."""
     part = part[rows] if len(part) > 1 else part
     return part[:, runs] if part.shape[1] > 1 else part
 
@@ -134,10 +141,10 @@ def _some(part: Array, rows: slice, runs: Integers) -> Array:
 def injected(
     matrix: Array, noise: Array, predicted: Array, known: Array, later: Array
 ) -> tuple[Array, Array]:
-    """The gain G (..., n, n) on the slice after, and the diagonal of ε diag(...), (..., n).
+    """The gains G (..., n, n) on the slice after, and what they add to E, ε diag(...), (..., n).
 
-    Of transitions A (..., n, n) with their noise Q, the slices' P and P_y, and P_y′ given later
-    measurements.
+    `matrix` and `noise` are A and Q (..., n, n); `known`, `predicted` and `later` are P of the
+    slice, P_y of the one after, and P_y′.
     """
     spread, own, after = deviation(predicted), deviation(known), deviation(later)
     unit = np.where(spread > 0.0, spread, 1.0)

@@ -1,4 +1,8 @@
-"""Weighing all sightings of robust noise at once; weights as results show them."""
+"""Weighing all sightings of robust noise at once; weights as results show them.
+
+A sighting counts as a Gaussian of covariance R / w, w being its weight. Its surplus is the robust
+log-density less that of this Gaussian. Sightings of a sensor have M rows, sorted by step.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,11 @@ from pgm.kernels.prefixes import gather
 
 
 def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:
-    """Weigh all sightings, of active runs, at the beliefs where the plan was linearised."""
+    """Weigh all robust sightings at a point, the beliefs at which the plan was linearised.
+
+    Their noise in the plan becomes R / w, plus the covariance of the linearisation's error. Runs
+    that are not `active` (runs,) keep theirs; None means all.
+    """
     for sensor in plan.robust:
         family = sensor.family
         error = None if family.taylor else family.noise - family.own_noise
@@ -33,7 +41,12 @@ def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:
 def squares(
     sensor: Sensor, mean: Array, cov: Array, first: int, error: Array | None = None
 ) -> Array:
-    """The squares νᵀR⁻¹ν of a sensor's residuals by its linearisation, (M, runs)."""
+    """The squares νᵀR⁻¹ν of a sensor's residuals by its linearisation, (M, runs).
+
+    With a rule that takes expectations they are expected under the beliefs, and Ω, `error` (M,
+    runs, d, d), is the covariance of its approximation error. `mean` (T+1, runs, n) and `cov` are
+    of the slices, the first of which is at step `first`.
+    """
     family, parents, places = sensor.family, sensor.parents, sensor.family.step - first
     residual = sensor.moved - family.value(slice(None), gather(mean, places)[..., parents])
     if not family.expects:
@@ -51,7 +64,7 @@ def settled(plan: ChainPlan) -> Mask | bool:
 
 
 def surplus(plan: ChainPlan, step: int) -> Array | float:
-    """A step's robust log-density less its Gaussian log-density, Σ over measurements, (runs,)."""
+    """The surplus of a step's robust sightings, added up, (runs,); zero without any."""
     found: Array | float = 0.0
     for sensor in plan.robust:
         found = found + sensor.weights.surplus(sensor.rows(step)).sum(axis=0)
@@ -59,7 +72,7 @@ def surplus(plan: ChainPlan, step: int) -> Array | float:
 
 
 def by_step(plan: ChainPlan) -> Array | float:
-    """Each step's robust log-density less its Gaussian log-density, (T+1, runs)."""
+    """The surplus of each step's robust sightings, added up, (T+1, runs); zero without any."""
     if not plan.robust:
         return 0.0
     return np.array([np.broadcast_to(surplus(plan, k), plan.runs) for k in range(plan.steps + 1)])
@@ -70,13 +83,13 @@ _HARDLY = 0.1
 
 
 class Weights(EachSensor[Array]):
-    """The weights of each sensor that was read, (*runs, M)."""
+    """The weights (*runs, M) of each sensor: 1 for Gaussian noise, NaN where nothing was read."""
 
     _what = "weights"
 
     @classmethod
     def of(cls, plan: ChainPlan) -> Weights:
-        """The weights of a plan, in the order of the evidence."""
+        """The weights that a plan holds, sightings in the order of the user's evidence."""
         found = {}
         for sensor in plan.sensors:
             weight = sensor.weights.weight if sensor.robust else np.ones(sensor.family.shape[:2])
@@ -104,7 +117,10 @@ class Weights(EachSensor[Array]):
 
 
 def evidence_kind(plan: ChainPlan, *, fixed: bool) -> str:
-    """The kind of a log-evidence, of a plan linearised where a smoother settled or elsewhere."""
+    """The kind of a log-evidence, as `ChainPosterior` explains: exact, linearised, laplace, ...
+
+    `fixed` says that the plan is linearised at a fixed point of a smoother.
+    """
     affine = all(family.exact for family in plan.families)
     if not plan.robust:
         taylor = all(family.taylor for family in plan.families)

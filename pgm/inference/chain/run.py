@@ -1,4 +1,8 @@
-"""Running a schedule on a chain of slices, in float64 and in twice the digits."""
+"""Running a schedule on a chain of slices, in float64 and in twice the digits.
+
+A pass is done in float64 first. Where it fails, or the `certificate` finds that rounding has left
+too few digits, it is done again in pairs of float64, which have twice the digits.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +52,7 @@ from pgm.tracing import Judge, judged
 class Solver(ABC):
     """The solution of a chain by one kind of schedule.
 
-    `starts` says whether it takes means at which everything is linearised first.
+    `starts` says whether a user may give means at which everything is linearised first.
     """
 
     starts: ClassVar[bool] = False
@@ -64,13 +68,17 @@ class Solver(ABC):
 
     @abstractmethod
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        """The posterior computed in float64."""
+        """The posterior computed in float64.
+
+        `start` (T+1, runs, n) are means of the slices for the first linearisation, or None; `room`
+        are arrays in which a filter may leave its moments.
+        """
 
     @abstractmethod
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        """The posterior computed in pairs of float64.
+        """The posterior computed in pairs of float64; for `start` see `solve`.
 
-        Windows of a fixed lag choose this for themselves.
+        Sliding windows of a fixed lag choose between both for themselves, in either method.
         """
 
     def _posterior(
@@ -85,7 +93,10 @@ class Solver(ABC):
         windows: Windows | None = None,
         error: Array | None = None,
     ) -> ChainPosterior:
-        """The posterior of a sweep: its status tells the lost digits and the compiled sweeps."""
+        """The posterior of a sweep, its status with the digits left and the compiled sweeps.
+
+        `error` (runs,) is that of the means, in standard deviations; None where it is not measured.
+        """
         status = status.with_compilation(plan.account.words(plan.runs))
         if error is not None:
             status = status.with_digits(digits(error, plan.lead))
@@ -99,7 +110,7 @@ class FilterSolver(Solver):
     """Filtering: forward messages only."""
 
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        """Step by step, or in rounds on a balanced tree."""
+        """The filtered posterior: step by step, or by a parallel scan on a balanced tree."""
         ahead: Forward | Filtered
         if self.balanced:
             self._refuse_nonlinear(plan)
@@ -113,7 +124,7 @@ class FilterSolver(Solver):
         return self._posterior(plan, FILTERED, ahead, status)
 
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        """Step by step, each belief in pairs of float64."""
+        """The filtered posterior step by step, each belief in pairs of float64."""
         if self.balanced:
             self._refuse_nonlinear(plan)
         swept, status = careful.sweep(plan, self.schedule)
@@ -122,7 +133,7 @@ class FilterSolver(Solver):
         )
 
     def _refuse_nonlinear(self, plan: ChainPlan) -> None:
-        """Refuse nonlinear CPDs for a balanced tree, which filters all steps at once."""
+        """Refuse nonlinear CPDs, and robust noise, for a balanced tree, with GraphError."""
         for family in plan.families:
             if not family.settled:
                 kind = "of robust noise" if family.exact else "nonlinear"
@@ -134,7 +145,11 @@ class FilterSolver(Solver):
 
 
 class LagSolver(Solver):
-    """Backward messages over a lag; windows, where CPDs are linearised again, see to digits."""
+    """Fixed-lag smoothing: backward messages over a lag.
+
+    Where CPDs are linearised again, a window slides along the chain, and each window is solved in
+    float64 or in pairs of it, as it needs.
+    """
 
     def __init__(self, graph: DynamicGraph, schedule: FixedLag) -> None:
         super().__init__(graph, schedule)
@@ -145,7 +160,7 @@ class LagSolver(Solver):
             )
 
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        """Once and back over the lag, or window after window."""
+        """The posterior by one forward pass and back over the lag, or window after window."""
         return self._lagged(plan, fixed_lag.smooth)
 
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
@@ -155,7 +170,10 @@ class LagSolver(Solver):
     def _lagged(
         self, plan: ChainPlan, once: Callable[[ChainPlan, FixedLag], tuple[Lagged, Status]]
     ) -> ChainPosterior:
-        """The posterior of a fixed lag: by sliding windows, or in one sweep where that is exact."""
+        """The posterior of a fixed lag: by sliding windows where there is anything to iterate.
+
+        Else `once(plan, schedule)` linearises once, and returns the beliefs with their status.
+        """
         slides = fixed_lag.slides(plan, self.schedule)
         found, status = (fixed_lag.slide if slides else once)(plan, self.schedule)
         return self._posterior(
@@ -172,7 +190,7 @@ class LagSolver(Solver):
 
 
 class SmootherSolver(Solver):
-    """Messages forward and back."""
+    """Smoothing: messages forward and back, iterated."""
 
     starts = True
 
@@ -182,14 +200,14 @@ class SmootherSolver(Solver):
         super().__init__(graph, schedule)
 
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        """A sweep there and back, or rounds, iterated."""
+        """The smoothed posterior: sweeps there and back, or parallel scans, iterated."""
         smooth = smoother.scan if self.balanced else smoother.smooth
         found, status = smooth(plan, self.schedule, start)
         ahead = parallel.whole(found.forward)
         return self._posterior(plan, SMOOTHED, ahead, status, found.beliefs, found.reverse)
 
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        """Sweeps in pairs of float64, iterated."""
+        """The smoothed posterior: sweeps in pairs of float64, iterated."""
         found, status = smoother.carefully(plan, self.schedule, start, reckoned=self.balanced)
         swept = found.careful
         return self._posterior(
@@ -211,7 +229,11 @@ def bind_chain(
     identities: bool = False,
     compiled: Choice = None,
 ) -> BoundEvidence:
-    """Check and bind the evidence of a dynamic network, with open sightings or without."""
+    """The evidence of a dynamic network, checked and laid out by step.
+
+    `steps` is T, None for that of the evidence; `identities` allows sightings that leave open what
+    was seen; `compiled` tells how many threads may lay it out.
+    """
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
     if not isinstance(evidence, Mapping):
@@ -230,9 +252,11 @@ def run(
     start: Start | None,
     room: Room | None = None,
 ) -> ChainPosterior:
-    """Send the messages of a filter or smoother; `room` has arrays for the moments of a filter.
+    """The posterior of a chain given its evidence, by a schedule, smoothing if that is None.
 
-    Too large numbers are refused where they end up: NumPy need not warn.
+    `start` maps hidden variables to means for the first linearisation; `room` has arrays for the
+    moments of a filter. Numbers that are too large are refused where they end up, so that NumPy
+    need not warn. Traces stand in for users' functions; where one proves wrong, all is done again.
     """
     schedule = Smoothing() if schedule is None else schedule
     if isinstance(schedule, FixedLag) and not schedule.lag and not isinstance(graph, BalancedGraph):
@@ -256,7 +280,10 @@ def _solved(
     room: Room | None,
     judge: Judge,
 ) -> ChainPosterior:
-    """The solution in float64, or where that loses too many digits, in twice as many."""
+    """The posterior in float64, or, where that fails or loses too many digits, in twice as many.
+
+    `given` (T+1, runs, n) are the starting means, or None; the `judge` is of this call's traces.
+    """
     plan = ChainPlan.make(graph, bound, lineariser, judge=judge)
     gates = getattr(schedule, "gate", None)  # a plain calibration has none
     gate.prepare(plan, gates)
@@ -280,9 +307,10 @@ def _solved(
 
 
 def _told(posterior: ChainPosterior) -> ChainPosterior:
-    """The posterior, with the digits that sigma points close together leave, where some are lost.
+    """The posterior, its status telling how many digits sigma points close together leave.
 
-    They are in float64, whatever the passes are in.
+    It stays as it is where these cost no digits, or less than the passes. Functions are evaluated
+    in float64, whatever the passes are in.
     """
     lost = close_points.error(posterior._planned, posterior._swept)
     if lost is None:
@@ -296,7 +324,11 @@ def _told(posterior: ChainPosterior) -> ChainPosterior:
 
 
 def _refuse_infinite(posterior: ChainPosterior) -> None:
-    """Refuse moments not finite, but a flat prior's, and variances negative beyond rounding."""
+    """NumericalError where moments or log-densities are not finite, or a variance is negative.
+
+    A flat prior's infinite variances are allowed. Negative ones are looked for where twice the
+    digits, or windows, have been used.
+    """
     swept, smoothed = posterior._swept, posterior._smoothed
     if isinstance(swept, Filtered):  # whose numbers have been looked at
         return
@@ -343,7 +375,7 @@ def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
 def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Array:
     """The user's starting means as an array (T+1, runs, n).
 
-    Each hidden variable needs one row a step.
+    EvidenceError unless each hidden variable has one row for each step at which it stands.
     """
     require_hidden(start, layout.slice)
     mean = np.zeros((bound.steps + 1, bound.runs, layout.slice_size))

@@ -1,4 +1,9 @@
-"""One sensor of a chain: measurements by step, their linearisation, gate decisions."""
+"""One sensor of a chain: measurements by step, their linearisation, gate decisions.
+
+A sensor has M sightings, the rows, sorted by step, of d components each. The k sightings of a step
+together have D = k d components. Arrays by row are (M, runs, ...), the runs of length one where all
+have the same.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +42,9 @@ from pgm.variables import Variable
 class GateRecord:
     """A sensor's gate decisions, filled in by a forward pass; windows of it are views.
 
-    `gate` is the probability, `given` (M, runs, d) the components that were measured; `square` (M,
-    runs) is νᵀS⁻¹ν, NaN where nothing was measured or decided.
+    `gate` is the probability of the χ² quantile; `given` (M, runs, d) marks the components that
+    were measured, and `rejected` (M, runs) the sightings left out. `square` (M, runs) is νᵀS⁻¹ν of
+    the innovation ν, S its covariance, NaN where nothing was measured or decided.
     """
 
     gate: float
@@ -48,16 +54,16 @@ class GateRecord:
 
     @classmethod
     def empty(cls, gate: float, given: Mask) -> GateRecord:
-        """Before anything is decided."""
+        """The record before anything is decided, of components `given` (M, runs, d)."""
         shape = given.shape[:2]
         return cls(gate, given, np.zeros(shape, dtype=bool), np.full(shape, np.nan))
 
     def window(self, rows: slice) -> GateRecord:
-        """The gate decisions for some rows."""
+        """The gate decisions for some rows, as a view."""
         return GateRecord(self.gate, self.given[rows], self.rejected[rows], self.square[rows])
 
     def of(self, runs: slice) -> GateRecord:
-        """The gate decisions for some runs."""
+        """The gate decisions for some runs, as a view."""
         return GateRecord(
             self.gate, cut(self.given, runs), cut(self.rejected, runs), cut(self.square, runs)
         )
@@ -81,10 +87,11 @@ class GateRecord:
 
 
 class Seen(NamedTuple):
-    """Some linearised measurements z = F x + b + n of a sensor, angles moved, (k, runs, ...).
+    """Some linearised sightings z = F x + b + n of a sensor, (k, runs, ...).
 
-    A missing component is one of unit variance that says nothing: zero in F, b and z. `taken` (k,
-    runs or 1, d) is None where none is missing.
+    `value` is z, its angles on the branch nearest the CPD's value; x are the sensor's parents. A
+    missing component is one of unit variance that says nothing: zero in F, b and z. `taken` (k,
+    runs or 1, d) marks the others, None if none is missing.
     """
 
     matrix: Array
@@ -104,10 +111,12 @@ class Seen(NamedTuple):
 class Sensor:
     """A sensor's family in place, with its measurements (M, runs or 1, d) sorted by step.
 
-    The rows bounds[t] to bounds[t + 1] are of step t; `taken` is None where no component is
-    missing, and all its own, to be written to, where there is a gate. `cross` are by step the
-    covariances (runs, D, D) between different sightings' approximation errors, of a grouped sensor;
-    `whole` says whether the hidden parents are all of the slice.
+    `parents` are the places of the CPD's hidden parents in the slice; `whole` says whether they are
+    all of it. Row k is row order[k] of the user's evidence; rows bounds[t] to bounds[t + 1] are of
+    step t. `taken` (M, runs or 1, d) marks the components measured, None for all; where there is a
+    gate it is an array of its own, to be written to. A grouped sensor's sightings of a step are
+    linearised as one vector: `cross` has by step the covariances (runs, D, D) between the
+    approximation errors of different ones. `gated` has the decisions of its gate, if there is one.
     """
 
     family: Family
@@ -132,20 +141,23 @@ class Sensor:
 
     @cached_property
     def weights(self) -> Weights:
-        """Reweighting of all sightings of a robust sensor, at first with unit weights."""
+        """The weights of all sightings of a robust sensor, one at first."""
         shape = self.family.shape[0], self.family.shape[1]
         return Weights.of(self.family.cpd, self.family.own_noise, self.taken, shape)
 
     @cached_property
     def moved(self) -> Array:
-        """The values (M, runs, d), angles on the branch nearest the CPD's, in a copy."""
+        """The measured values (M, runs, d), angles on the branch where linearisations put them.
+
+        At first they are as given. With angles it is an array of its own, to be written to.
+        """
         count, runs, height, _ = self.family.shape
         wide = np.broadcast_to(self.values, (count, runs, height))
         return wide.copy("K") if self.variable.angles else wide
 
     @cached_property
     def height(self) -> int:
-        """Components of a sighting."""
+        """The number d of components of a sighting."""
         return self.variable.dimension
 
     @cached_property
@@ -154,7 +166,7 @@ class Sensor:
         return bool(roots.determined(roots.root(self.family.own_noise)).any())
 
     def rows(self, step: int) -> slice:
-        """The measurements of a step."""
+        """The rows of a step's sightings."""
         return slice(self.bounds[step], self.bounds[step + 1])
 
     @cached_property
@@ -163,18 +175,21 @@ class Sensor:
         return self.family.cpd.child
 
     def turning(self, height: int) -> list[int]:
-        """Indices of angles in `count` components of stacked sightings."""
+        """The places of angles among `height` components of stacked sightings."""
         if not self._angles or height == self.height:
             return self._angles
         return [first + angle for first in range(0, height, self.height) for angle in self._angles]
 
     @cached_property
     def _angles(self) -> list[int]:
-        """The places of angles among the components."""
+        """The places of angles among the components of a sighting."""
         return [int(k) for k in np.flatnonzero(self.variable.angle_mask)]
 
     def sharpness(self, noise: Array) -> Array | None:
-        """The `along_runs.sharpness` of a noise that is the same at all steps."""
+        """The determinant of S from which on a measurement is sharp, as of `along_runs.sharpness`.
+
+        None unless `noise` is the covariance that all measurements of the sensor have in common.
+        """
         return self._sharpness if noise is self._constant else None
 
     @cached_property
@@ -184,15 +199,16 @@ class Sensor:
 
     @cached_property
     def _sharpness(self) -> Array:
-        """The sharpness of that noise: see `along_runs.sharpness`."""
+        """The sharpness of the constant noise: see `along_runs.sharpness`."""
         assert self._constant is not None
         return along_runs.sharpness(self._constant)
 
     def at(self, step: int, *, stored: bool) -> tuple[At, Array, Mask | None] | None:
-        """The CPD at a step's measurements, their values, and which components are there.
+        """The CPD at a step's sightings, their values and their mask `taken`; None without any.
 
-        The latter (D, *batch), with a batch of one for all; None where nothing is read. Stored
-        measurements are as they were linearised, angles where they were moved to.
+        Values and `taken` are (D, *batch), with a batch of one for all runs; `taken` marks the
+        components measured, None for all. With `stored` the CPD has its stored linearisation, and
+        angles are where it moved them.
         """
         first, last = self.bounds[step], self.bounds[step + 1]
         if first == last:
@@ -224,7 +240,11 @@ class Sensor:
         return rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
 
     def keep(self, at: At, reading: Array, noise: Array | None) -> None:
-        """Keep where angles were moved to, and the covariances between sightings' errors."""
+        """Store where angles were moved to, and the covariances between sightings' errors.
+
+        `at` is the CPD at a step's sightings, `reading` (D, *batch) their values, `noise` (D, D,
+        *batch) their covariance with the approximation error; None where there is no error.
+        """
         count, height = at.last - at.first, self.height
         if self._angles and count == 1 and not self.family.batch:
             self.moved[at.first, 0] = reading
@@ -240,9 +260,9 @@ class Sensor:
         )
 
     def window(self, first: int, last: int, *, after: bool) -> Sensor:
-        """A view of the measurements at steps `first` to `last`.
+        """The measurements at steps `first` to `last`, with linearisations of its own.
 
-        With `after`, step `first` is left out.
+        With `after`, those at step `first` are left out; it remains the window's step 0.
         """
         begin = self.bounds[first + after]
         rows, part = slice(begin, self.bounds[last + 1]), copy(self)
@@ -260,7 +280,10 @@ class Sensor:
         return part
 
     def put(self, first: int, part: Sensor, *, after: bool) -> None:
-        """Take over a window's linearisation of these measurements."""
+        """Copy how a window linearised its measurements, with its weights and gate decisions.
+
+        `first` and `after` are those with which the window was made.
+        """
         row = self.bounds[first + after]
         self.family.put(slice(row, row + part.family.step.size), part.family)
         if self.variable.angles:
@@ -274,7 +297,11 @@ class Sensor:
         self.cross.update({first + k: between for k, between in part.cross.items()})
 
     def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:
-        """Move angles to the branch nearest the CPD's values at the point of linearisation."""
+        """Move the measured angles of some rows to the branch nearest to `predicted`.
+
+        These are the CPD's values (rows, runs, d) at the point of linearisation. Runs that are not
+        `active` (runs,) keep their branches; None means all.
+        """
         if not self.variable.angles:
             return
         moved = nearest_branch(self.values[rows], predicted, self.variable.angle_mask)
@@ -283,7 +310,7 @@ class Sensor:
         self.moved[rows] = moved
 
     def reading(self, rows: slice | Integers) -> Seen:
-        """Some measurements with stored linearisations, for passes over all steps at once."""
+        """Some rows with their stored linearisations, for passes over all steps at once."""
         family = self.family
         matrix, offset, value = family.matrix[rows], family.offset[rows], self.moved[rows]
         noise, taken = family.noise[rows], self._taken(rows)
@@ -298,12 +325,15 @@ class Sensor:
         )
 
     def noise(self, rows: slice | Integers) -> Array:
-        """The noise covariance of some rows; missing components have unit variance."""
+        """The noise covariances (k, runs, d, d) of rows; missing components have unit variance."""
         noise, taken = self.family.noise[rows], self._taken(rows)
         return noise if taken is None else independent(noise, taken)
 
     def between(self, step: int) -> Array | None:
-        """The covariances between a step's sightings, (runs, D, D), zero where one is missing."""
+        """The covariances between the errors of a step's sightings, (runs, D, D); None without any.
+
+        They are zero within a sighting, and of missing components.
+        """
         cross, taken = self.cross.get(step), self._taken(self.rows(step))
         if cross is None or taken is None:
             return cross
@@ -322,7 +352,9 @@ def linearise_grouped(
 ) -> None:
     """Linearise the sightings of steps that have equally many, at beliefs over the slices.
 
-    Steps (G,) have k sightings each; beliefs are (G, runs, n) and (G, runs, n, n).
+    `steps` (G,) have k sightings each, which are linearised as one vector of D = k d components;
+    beliefs are (G, runs, n) and (G, runs, n, n). The sensor's family stores the linearisations, and
+    the sensor the covariances between sightings' errors; runs that are not `active` keep theirs.
     """
     family, parents = sensor.family, sensor.parents
     template = family.template
@@ -344,7 +376,7 @@ def linearise_grouped(
     full = (groups, runs, count, height)
 
     def each(stacked: Array) -> Array:
-        """One sighting a row: (G k, runs, ...)."""
+        """An array (G, runs, k, ...) with one sighting a row: (G k, runs, ...)."""
         return np.moveaxis(stacked, 2, 1).reshape(groups * count, runs, *stacked.shape[3:])
 
     matrix = components_last(line.matrix, 2)

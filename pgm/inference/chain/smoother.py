@@ -1,4 +1,12 @@
-"""Iterated smoothing: sweep forward and back, relinearise everything, sweep again."""
+"""Iterated smoothing: sweep forward and back, relinearise everything, sweep again.
+
+A *pair* is the vector of the states of the step before, then the slice. *Dead reckoning* is the
+prior's mean carried on by the transition's functions, without measurements. An *anchor* is a
+further measurement of all components at each step, by which a step control (Levenberg–Marquardt)
+holds the solution near a point. Where no CPD needs covariances, as with `Taylor`, smoothing is
+Gauss–Newton for the means: their normal equations may be solved alone (`newton`), and covariances
+follow by a pass at the end.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +55,7 @@ from pgm.progress import counted
 class Smoothed:
     """A forward pass, the reversed chain, and the smoothed beliefs.
 
-    `paired` says whether iterations need the covariances of neighbours.
+    `paired` says whether a CPD is linearised at a pair, so that `point` needs its covariances.
     """
 
     forward: Ahead
@@ -57,7 +65,7 @@ class Smoothed:
 
     @classmethod
     def of(cls, plan: ChainPlan, ahead: Ahead) -> Smoothed:
-        """The backward pass."""
+        """The smoothed chain, by the backward pass from a forward one."""
         reverse = Reverse.make(plan, ahead, smooth=True)
         paired = not plan.layout.single
         return cls(ahead, reverse, backward.smoothed(ahead, reverse), paired)
@@ -69,7 +77,7 @@ class Smoothed:
 
     @cached_property
     def point(self) -> Point:
-        """The moments of slices and of pairs, as a point of linearisation."""
+        """The moments of slices, and of pairs if need be, as a point of linearisation."""
         joint = None
         if self.paired:
             joint = backward.pairs(self.beliefs, self.reverse, slice(None)).cov
@@ -83,18 +91,19 @@ class Smoothed:
 
 Either = TypeVar("Either", Smoothed, CarefulSmoothed)
 
-# Steps from which on, and components of all runs together up to which, rounds beat a sweep.
+# Steps from which on, and components of all runs together up to which, a scan beats a sweep.
 _MANY_STEPS = 64
 _FEW_NUMBERS = 200
-# The parts of a deviation to which means and deviations of normal equations are those of passes,
-# where the equations have digits enough.
+# The parts of a standard deviation to which means and standard deviations of normal equations are
+# those of passes, where the equations have digits enough.
 _CLOSE, _ALIKE = 1e-7, 3e-9
 
 
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
     """Run a smoothing schedule, first of all going forward step by step.
 
-    Later linearisations, which are of all steps at once, may be solved for in rounds over these.
+    Later linearisations are of all steps at once. What solves them is machine code, where it can, a
+    parallel scan, where there are many steps of few numbers, or a sweep there and back.
 
     Parameters
     ----------
@@ -133,9 +142,10 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
 
 
 def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
-    """Smooth by a parallel scan of O(log T) rounds.
+    """Run a smoothing schedule by parallel scans of O(log T) rounds.
 
-    Without a start, everything is linearised first along dead reckoning, not to wait for beliefs.
+    `start` (T+1, runs, n) are means for the first linearisation. Without it that is along dead
+    reckoning, since a filter's beliefs come one step after another.
     """
     cost.require_cost(schedule, plan.families, first=False)
     chain = Chain(plan, _scanned)
@@ -154,8 +164,8 @@ def carefully(
 ) -> tuple[CarefulSmoothed, Status]:
     """Smooth in twice the digits, going forward step by step.
 
-    Without a start, everything is linearised first by a filter, or along dead reckoning if
-    `reckoned`.
+    `start` (T+1, runs, n) are means for the first linearisation. Without it that is the filter's,
+    or along dead reckoning if `reckoned`.
     """
     reckoned = reckoned and not plan.exact
     cost.require_cost(schedule, plan.families, first=start is None and not reckoned)
@@ -173,9 +183,11 @@ def carefully(
 def _iterated(
     chain: Chain[Either], schedule: Smoothing, solution: Either, first: Point | None
 ) -> tuple[Either, Status]:
-    """Relinearise about each solution until the schedule ends.
+    """Relinearise about each solution until every run has settled or the schedule ends.
 
-    A linear chain has its answer at once. Means that step control kept replace the solution's.
+    `solution` is that of the first linearisation, made at the point `first`, or by a filter if that
+    is None. A linear chain has its answer at once. Means that a step control kept replace those of
+    the last solution.
     """
     plan = chain.plan
     controlled = first is not None and isinstance(schedule.damping, LevenbergMarquardt)
@@ -189,9 +201,10 @@ def _iterated(
 
 
 def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
-    """Whether Gauss–Newton steps do for all iterations but the last.
+    """Whether all iterations may solve normal equations for the means alone.
 
-    Their points are means alone, so no lineariser may need covariances.
+    Points are means alone then: no lineariser, and no robust noise, may need covariances. False of
+    a single iteration, and under Levenberg–Marquardt.
     """
     several = schedule.iterations > 1 and not isinstance(schedule.damping, LevenbergMarquardt)
     if any(sensor.family.expects for sensor in plan.robust):
@@ -202,7 +215,11 @@ def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
 def _newton(
     chain: Chain[Smoothed], means: Means, schedule: Smoothing, at: Point
 ) -> tuple[Smoothed, Status]:
-    """Iterate means by Gauss–Newton, then find covariances by one pass at the last point."""
+    """Iterate means by Gauss–Newton, then find covariances by one pass.
+
+    `means` solve the first linearisation, made at the point `at`. The pass solves the last
+    linearisation once more.
+    """
     unsettled = np.zeros(chain.plan.runs, dtype=bool)
     result = iterate(_Means(chain), means, schedule, unsettled, at)
     readings = result.solution.readings
@@ -215,7 +232,12 @@ def _newton(
 def _compiled(
     plan: ChainPlan, schedule: Smoothing, first: Smoothed | Point
 ) -> tuple[Smoothed, Status] | None:
-    """Gauss–Newton steps in machine code; None where that cannot be, or has too few digits."""
+    """Smooth by Gauss–Newton steps in machine code, from a solution or a point of linearisation.
+
+    At the end the last linearisation is swept, too. None where machine code does not know a part of
+    the plan, where its equations have no solution, and where means or standard deviations of both
+    differ by more than 10⁻⁷ or 3·10⁻⁹ standard deviations. The plan's account says so.
+    """
     from pgm.inference.chain.compiled.newton import Newton
 
     active, at = np.ones(plan.runs, dtype=bool), None
@@ -245,29 +267,33 @@ def _compiled(
 
 
 def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """Smooth step by step, as everything is linearised."""
+    """Smooth step by step, as everything is linearised; the `reference` is not needed."""
     return Smoothed.of(plan, forward.stored(plan, anchor))
 
 
 def _scanned(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """Smooth by a parallel scan over the steps, O(log T) rounds."""
+    """Smooth by a parallel scan over the steps, as everything is linearised.
+
+    Slices are counted from `reference` (T+1, runs, n), a trajectory near the beliefs.
+    """
     return Smoothed.of(plan, parallel.filtered(plan, reference, anchor))
 
 
 def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> CarefulSmoothed:
-    """Smooth in pairs of float64."""
+    """Smooth in pairs of float64, as everything is linearised."""
     return CarefulSmoothed.of(plan, careful.sweep(plan, None, anchor)[0])
 
 
 def _is_long(plan: ChainPlan) -> bool:
-    """Whether a scan pays: many steps, of few numbers each."""
+    """Whether a scan is faster than a sweep: 64 steps or more, of at most 200 components."""
     return plan.steps >= _MANY_STEPS and plan.runs * plan.layout.slice_size <= _FEW_NUMBERS
 
 
 def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """Smooth by a parallel scan.
+    """`_scanned`, or a sweep where a scan does not serve.
 
-    A sweep serves where elements are not finite, or readings are joint.
+    That is where measurements have singular or correlated noise, and where a step has no element: a
+    covariance is indefinite or not finite.
     """
     readings = Readings.of(plan, reference)
     if readings.stacks:
@@ -282,21 +308,32 @@ def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoo
 
 @dataclass(eq=False)
 class Chain(Generic[Either]):
-    """A chain as a problem to be iterated on: linearised at any point, and solved."""
+    """A chain as a problem for `iterate`: linearised at any point, and solved.
+
+    `solver(plan, reference, anchor)` smooths the plan as it is linearised; `reference` (T+1, runs,
+    n), which is `at`, are the means where that was, and the anchor may be None.
+    """
 
     plan: ChainPlan
     solver: Callable[[ChainPlan, Array, Anchor | None], Either]
     at: Array = field(default_factory=lambda: np.empty(0))
 
     def linearise(self, at: Point, active: Mask | None) -> None:
-        """Linearise every CPD for the active runs."""
+        """Linearise every CPD at a point, and weigh the robust sightings there.
+
+        Runs that are not `active` (runs,) keep their linearisations; None means all.
+        """
         some = None if active is None or active.all() else active
         relinearise(self.plan, at, some)
         reweigh(self.plan, at, some)
         self.at = at.mean
 
     def begin(self, at: Point, *, reckoned: bool) -> None:
-        """Linearise every CPD first; along dead reckoning, all sightings have the weight one."""
+        """Linearise every CPD for the first time.
+
+        With `reckoned` the point is that of dead reckoning, too far from the measurements to weigh
+        robust sightings there: all have the weight one.
+        """
         if reckoned:
             relinearise(self.plan, at, None)
             self.at = at.mean
@@ -308,15 +345,24 @@ class Chain(Generic[Either]):
         return settled(self.plan)
 
     def solve(self, anchor: Anchor | None = None) -> Either:
-        """Smooth as everything is linearised."""
+        """The smoothed chain as everything is linearised, near an anchor if one is given."""
         return self.solver(self.plan, self.at, anchor)
 
     def cost(self, at: Point) -> Array:
-        """The cost of means, (runs,)."""
+        """The cost of a trajectory of means (T+1, runs, n): −2 ln p less its constants, (runs,).
+
+        It sums rᵀ Q⁺ r over the residuals r of all CPDs, with noise covariances Q as linearised; of
+        robust measurements twice their losses, 2 ρ. With rules that take expectations r is that of
+        the expected function, under the point's covariances.
+        """
         return cost.trajectory(self.plan, at)
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means projected onto the exact CPDs."""
+        """Means (T+1, runs, n) projected onto the solutions of the exact CPDs.
+
+        These are linear, of singular noise. Where rounding leaves a run off their solutions, it has
+        the means of `found`.
+        """
         nearest, obeyed = exact_relations.projected(self.plan, mean, found.std)
         return np.where(obeyed[:, None], nearest, found.mean)
 
@@ -328,15 +374,18 @@ class _Means:
     chain: Chain[Smoothed]
 
     def linearise(self, at: Point, active: Mask | None) -> None:
-        """Linearise at a point; see `Chain`."""
+        """Linearise every CPD at a point, in the active runs; see `Chain.linearise`."""
         self.chain.linearise(at, active)
 
     def settled(self) -> Mask | bool:
-        """Runs that are linear as they stand; see `Chain`."""
+        """Whether graduated robust losses have reached the losses of the model, (runs,)."""
         return self.chain.settled()
 
     def solve(self, anchor: Anchor | None = None) -> Means:
-        """The means of the linearised chain; by a smoother where rounding leaves no solution."""
+        """The means of the linearised chain, by a smoother if its equations have no solution.
+
+        There is no anchor, since steps are not controlled.
+        """
         plan, at = self.chain.plan, self.chain.at
         found = newton.step(plan, at)
         if found is not None:
@@ -347,16 +396,20 @@ class _Means:
         return Means(solution.means, solution.point.std**2, Readings.of(plan, at), pair)
 
     def cost(self, at: Point) -> Array:
-        """The negative log-posterior at a point; see `Chain`."""
+        """The cost of a trajectory of means, (runs,); see `Chain.cost`."""
         return self.chain.cost(at)
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means on the solutions of exact CPDs; see `Chain`."""
+        """Means projected onto the solutions of the exact CPDs; see `Chain.feasible`."""
         return self.chain.feasible(mean, found)
 
 
 def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
-    """Linearise every CPD at given beliefs over its hidden parents, all steps in one call each."""
+    """Linearise every CPD at a point, all steps in one call each.
+
+    Measured angles are moved to the branch nearest their values there, and predicted ones to that
+    of the point. Runs that are not `active` (runs,) keep their linearisations; None means all.
+    """
     everything = slice(None)
     for link, mean, cov, child in cost.linked(plan, at):
         family = link.family
@@ -382,7 +435,10 @@ def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
 
 
 def _start(plan: ChainPlan, start: Array) -> Point:
-    """A start as a point of zero covariance, its angles unwrapped from the prior's on."""
+    """A start (T+1, runs, n) as a point of zero covariance, angles of states unwrapped.
+
+    They begin within half a turn of the prior's, and no step turns by more than half a turn.
+    """
     layout = plan.layout
     angles = angle_mask(layout.slice)
     angles[layout.control_places] = False
@@ -397,7 +453,7 @@ def _start(plan: ChainPlan, start: Array) -> Point:
 
 
 def dead_reckoning(plan: ChainPlan) -> Point:
-    """The means that the transition's functions make of the prior's, one step after another."""
+    """The prior's means carried on by the transition's functions, as a point of zero covariance."""
     layout = plan.layout
     front, states = layout.state_size, layout.state_places
     mean = np.zeros((plan.steps + 1, plan.runs, layout.slice_size))

@@ -1,4 +1,9 @@
-"""The measurements of a step, or of each of all steps, as one vector; a step's batch is last."""
+"""The measurements of a step, or of each of all steps, as one vector; a step's batch is last.
+
+The k sightings of a sensor at a step, of d components each, are stacked to D = k d components. At
+one step arrays have their components first and the runs last, (D, *batch), `batch` being () for one
+run; of many steps they are (steps, runs, D).
+"""
 
 from __future__ import annotations
 
@@ -15,10 +20,11 @@ from pgm.kernels.arrays import Array, Integers, Mask, apply, times
 class Measured(NamedTuple):
     """Linearised sightings of one sensor at a step: z = value + H (x − point) + n.
 
-    `matrix` is H over the sensor's parents, (D, m, *batch), `noise` (D, D, *batch); a batch may be
-    one for all. `point` (m, *batch) is where they were linearised; `reading` z, its angles on the
-    branch nearest the value; `taken` None where no component is missing; `offset` the constant of
-    an affine CPD.
+    `matrix` is H over the m components of the sensor's parents, (D, m, *batch), `noise` the
+    covariance of n, (D, D, *batch); a batch may be one for all. `point` (m, *batch) is where they
+    were linearised, `value` E[h] there. `reading` is z, its angles on the branch nearest the value.
+    `taken` (D, *batch) marks the components measured, None for all; `offset` is the constant b of
+    an affine CPD, else None.
     """
 
     sensor: Sensor
@@ -38,13 +44,13 @@ class Measured(NamedTuple):
         return self.value - times(self.matrix, self.point)
 
     def residual(self, mean: Array) -> Array:
-        """Z − E[z] for a belief over the parents, (D, *batch)."""
+        """The residual z − E[z], (D, *batch), for a belief of mean (m, *batch) over the parents."""
         if mean is self.point:
             return self.reading - self.value
         return self.reading - (self.value + times(self.matrix, mean - self.point))
 
     def where(self, mask: Mask, other: Measured) -> Measured:
-        """The linearisation in the runs of the mask, another linearisation in the rest."""
+        """The linearisation in the runs of a mask (runs,), and that of `other` in the rest."""
         return self._replace(
             matrix=np.where(mask, self.matrix, other.matrix),
             value=np.where(mask, self.value, other.value),
@@ -54,7 +60,7 @@ class Measured(NamedTuple):
         )
 
     def each(self) -> list[Measured]:
-        """The sightings one by one; as one block if their errors are correlated."""
+        """The sightings one by one; all as one if grouped, since their errors are correlated."""
         height = self.sensor.height
         count = len(self.value) // height
         if count == 1 or self.sensor.family.grouped:
@@ -74,9 +80,11 @@ class Measured(NamedTuple):
 
 
 class Vector(NamedTuple):
-    """Measurements as one: z = H x + n, over the slice; H (D, n, *batch), residual z − H x̂.
+    """Measurements as one vector z = H x + b + noise over the slice: H (D, n, *batch).
 
-    A missing component is one of unit variance that says nothing; `missing` (*batch) counts them.
+    `residual` (D, *batch) is z − E[z] at the slice's mean; `noise` (D, D, *batch) is a covariance.
+    A missing component has H = 0, no residual, and unit variance, so that it says nothing;
+    `missing` (*batch) counts them, None if there are none.
     """
 
     matrix: Array
@@ -86,7 +94,7 @@ class Vector(NamedTuple):
 
 
 def vector(parts: Sequence[Measured], mean: Array) -> Vector:
-    """Sightings as one vector, at a belief over the slice of mean (n, *batch)."""
+    """Sightings of some sensors as one `Vector`, of residuals at a slice's mean (n, *batch)."""
     if len(parts) == 1:
         only, sensor = _masked(parts[0], mean), parts[0].sensor
         if sensor.whole:
@@ -128,7 +136,11 @@ def _masked(seen: Measured, mean: Array) -> Vector:
 
 
 class Stack(NamedTuple):
-    """The measurements of G steps with equally many, each step's a `Vector`: H (G, runs, D, n)."""
+    """The measurements of G steps that have equally many of each sensor, by step as one vector.
+
+    `steps` (G,) are their numbers; `matrix` is H (G, runs, D, n), and the rest as of `Vector`:
+    `residual` (G, runs, D), `noise` (G, runs, D, D), `missing` (G, runs).
+    """
 
     steps: Integers
     matrix: Array
@@ -138,7 +150,11 @@ class Stack(NamedTuple):
 
 
 def stacks(plan: ChainPlan, sensors: list[Sensor], reference: Array) -> list[Stack]:
-    """Steps with equally many measurements of each sensor, a stack each."""
+    """The stored measurements of all steps by `Stack`, one for each number of them by sensor.
+
+    Residuals are at the slices' means `reference` (T+1, runs, n). Steps without measurements are
+    left out.
+    """
     if not sensors:
         return []
     counts = np.stack([np.diff(sensor.bounds) for sensor in sensors], axis=-1)
@@ -153,7 +169,7 @@ def stacks(plan: ChainPlan, sensors: list[Sensor], reference: Array) -> list[Sta
 def _stack(
     plan: ChainPlan, sensors: list[Sensor], steps: Integers, counts: Integers, reference: Array
 ) -> Stack:
-    """The measurements of steps with equally many sightings, as vectors about a reference.
+    """The stack of some steps (G,) with equally many sightings, `counts` of each sensor.
 
     Sensors stand below one another, with the covariances between the sightings of a step.
     """

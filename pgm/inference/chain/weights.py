@@ -1,10 +1,13 @@
 r"""The weights of sightings with robust noise: each counts with the covariance R / w.
 
-w = 2 ρ′(s) is that of the tangent of the loss ρ at the square s of the sighting's residual in
-deviations of R. With `Taylor` s is that of the mean, and a fixed point maximises the density
-(iteratively reweighted least squares). With rules that take expectations over the belief it is
-expected, s = rᵀ R⁻¹ r + tr R⁻¹ (H P Hᵀ + Ω), and a fixed point maximises the lower bound of the
-evidence (expectation–maximisation).
+w = 2 ρ′(s) is twice the slope of the loss ρ at the square s = rᵀ R⁻¹ r of the sighting's residual
+r. With `Taylor` r is that of the mean, and a fixed point maximises the density (iteratively
+reweighted least squares). With rules that take expectations over the belief, of covariance P, the
+square is expected, s = rᵀ R⁻¹ r + tr R⁻¹ (H P Hᵀ + Ω), with the covariance Ω of the linearisation's
+error, and a fixed point maximises the lower bound of the evidence (expectation–maximisation).
+
+A *graduated* loss, truncated least squares, is reached in stages μ: it begins wide, and is
+sharpened until it is the loss asked for. The k sightings have d components each.
 """
 
 from __future__ import annotations
@@ -28,9 +31,9 @@ _HALF = 0.5
 class Weights:
     """The weights w of some sightings of a sensor, (k, runs), and the squares s that they are of.
 
-    `white` (k or 1, runs or 1, d, d) is L⁻¹ of the noise L Lᵀ of the components `taken`, None for
-    all; `stage` (runs,) the μ of a graduated loss: infinite once it is that loss, NaN before the
-    first.
+    `white` (k or 1, runs or 1, d, d) is L⁻¹ of the noise covariance L Lᵀ of components measured;
+    `taken` (k, runs or 1, d) marks these, None for all. `stage` (runs,) is the μ of a graduated
+    loss, infinite once it is the loss asked for, NaN before the first stage.
     """
 
     noise: RobustNoise
@@ -44,7 +47,7 @@ class Weights:
     def of(
         cls, cpd: ConditionalGaussian, own: Array, taken: Mask | None, shape: tuple[int, int]
     ) -> Weights:
-        """Unit weights for the noise covariances of sightings, (k or 1, runs or 1, d, d)."""
+        """Unit weights (k, runs), for the noise covariances `own` (k or 1, runs or 1, d, d)."""
         assert cpd.noise is not None
         if taken is not None:
             own = independent(own, taken)
@@ -56,7 +59,7 @@ class Weights:
 
     @property
     def count(self) -> Integers:
-        """The number of measured components, broadcast to (k, runs)."""
+        """The number of measured components of each sighting, (k, runs or 1), or (1, 1) for all."""
         if self.taken is None:
             return np.full((1, 1), self.white.shape[-1])
         found: Integers = self.taken.sum(axis=-1)
@@ -69,10 +72,10 @@ class Weights:
         cov: Array | None = None,
         error: Array | None = None,
     ) -> Array:
-        """The squares of residuals, (k, runs); expected squares if a belief is given.
+        """The squares rᵀ R⁻¹ r of residuals (k, runs, d), (k, runs); expected, given a covariance.
 
-        H (k, runs, d, m) and the parents' covariance are the belief's, `error` is Ω (k, runs, d,
-        d).
+        `matrix` is H (k, runs, d, m), `cov` P (k or 1, runs, m, m) of the belief over the parents,
+        `error` Ω (k, runs, d, d) or None. Missing components do not count.
         """
         if self.taken is not None:
             residual = np.where(self.taken, residual, 0.0)
@@ -89,7 +92,11 @@ class Weights:
         return found
 
     def take(self, square: Array, active: Mask | None = None) -> Array:
-        """Take the weights of squares; how far they move, (runs,)."""
+        """Set the weights to those at squares (k, runs); returns how far they move, (runs,).
+
+        That is the largest change of a weight, infinite while a graduated loss is not yet the one
+        asked for. Runs that are not `active` (runs,) keep theirs, and move by zero.
+        """
         weight, stage = self._weights(square)
         change = np.abs(weight - self.weight).max(axis=0, initial=0.0)
         moved: Array = np.where(np.isinf(stage), change, np.inf)
@@ -102,10 +109,10 @@ class Weights:
         return np.asarray(np.where(active, moved, 0.0))
 
     def _weights(self, square: Array) -> tuple[Array, Array]:
-        """The weights at squared lengths, and the stage of graduated non-convexity they are of.
+        """The weights (k, runs) at squares s, and the stage (runs,) of the loss that they are of.
 
-        Truncated least squares begins with a wide loss and sharpens it stage by stage, until the
-        weights are those of the hard loss.
+        Truncated least squares takes its first stage, or the one after the present; its stage is
+        infinite where the weights are those of the loss asked for. Other noise stays at its stage.
         """
         noise = self.noise
         hard = noise.weight(square, self.count)
@@ -127,7 +134,8 @@ class Weights:
     ) -> tuple[Mask, Mask] | None:
         """Masks (k, runs) of sightings rejected by a gate or this noise, and of those judged.
 
-        A truncated loss rejects what it leaves out; others go on counting everything.
+        `gated` are the two masks of the gate, or None. A truncated loss judges all sightings with a
+        measured component, and rejects those of a weight below ½; other noise judges none.
         """
         if not self.noise.graduated:
             return gated
@@ -138,17 +146,17 @@ class Weights:
         return (left, seen) if gated is None else (gated[0] | left, gated[1] | seen)
 
     def surplus(self, rows: slice = slice(None)) -> Array:
-        """The robust log-density of each sighting less ln N(0, R / w), (k, runs)."""
+        """The robust log-density of each sighting less ln N(r; 0, R / w), (k, runs)."""
         count = self.count if self.taken is None else self.count[rows]
         return self.noise.surplus(self.square[rows], count, self.weight[rows])
 
     @property
     def staged(self) -> Mask:
-        """Whether the loss is the one that was asked for, (runs,)."""
+        """Whether the loss is the one that was asked for, not a stage before it, (runs,)."""
         return np.isinf(self.stage)
 
     def loss(self, square: Array) -> Array:
-        """Twice the loss of squares, (k, runs), at the stage of a graduated one."""
+        """Twice the loss, 2 ρ(s), at squares (k, runs); if graduated, at its present stage."""
         noise = self.noise
         if isinstance(noise, TruncatedLeastSquares):
             found = noise.staged_loss(square, self.stage)
@@ -157,11 +165,11 @@ class Weights:
         return 2.0 * np.where(self.count > 0, found, 0.0)
 
     def scaled(self, own: Array) -> Array:
-        """The noises R / w, (k, runs, d, d)."""
+        """The covariances R / w, (k, runs, d, d), of noise covariances `own`."""
         return own / self.weight[..., None, None]
 
     def rows(self, rows: slice) -> Weights:
-        """The weights of some sightings, with graduation begun anew."""
+        """A copy of the weights of some sightings, its graduated loss before the first stage."""
         white = self.white[rows] if len(self.white) > 1 else self.white
         taken = None if self.taken is None else self.taken[rows]
         stage = np.full(self.stage.shape, np.nan if self.noise.graduated else np.inf)
@@ -169,12 +177,15 @@ class Weights:
         return replace(self, white=white, taken=taken, weight=weight, square=square, stage=stage)
 
     def put(self, rows: slice, other: Weights) -> None:
-        """Keep the weights of some of the sightings."""
+        """Copy the weights and squares of some of the sightings from `other`."""
         self.weight[rows], self.square[rows] = other.weight, other.square
 
 
 def by_sighting(array: npt.NDArray[Kind], height: int, own: int) -> npt.NDArray[Kind]:
-    """An array (D, *own, *batch) of stacked sightings as (k, runs or 1, d, *own)."""
+    """An array (D, *own, *batch) of k sightings, D = k d, as (k, runs or 1, d, *own).
+
+    `height` is d, and `own` counts the axes *own.
+    """
     count = len(array) // height
     batch = array.shape[1 + own :] or (1,)
     rows = array.reshape(count, height, *array.shape[1 : 1 + own], *batch)
@@ -182,7 +193,7 @@ def by_sighting(array: npt.NDArray[Kind], height: int, own: int) -> npt.NDArray[
 
 
 def own_blocks(noise: Array, height: int) -> Array:
-    """The blocks (k, runs or 1, d, d) of a block-diagonal noise (D, D, *batch)."""
+    """The diagonal blocks (k, runs or 1, d, d) of a covariance (D, D, *batch); `height` is d."""
     count = len(noise) // height
     batch = noise.shape[2:] or (1,)
     each = np.arange(count)
@@ -191,13 +202,16 @@ def own_blocks(noise: Array, height: int) -> Array:
 
 
 def scale(weight: Array, height: int, batch: tuple[int, ...]) -> Array:
-    """The deviations' scales 1/√w of stacked components, (D, *batch), of weights (k, runs)."""
+    """The factors 1/√w of the standard deviations of stacked components, (D, *batch).
+
+    `weight` is w (k, runs), `height` is d.
+    """
     found: Array = np.repeat(1.0 / np.sqrt(weight), height, axis=0)
     return found if batch else found[:, 0]
 
 
 def shown(weight: Array, taken: Mask | None) -> Array:
-    """Weights (k, runs), NaN where nothing was taken."""
+    """Weights (k, runs), NaN where no component was measured."""
     if taken is None:
         return weight
     return np.where(taken.any(axis=-1), weight, np.nan)
