@@ -68,9 +68,9 @@ def test_the_engine_is_a_dense_solution_linearised_at_the_same_places(sensor):
     case = growth.simulate(sensor, 3, 5)
     power = growth.POWERS[sensor]
     rule = growth.LINEARISERS["Unscented"]
+    asked = {"lineariser": rule, "tolerance": 0}
     beliefs = [pgm.filter(case.model, case.evidence, lineariser=rule)[growth.state]] + [
-        pgm.smooth(case.model, case.evidence, lineariser=rule, iterations=k)[growth.state]
-        for k in (1, 2)
+        pgm.smooth(case.model, case.evidence, iterations=k, **asked)[growth.state] for k in (1, 2)
     ]
     readings = pgm.smooth(case.model, case.evidence, lineariser=rule).innovations[growth.reading]
     assert readings.residual.shape[-2] == 50
@@ -163,8 +163,8 @@ def test_no_sighting_tells_the_turn_about_the_landmark():
 def test_the_growing_smoother_ends_at_the_whole_one():
     case = chain.simulate(3, 1)
     rule = chain.LINEARISERS["Taylor"]
-    errors = chain.growing(case, rule, 3)
-    whole = pgm.smooth(case.model, case.evidence, lineariser=rule, iterations=3, tolerance=1e-3)
+    errors = chain.growing(case, rule, 20)
+    whole = pgm.smooth(case.model, case.evidence, lineariser=rule, iterations=20, tolerance=1e-3)
     last = whole[case.variable].mean[:, -1, :2] - case.truth[:, -1, :2]
     assert errors.shape == (3, len(chain.ENDS))
     assert chain.ENDS[-1] == chain.STEPS

@@ -92,7 +92,7 @@ def test_functions_of_several_inputs(lead, shared):
         each: rng.normal(size=(*(() if shared == k else lead), 12, each.dimension))
         for k, each in enumerate((v, w, y))
     }
-    for options in ({}, {"lineariser": pgm.Unscented()}, {"iterations": 4}):
+    for options in ({}, {"lineariser": pgm.Unscented()}, {"iterations": 20}):
         assert_posterior(*both(pgm.smooth, model, evidence, **options))
 
 
@@ -157,14 +157,14 @@ def test_many_runs_and_threads(name, threads):
 @pytest.mark.parametrize("options", [{}, {"damping": 0.3}, {"lineariser": pgm.Unscented()}])
 @pytest.mark.parametrize("name", ["plain", "grouped", "everything"])
 def test_iterated_updates(name, options):
-    found = both(pgm.filter, MODELS[name], recording(name), iterations=4, **options)
+    found = both(pgm.filter, MODELS[name], recording(name), iterations=20, **options)
     assert_posterior(*found, smooth=False)
 
 
 @pytest.mark.parametrize("rule", ["taylor", "unscented"])
 def test_iterated_smoothing(rule):
     rule = RULES[rule]
-    found = both(pgm.smooth, MODELS["plain"], recording("plain"), iterations=5, lineariser=rule)
+    found = both(pgm.smooth, MODELS["plain"], recording("plain"), iterations=20, lineariser=rule)
     assert_posterior(*found)
 
 
@@ -174,7 +174,7 @@ def test_long_iterated_smoothing(alone):
         pgm.smooth,
         network(SENSORS["range_bearing"].cpd()),
         sighted(steps=80),
-        iterations=4,
+        iterations=20,
         lineariser=pgm.Unscented(),
     )
     assert_posterior(*found)

@@ -54,15 +54,15 @@ def assert_same(found, due):
 @pytest.mark.parametrize("name", ORDINARY)
 def test_models_of_all_kinds(alone, name, run):
     evidence = recording(name) if run is None else of_run(recording(name), run)
-    assert_same(*both(pgm.smooth, loose(name, run), evidence, iterations=6))
+    assert_same(*both(pgm.smooth, loose(name, run), evidence, iterations=20))
 
 
 @pytest.mark.parametrize(
     "options",
     [
-        {"iterations": 2},
+        {"iterations": 2, "tolerance": 0},
         {"iterations": 40},
-        {"iterations": 5, "damping": 0.4},
+        {"iterations": 5, "tolerance": 0, "damping": 0.4},
         {"iterations": 40, "tolerance": 0.03},
     ],
 )
@@ -106,7 +106,7 @@ def replace_values(sightings, values):
 
 @pytest.mark.parametrize("name", ["a motion without noise", "an exact range", "grouped"])
 def test_others_are_left_to_the_general_kernels(name):
-    found = both(pgm.smooth, MODELS[name], recording(name), iterations=4)
+    found = both(pgm.smooth, MODELS[name], recording(name), iterations=20)
     assert_posterior(*found, 1e-7)
 
 

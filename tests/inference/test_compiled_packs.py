@@ -24,7 +24,7 @@ def test_runs_of_all_kinds(name, rule):
 @pytest.mark.parametrize("name", ["plain", "everything"])
 def test_runs_of_a_pack_settle_by_themselves(name, options):
     model, evidence = model_of(name, WHICH), of_run(recording(name), WHICH)
-    found = both(pgm.filter, model, evidence, iterations=6, tolerance=1e-3, **options)
+    found = both(pgm.filter, model, evidence, iterations=20, tolerance=1e-3, **options)
     assert_posterior(*found, smooth=False)
 
 

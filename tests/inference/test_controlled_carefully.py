@@ -7,7 +7,7 @@ import pgm
 from pgm.inference.chain import certificate
 
 s, z = pgm.Variable("s"), pgm.Variable("z")
-LM = pgm.LevenbergMarquardt()
+HELD = {"iterations": 3, "tolerance": 0, "damping": pgm.LevenbergMarquardt()}
 STEPS = 5
 
 
@@ -43,9 +43,7 @@ def both(monkeypatch):
 @RULES
 def test_a_filter(both, rule):
     """The anchor is that of the step."""
-    ordinary, careful = both(
-        lambda: pgm.filter(arctan(), READINGS, lineariser=rule, iterations=3, damping=LM)
-    )
+    ordinary, careful = both(lambda: pgm.filter(arctan(), READINGS, lineariser=rule, **HELD))
     np.testing.assert_allclose(careful[s].mean, ordinary[s].mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(careful[s].cov, ordinary[s].cov, rtol=1e-9)
     np.testing.assert_array_equal(careful.status.converged, ordinary.status.converged)
@@ -53,9 +51,7 @@ def test_a_filter(both, rule):
 
 @RULES
 def test_joints_have_the_means_that_were_kept(both, rule):
-    ordinary, careful = both(
-        lambda: pgm.smooth(arctan(), READINGS, lineariser=rule, iterations=3, damping=LM)
-    )
+    ordinary, careful = both(lambda: pgm.smooth(arctan(), READINGS, lineariser=rule, **HELD))
     np.testing.assert_allclose(careful[s].mean, ordinary[s].mean, rtol=0, atol=1e-9)
     at = [s.at(step) for step in (4, 0, 3)]
     ours, due = careful.joint(*at), ordinary.joint(*at)

@@ -135,7 +135,7 @@ def test_iterations_hidden_controls_and_grouped_sightings(kind, workers):
         transition=[pgm.LinearGaussianCPD(u, {command: 1.0}, cov=0.01 * np.eye(2)), drive_cpd()]
     )
     evidence = recording(command)
-    asked = {"iterations": 3, "lineariser": pgm.Unscented()}
+    asked = {"iterations": 3, "tolerance": 0, "lineariser": pgm.Unscented()}
     whole = pgm.smooth(model, evidence, **asked)
     shared = pgm.smooth(model, evidence, **asked, executor=workers[kind])
     same(shared, whole)
@@ -146,9 +146,9 @@ def test_iterations_hidden_controls_and_grouped_sightings(kind, workers):
 @pytest.mark.parametrize(
     "asked",
     [
-        {"iterations": 4, "damping": pgm.LevenbergMarquardt()},
+        {"iterations": 4, "tolerance": 0, "damping": pgm.LevenbergMarquardt()},
         {"start": {x: 0.1 * np.ones((RUNS, T + 1, 3)) * np.arange(RUNS)[:, None, None]}},
-        {"method": pgm.Balanced(), "iterations": 2},
+        {"method": pgm.Balanced(), "iterations": 2, "tolerance": 0},
     ],
 )
 def test_all_else_that_a_smoother_takes(asked, kind, workers):

@@ -69,6 +69,7 @@ def test_a_lag_online_is_that_of_the_record(name, run):
     [(name, "taylor") for name in MODELS]
     + [(name, rule) for name in FEW for rule in ("unscented", "bare function")],
 )
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # some windows settle
 def test_windows_online_are_those_of_the_record(name, rule):
     """To the last bit, but for the order of sums: they are the same windows."""
     evidence, lag = recording(name), 2
@@ -90,7 +91,7 @@ def test_windows_online_are_those_of_the_record(name, rule):
 @pytest.mark.parametrize("damping", [0.3, pgm.LevenbergMarquardt()], ids=repr)
 def test_windows_of_one_run_and_of_a_batch_with_damping(run, damping):
     evidence = recording("plain") if run is None else of_run(recording("plain"), run)
-    schedule = pgm.FixedLag(1, iterations=4, damping=damping)
+    schedule = pgm.FixedLag(1, iterations=4, tolerance=0, damping=damping)
     due = pgm.infer(pgm.compile(ROBOT, T), evidence, schedule=schedule)
     for _, belief in journey(pgm.OnlineFilter(ROBOT, schedule=schedule), evidence):
         assert_step(belief, due.filtered, 1e-11)
@@ -289,8 +290,8 @@ def test_one_robot_may_become_many(schedule):
 def test_without_a_lag_it_is_the_filter_s_belief():
     for iterations in (1, 4):
         evidence = of_run(recording("plain"), 0)
-        robot = pgm.OnlineFilter(ROBOT, schedule=pgm.FixedLag(0, iterations))
-        filter_ = pgm.OnlineFilter(ROBOT, schedule=pgm.Filtering(iterations))
+        robot = pgm.OnlineFilter(ROBOT, schedule=pgm.FixedLag(0, iterations, tolerance=0))
+        filter_ = pgm.OnlineFilter(ROBOT, schedule=pgm.Filtering(iterations, tolerance=0))
         both = zip(journey(robot, evidence), journey(filter_, evidence), strict=True)
         for (_, ours), (_, theirs) in both:
             assert_array_equal(ours.mean, theirs.mean)
@@ -319,7 +320,7 @@ def made(schedule, steps=3, lead=()):
 def exact(iterations=1, **options):
     """A sensor without noise, through which float64 does not go back."""
     model = network(SIGHT.cpd(cov=np.diag([0.0, 0.01])))
-    robot = pgm.OnlineFilter(model, schedule=pgm.FixedLag(1, iterations, **options))
+    robot = pgm.OnlineFilter(model, schedule=pgm.FixedLag(1, iterations, tolerance=0, **options))
     belief = robot.update(robot.predict(robot.initial(), MOVE), {z: seen(1)})
     return robot.predict(belief, MOVE)
 
@@ -384,7 +385,9 @@ REFUSALS = [
     ),
     refusal(
         "a belief of a filter with other iterations",
-        lambda: made(pgm.FixedLag(2, iterations=3))[0].update(made(AGAIN)[1], {z: seen(3)}),
+        lambda: made(pgm.FixedLag(2, iterations=3, tolerance=0))[0].update(
+            made(AGAIN)[1], {z: seen(3)}
+        ),
         pgm.ModelError,
         "is no belief to go on from with FixedLag(lag=2, iterations=3",
     ),

@@ -191,7 +191,7 @@ def test_windows_that_cover_the_record_end_where_the_iterated_smoother_does(name
 def test_each_run_of_a_batch_is_that_run_alone(damping):
     """Runs settle after iterations of their own, and those that have do not move."""
     evidence = sighted(runs=3)
-    options = {"lag": 2, "iterations": 6, "tolerance": 1e-3, "damping": damping}
+    options = {"lag": 2, "iterations": 20, "tolerance": 1e-3, "damping": damping}
     batch = pgm.smooth(ROBOT, evidence, **options)
     for run in range(3):
         seen = evidence[z]
@@ -202,7 +202,7 @@ def test_each_run_of_a_batch_is_that_run_alone(damping):
             assert_covs(ours.cov[run], theirs.cov, 1e-9)
         assert_log(batch.log_evidence[run], alone.log_evidence, 1e-9)
         assert batch.status.converged[run] == alone.status.converged
-    assert batch.status.iterations == len(batch.status.residuals) + 1 <= 6
+    assert batch.status.iterations == len(batch.status.residuals) + 1 < 20
 
 
 def test_dampings_end_at_the_same_points():
@@ -225,7 +225,9 @@ def test_step_control_finds_the_least_cost_of_a_window_where_plain_iterations_sw
     )
     evidence = {b: np.array([[-0.2], [-0.4]])}
     options = {"lag": 1, "iterations": 60, "tolerance": 1e-10}
-    assert not pgm.smooth(model, evidence, **options).status.converged
+    with pytest.warns(pgm.ConvergenceWarning, match="had not settled"):
+        swung = pgm.smooth(model, evidence, **options)
+    assert not swung.status.converged
     found = pgm.smooth(model, evidence, damping=pgm.LevenbergMarquardt(), **options)
     assert found.status.converged
     prior, due = (2.0, 2.3), []
@@ -241,7 +243,8 @@ def test_step_control_finds_the_least_cost_of_a_window_where_plain_iterations_sw
 
 
 def test_a_status_tells_of_all_windows():
-    found = pgm.smooth(ROBOT, sighted(), lag=3, iterations=2, tolerance=1e-12)
+    with pytest.warns(pgm.ConvergenceWarning, match="after 2 linearisations"):
+        found = pgm.smooth(ROBOT, sighted(), lag=3, iterations=2, tolerance=1e-12)
     assert not found.status.converged
     assert found.status.residuals.shape == (1,)
     assert repr(found.status).startswith("Status(2 iterations, 0 of 1 runs converged, last resid")

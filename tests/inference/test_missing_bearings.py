@@ -86,17 +86,18 @@ def compare(found, due, tolerance=1e-9):
     assert_log(found.log_evidence, due.log_evidence)
 
 
-HELD = {"damping": pgm.LevenbergMarquardt(), "iterations": 6}
+THRICE = {"iterations": 3, "tolerance": 0}
+HELD = {"damping": pgm.LevenbergMarquardt(), "iterations": 6, "tolerance": 0}
 RUNS_OF = {
     "filter": lambda model, seen, rule: pgm.filter(model, seen, lineariser=rule),
-    "iterated": lambda model, seen, rule: pgm.filter(model, seen, lineariser=rule, iterations=3),
+    "iterated": lambda model, seen, rule: pgm.filter(model, seen, lineariser=rule, **THRICE),
     "held": lambda model, seen, rule: pgm.filter(model, seen, lineariser=rule, **HELD),
-    "smooth": lambda model, seen, rule: pgm.smooth(model, seen, lineariser=rule, iterations=3),
+    "smooth": lambda model, seen, rule: pgm.smooth(model, seen, lineariser=rule, **THRICE),
     "held smooth": lambda model, seen, rule: pgm.smooth(model, seen, lineariser=rule, **HELD),
     "balanced": lambda model, seen, rule: pgm.infer(
         pgm.compile(model, T, method=pgm.Balanced()),
         seen,
-        schedule=pgm.Smoothing(iterations=4),
+        schedule=pgm.Smoothing(iterations=4, tolerance=0),
         lineariser=rule,
     ),
 }
@@ -144,8 +145,8 @@ def test_online(drive, rule, iterations):
     for rows in (values, values[0]):
         order = np.argsort(step, kind="stable")
         seen = {u: commands, z: pgm.sightings(rows, step, {m: places})}
-        due = pgm.filter(vector(), seen, lineariser=rule, iterations=iterations)
-        robot = pgm.OnlineFilter(vector(), rule, pgm.Filtering(iterations=iterations))
+        due = pgm.filter(vector(), seen, lineariser=rule, iterations=iterations, tolerance=0)
+        robot = pgm.OnlineFilter(vector(), rule, pgm.Filtering(iterations, tolerance=0))
         belief = robot.initial()
         for t in range(T + 1):
             belief = robot.predict(belief, {u: commands[t - 1]}) if t else belief
@@ -159,7 +160,7 @@ def test_online(drive, rule, iterations):
 def test_an_audit_weighs_what_was_read(drive):
     whole, parts = evidence(*drive)
     found, due = (
-        pgm.audit(pgm.smooth(model, seen, iterations=5), samples=200, rng=1)
+        pgm.audit(pgm.smooth(model, seen, iterations=5, tolerance=0), samples=200, rng=1)
         for model, seen in ((vector(), whole), (scalars(), parts))
     )
     assert_log(found.log_weights, due.log_weights, 1e-7)

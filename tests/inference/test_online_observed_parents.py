@@ -109,8 +109,9 @@ def test_online_equals_the_filter(rule, kind, runs, iterations, count):
         }
 
     recorded = inputs | seen(slice(None), np.repeat(np.arange(1, T + 1), count))
-    filtered = pgm.filter(model, recorded, steps=T, lineariser=RULES[rule], iterations=iterations)
-    robot = pgm.OnlineFilter(model, RULES[rule], pgm.Filtering(iterations=iterations))
+    asked = {"iterations": iterations, "tolerance": 0}
+    filtered = pgm.filter(model, recorded, steps=T, lineariser=RULES[rule], **asked)
+    robot = pgm.OnlineFilter(model, RULES[rule], pgm.Filtering(**asked))
     belief = robot.initial()
     for t in range(T):
         belief = robot.predict(belief, {v: a[..., t, :] for v, a in inputs.items()})

@@ -73,14 +73,14 @@ def test_rounds_give_what_the_sweep_gives(drive, rule, damping, started, monkeyp
 
 
 def test_one_iteration_is_the_extended_smoother(drive, monkeypatch):
-    seen, _ = drive
+    (seen, _), twice = drive, {"iterations": 2, "tolerance": 0}
     rounds = calls(monkeypatch, parallel, "filtered")
     once = pgm.smooth(network(SIGHT.cpd()), seen)
-    again = pgm.smooth(network(SIGHT.cpd()), seen, iterations=2)
+    again = pgm.smooth(network(SIGHT.cpd()), seen, **twice)
     assert len(rounds) == 1
     stepwise(monkeypatch)
     np.testing.assert_array_equal(pgm.smooth(network(SIGHT.cpd()), seen)[x].mean, once[x].mean)
-    assert_same(again[x], pgm.smooth(network(SIGHT.cpd()), seen, iterations=2)[x], 1e-9)
+    assert_same(again[x], pgm.smooth(network(SIGHT.cpd()), seen, **twice)[x], 1e-9)
 
 
 def follow(cov, exact=()):
@@ -139,10 +139,10 @@ def test_sharp_and_exact_readings_go_step_by_step(monkeypatch):
     told = pgm.LinearGaussianCPD(y, {s: 1.0}, cov=0.0)
     values = np.cumsum(np.random.default_rng(4).normal(size=(STEPS, 1)), axis=0)
     exact = {z: values, y: pgm.sightings(values[[9]], [10])}
-    pgm.smooth(follow(0.1, exact=[told]), exact, iterations=2)
+    pgm.smooth(follow(0.1, exact=[told]), exact, iterations=2, tolerance=0)
     assert (len(rounds), len(sweeps), len(fine)) == (0, 1, 0)
     for cov, made in ((1e-14, (1, 2, 2)), (1e-2, (2, 2, 2))):
-        found = pgm.smooth(follow(cov), {z: values}, iterations=2)[s]
+        found = pgm.smooth(follow(cov), {z: values}, iterations=2, tolerance=0)[s]
         assert (len(rounds), len(sweeps), len(fine)) == made
         with mp.workdps(50):
             means, variances = twice([mp.mpf(value) for value in values[:, 0]], mp.mpf(cov))
@@ -159,9 +159,9 @@ def test_what_has_no_elements_goes_step_by_step(monkeypatch):
 
     seen = {z: np.ones((STEPS, 1))}
     monkeypatch.setattr(parallel, "filtered", refuse)
-    found = pgm.smooth(follow(0.1), seen, iterations=3)
+    found = pgm.smooth(follow(0.1), seen, iterations=3, tolerance=0)
     stepwise(monkeypatch)
-    due = pgm.smooth(follow(0.1), seen, iterations=3)
+    due = pgm.smooth(follow(0.1), seen, iterations=3, tolerance=0)
     np.testing.assert_array_equal(found[s].mean, due[s].mean)
 
 

@@ -11,6 +11,8 @@ from pgm.learning import Coefficients, Covariance, Offset, Parameter, Table
 
 EVERY = (Coefficients(), Offset(), Covariance())
 A, B, D, THETA = pgm.variables("a b d theta")
+# A search of a few iterations, or to a tolerance of zero, is not to converge.
+unfinished = pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
 
 
 def assert_never_falls(found):
@@ -18,6 +20,7 @@ def assert_never_falls(found):
     assert found.status.halved == 0
 
 
+@unfinished
 @given(st.integers(0, 2**32 - 1), st.booleans())
 @settings(max_examples=8, deadline=None)
 def test_plain_steps_never_lower_the_log_evidence_of_linear_models(seed, missing):
@@ -65,6 +68,7 @@ def learnt_target(steps, **settings):
     return pgm.fit(start, evidence, learn=learn, **settings)
 
 
+@unfinished
 def test_everything_of_a_target_is_learnt_in_a_fifth_of_the_smoothers():
     plain = learnt_target(60, iterations=400, tolerance=0.0, accelerate=False)
     assert_never_falls(plain)
@@ -74,6 +78,7 @@ def test_everything_of_a_target_is_learnt_in_a_fifth_of_the_smoothers():
     assert 5 * fast.status.e_steps <= plain.status.e_steps
 
 
+@unfinished
 @pytest.mark.slow
 def test_a_long_target_is_learnt_in_a_fifth_of_the_smoothers():
     fast = learnt_target(1000, iterations=400, tolerance=0.0)
@@ -88,6 +93,7 @@ def test_a_long_target_is_learnt_in_a_fifth_of_the_smoothers():
     assert plain.log_evidence[-1] < best - 1e-3
 
 
+@unfinished
 def test_recordings_and_runs_share_their_parameters():
     """A batch is as its runs by themselves, whatever their lengths."""
     rng = np.random.default_rng(5)
@@ -138,13 +144,15 @@ def test_evidence_that_is_explained_exactly_has_no_likeliest_noise(kind, reading
         noise = Covariance(kind, lower=lower)
         return pgm.fit(model, {B: readings[:, None]}, learn={A: noise, B: noise}, iterations=500)
 
-    endless = found(0.0)
+    with pytest.warns(pgm.ConvergenceWarning, match="without end"):
+        endless = found(0.0)
     assert not endless.status.converged
     assert "vanishes, and the log-evidence rises with it without end" in endless.status.stopped
     assert np.isfinite(endless.log_evidence).all()
     assert found(1e-6).status.converged
 
 
+@unfinished
 def test_progress_counts_iterations_alone():
     model = pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(A, 1.0, 1.0)],
@@ -209,6 +217,7 @@ def curved(value=None, sight=0.01):
     return model, theta
 
 
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # Cubature refuses a last step
 @pytest.mark.parametrize("lineariser", [pgm.Taylor(), pgm.Cubature()])
 def test_parameters_of_a_function_and_noise_are_found(lineariser):
     model, theta = curved()
@@ -244,6 +253,7 @@ def weather(rng, moves=None, sees=None):
     )
 
 
+@unfinished
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=5, deadline=None)
 def test_tables_of_a_hidden_markov_model_are_those_of_enumeration(seed):

@@ -16,7 +16,7 @@ distance = pgm.Variable("distance")
 STEPS = 20
 ON_A_LINE = [[-3.0, 0.0], [2.0, 0.0]]
 IN_THE_PLANE = [[-3.0, 0.0], [2.0, 0.0], [0.0, 3.0]]
-CAREFUL = {"iterations": 30, "damping": pgm.LevenbergMarquardt(), "tolerance": 1e-6}
+CAREFUL = {"iterations": 60, "damping": pgm.LevenbergMarquardt(), "tolerance": 1e-6}
 
 
 def away(place, beacon):
@@ -40,7 +40,7 @@ def drive(beacons, seed, north=0.3, variance=1.0, runs=(), **sensor):
 
 def moments(model, evidence):
     """The exact smoothed moments, on a grid."""
-    grid = pgm.Grid({"east": (-4.0, 5.0, 72), "north": (-4.0, 4.0, 64)})
+    grid = pgm.Grid({"east": (-4.0, 5.0, 108), "north": (-4.0, 4.0, 96)})
     return pgm.smooth(model, evidence, belief=grid)[place]
 
 
@@ -96,7 +96,7 @@ def test_a_filter_and_sigma_points_are_audited_alike():
     model, evidence = drive(ON_A_LINE, 1002)
     for answer in (
         pgm.filter(model, evidence),
-        pgm.smooth(model, evidence, lineariser=pgm.Unscented(), iterations=10, damping=0.5),
+        pgm.smooth(model, evidence, lineariser=pgm.Unscented(), iterations=30, damping=0.5),
     ):
         found = pgm.audit(answer, rng=0)
         assert found.suspect

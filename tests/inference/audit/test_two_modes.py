@@ -83,6 +83,7 @@ def test_a_product_at_the_prior_covers_both_modes(variance):
         assert found.suspect.mean() == pytest.approx(float(low), abs=0.02)
 
 
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # it drifts on, to the prior
 def test_a_product_whose_factors_are_right_one_by_one():
     """Both moments of a and of b, and not their covariance: E ab is that of a z a / (v + a²)."""
     variance = 0.01
