@@ -13,7 +13,7 @@ from pgm.inference.damping import Damping, require_damping
 from pgm.inference.gates import Gate, as_gate
 from pgm.inference.status import FILTERED, SMOOTHED, Kind
 
-# Standard deviations by which a mean may still move at what is taken for a fixed point: nothing that
+# Standard deviations by which a mean may still move at what counts as a fixed point: nothing that
 # an estimate could show, and within reach of float64 and of ten linearisations of most recordings.
 TOLERANCE = 1e-6
 
