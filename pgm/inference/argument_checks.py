@@ -29,7 +29,10 @@ def require_tolerance(owner: object, tolerance: object) -> None:
 
 
 def require_lineariser(lineariser: Any) -> None:
-    """Refuse a lineariser that cannot be called, or is a class: `Taylor` for `Taylor()`."""
+    """Refuse a lineariser that cannot be called, or that is a class.
+
+    `Taylor` is a class, `Taylor()` a lineariser.
+    """
     if not callable(lineariser) or isinstance(lineariser, type):
         raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
 

@@ -169,7 +169,7 @@ CONTINUOUS = (
 
 
 class _Options(TypedDict, total=False):
-    """Options of `infer`, whatever its beliefs are."""
+    """The options of `infer` that it takes with every kind of belief."""
 
     schedule: Schedule | None
     lineariser: Lineariser

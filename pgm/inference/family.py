@@ -510,9 +510,9 @@ def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
 
 
 def cancellation(family: Family) -> float:
-    """How many times the rounding of a value the rounding of a linearisation is; 0 for ten or less.
+    """The rounding of a linearisation, in units of that of one value; 0 if it is ten or less.
 
-    0, too, of an affine CPD, without hidden parents, and of linearisers other than sigma-point
+    It is 0, too, of an affine CPD, without hidden parents, and of any lineariser but sigma-point
     rules.
     """
     rule = family.lineariser

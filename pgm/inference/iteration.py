@@ -120,8 +120,8 @@ class Solution(Protocol):
     def point(self) -> Any:
         """The solution's moments as a `Point`.
 
-        Without Levenberg–Marquardt's control and robust expectations its means and deviations
-        suffice, so that off-diagonal covariances may be missing.
+        Where neither linearisations nor the control of steps use covariances, it may have their
+        diagonals alone.
         """
 
 
@@ -231,7 +231,7 @@ class _Control:
         return first._replace(mean=self.problem.feasible(first.mean, found))
 
     def step(self, point: Point, found: Point, active: Mask) -> Point:
-        """The next point, from the present one and `found`, the solution linearised there."""
+        """The next point, from the present one and the solution found after linearising there."""
         if isinstance(self.damping, LevenbergMarquardt):
             return found._replace(mean=self._accepted(self.damping, point, found, active))
         return point.mixed(found, self.damping) if self.damping else found

@@ -81,7 +81,7 @@ def _tables(
 def _moments(
     marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
 ) -> tuple[Arrays, dict[str, Any]]:
-    """Means, deviations and covariances of all components, and coordinates: their names.
+    """Means, standard deviations and covariances of all components, and coordinates: their names.
 
     `dims` are the leading dimensions, runs and steps; T is `steps`, None without time. Covariances
     between two variables are NaN.

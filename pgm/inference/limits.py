@@ -60,9 +60,9 @@ class Room:
 
 
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
-    """Refuse a graph whose clusters take too much memory together, or one too many axes.
+    """Refuse a graph whose clusters take too much memory together, or one has too many axes.
 
-    `entries` are the array entries of each cluster, of a table or a covariance, which `what` names.
+    `entries` are the array entries of each cluster, of a table or a covariance; `what` names these.
     The error is a `GraphError`.
     """
     total = sum(entries)

@@ -227,7 +227,7 @@ def _residual(messages: Messages[Any]) -> Step:
     """Residual scheduling: the message that would change most is sent next (Elidan, 2006).
 
     A round sends as many messages as there are. After each, only the messages that depend on it are
-    computed anew.
+    computed anew. The changes that a round returns are those still to come.
     """
     directed = messages.directed
     everything = messages.round(range(len(directed)))

@@ -73,9 +73,9 @@ class Read(NamedTuple):
 
     @classmethod
     def of_open(cls, strange: Integers, open_: Integers, outliers: float) -> Read:
-        """The numbers of open sightings, of which `strange` were taken for no candidate.
+        """What was read of open sightings, `strange` of which were taken for no candidate.
 
-        `outliers` is the share of them that was declared to be of none.
+        `outliers` is the prior probability, as it was declared, that a sighting is of none.
         """
         nothing = np.zeros_like(open_)
         odds = weighed(strange, open_, outliers)
@@ -141,13 +141,13 @@ class PageTest(NamedTuple):
 
 @dataclass(frozen=True)
 class Stretch:
-    """Steps at which a belief was lost.
+    """A stretch of steps, of one run, at which the belief was lost.
 
-    `run` is its index, empty for one run. The stretch probably began at step `first`, was known by
-    the measurements up to `declared`, and its `last` step was the last. The reason `why` is
-    ``"innovations"`` too large, and `value` then the mean NIS per component of what was taken in
-    (of a consistent belief 1); or it is ``"rejections"`` too many, and `value` their share of the
-    sightings that a gate or an association has judged.
+    `run` is the run's index, empty if there is one run. The stretch reaches from the step `first`,
+    where it probably began, to the step `last`; by the measurements up to the step `declared` it
+    was known. The reason `why` is ``"innovations"`` too large, and `value` then the mean NIS per
+    component of what was taken in (of a consistent belief 1); or it is ``"rejections"`` too many,
+    and `value` their share of the sightings that a gate or an association has judged.
     """
 
     run: tuple[int, ...]

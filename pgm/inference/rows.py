@@ -132,9 +132,10 @@ class Rows:
         return At(function, None, None, noise, first, last)
 
     def given(self, step: int, inputs: Sequence[Array], count: int) -> At:
-        """The CPD of one run at inputs other than those of its rows, for `count` sightings.
+        """The CPD of one run at other inputs than those of its rows, for `count` sightings.
 
-        `inputs` are in the order of the attribute, (d,) each, or (count, d) of several sightings.
+        The `inputs` are in the order of `self.inputs`, (d,) each, or (count, d) of several
+        sightings.
         """
         if self.noisy:
             wide = self._wide(inputs, count)

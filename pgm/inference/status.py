@@ -89,9 +89,10 @@ CLOSE_POINTS = (
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
-    """The correct decimal digits −log₁₀ e for relative errors e (runs,), reshaped to (*lead).
+    """The correct decimal digits −log₁₀ e of means with errors e, in standard deviations.
 
-    They are 15.7 at the most, as of float64, and 0 for an error that is not finite.
+    The errors are (runs,), the digits (*lead): 15.7 at the most, as of float64, and 0 for an error
+    that is not finite.
     """
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)

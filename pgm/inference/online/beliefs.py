@@ -367,10 +367,11 @@ def is_plain(belief: OnlineBelief) -> bool:
 
 
 def is_moderate(found: Moments, before: Moments) -> bool:
-    """Whether float64 has digits enough for moments, found from earlier ones.
+    """Whether float64 has digits enough for moments that a step has made of earlier ones.
 
-    No variance falls to less than 5·10⁻⁸ of that before, nor does any given the components before
-    it; no mean is 4.5·10¹⁰ standard deviations or more from zero.
+    Each variance is to be 5·10⁻⁸ of the earlier one or more, and of it the components before leave
+    as large a share open; each mean is within 4.5·10¹⁰ standard deviations of zero. A component
+    without a variance does not count if it had none before.
     """
     return gaussian.is_moderate(found.mean, found.cov, before.cov, _REGULAR, certificate.FAR)
 

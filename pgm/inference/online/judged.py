@@ -63,7 +63,7 @@ class Watch(NamedTuple):
         return self._replace(read=read if self.read is None else self.read.and_(read))
 
     def told(self, associations: Found, gate: Asked | None) -> Watch:
-        """The watch after sightings of the step were associated, as `associations` by sensor say.
+        """The watch after counting how sightings of the step were associated, by sensor.
 
         Of a sensor with a `gate` only sightings taken for no candidate count here: the gate counts
         the others.
@@ -151,7 +151,10 @@ def _read(nis: Array, dof: Integers, each: Sequence[tuple[Mask, Mask] | None]) -
 
 
 def _decided(part: Reading) -> Decided:
-    """The decisions of a sensor's gate about its sightings, with the sensor and their order."""
+    """A sensor, its gate's decisions (M, runs) at an update, and the order of its sightings.
+
+    Row k of the decisions is sighting ``order[k]`` of the evidence.
+    """
     assert part.gated is not None
     rejected, square = (each.reshape(len(each), -1) for each in part.gated)
     nothing = np.ones((0, 0, 0), dtype=bool)

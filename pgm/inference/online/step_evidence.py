@@ -201,7 +201,7 @@ def numbers(value: Any, axes: int) -> Array | None:
 
 
 def _numbers(value: Any) -> Array | None:
-    """The value as floats; None where it is refused, with words that the general way has."""
+    """The value as floats; None where it is refused, with an error of the general way."""
     try:
         return as_floats(value, "a value", EvidenceError)
     except EvidenceError:  # which the general way words
@@ -209,10 +209,9 @@ def _numbers(value: Any) -> Array | None:
 
 
 def places(values: Mapping[Variable, Any]) -> dict[tuple[Variable | None, Variable], int]:
-    """The place of each array among all that are given at a step.
+    """The place of each array among all that are given at a step, by sensor and variable.
 
-    The keys are pairs: of the variable, and before it the sensor with whose sightings it was given,
-    or None.
+    The sensor is the one with whose sightings the variable was given, or None.
     """
     found: dict[tuple[Variable | None, Variable], int] = {}
     for variable, value in values.items():

@@ -207,8 +207,8 @@ class _Ends(NamedTuple):
 class Passed:
     """A transition behind the belief, made in float64, with its reverse for lagged beliefs.
 
-    The plan is of this one step; `before` are the moments before it, `after` those predicted. What
-    is asked for is found then, since most beliefs are never lagged.
+    The plan is of this one step; `before` are the moments before it, `after` those predicted. The
+    reverse is found when it is asked for, since most beliefs are never lagged.
     """
 
     def __init__(self, plan: ChainPlan, before: Moments, after: Moments) -> None:
@@ -317,8 +317,8 @@ class Trail(NamedTuple):
     def _share(self, later: list[Array]) -> float:
         """The largest part of a smoothed variance at the trail's start that rounding may be.
 
-        `later` are the smoothed covariances from the last step back; for the bound see
-        `reversal_rounding`.
+        `later` are the smoothed covariances from the last step back. For the bound see
+        `reversal_rounding`; it is infinite where a covariance is singular in float64.
         """
         error = np.zeros(later[0].shape)
         for passed, cov in zip(reversed(self.passed), later[:-1], strict=False):

@@ -164,5 +164,5 @@ def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
 
 
 def _each(parts: Sequence[Any], name: str) -> list[Any]:
-    """One attribute of every part."""
+    """An attribute of every part, as a list."""
     return [getattr(part, name) for part in parts]

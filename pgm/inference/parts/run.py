@@ -187,7 +187,8 @@ def _gaussians(
 ) -> dict[Variable, Gaussian]:
     """Kept marginals from arrays (steps, runs, ...), as Gaussians (*lead, steps, ...).
 
-    A hidden control has no step 0, hence its step labels begin at 1.
+    The arrays of the `room` are the mean and the covariance of each variable in turn. A hidden
+    control has no step 0, hence its step labels begin at 1.
     """
     found = {}
     for variable, mean, cov in zip(kept, room[::2], room[1::2], strict=False):
@@ -252,7 +253,7 @@ class Share:
     def arrays(self, found: ChainPosterior, runs: int) -> list[Array]:
         """The arrays of a part's posterior that are sent back, in the order of `shapes`.
 
-        Of a posterior that is sent whole there are none to ask for.
+        A posterior that is sent whole has none.
         """
         if self.kept is None:
             swept, smoothed = found._swept, found._smoothed

@@ -98,7 +98,10 @@ def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGr
 
 
 def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> ConditionalGaussian:
-    """A CPD with the offsets and covariances of a part of the runs."""
+    """A CPD with the offsets and covariances of a part of the runs.
+
+    It is the same CPD if all runs have one offset and one covariance.
+    """
     changed: dict[str, Any] = {}
     for name, own in (("offset", 1), ("cov", 2)):
         value = getattr(cpd, name, None)

@@ -77,7 +77,7 @@ def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, in
 
 
 def _watched(work: Callable[[Any], Any], job: Any) -> Done:
-    """Do some work and record its warnings, but for those of precision.
+    """Do some work and record its warnings, but for each `PrecisionWarning`.
 
     The caller's process gives them again; a status tells it of lost digits.
     """
