@@ -258,13 +258,13 @@ def smooth(
     iterations, tolerance, damping, gate
         See `Smoothing` and `FixedLag`.
     method : Balanced, optional
-        See `compile`: `Balanced()`, or without a chain of slices, whose first linearisation is the
-        filter's. On the chain the later ones, of all steps at once, are solved for in about
-        2 log₂ T rounds, as on a balanced tree, where that is faster (from 64 steps on, up to 200
-        numbers, the components of a slice times the runs) and costs no digits (no noise-free or
-        grouped measurements, none that shrink a variance more than 4·10⁶ times); else, and in
-        machine code, along the chain. `Balanced()` saves the filter's sweep, and starts from dead
-        reckoning.
+        See `compile`: `Balanced()` solves on a balanced tree, and starts from dead reckoning, which
+        saves the filter's sweep. If not given, it is a chain of slices, whose first linearisation
+        is the filter's. The later ones, of all steps at once, are solved for in about 2 log₂ T
+        rounds, as on a balanced tree, where that is faster (from 64 steps on, if the components of
+        a slice times the runs are 200 at the most) and costs no digits (no noise-free or grouped
+        measurements, none that shrink a variance more than 4·10⁶ times); else, and always in
+        machine code, step by step along the chain.
     keep, executor, belief, compiled, progress
         See `filter`.
 

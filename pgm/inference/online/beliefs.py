@@ -68,7 +68,11 @@ class _Later:
         self.name = name
 
     def __get__(self, belief: OnlineBelief | None, owner: type) -> Any:
-        """Make all attributes from the core, and return this one; without a core there is none."""
+        """Make all attributes from the core, and return this one.
+
+        A belief without a core has the attribute itself or, being incomplete, raises an
+        `AttributeError`.
+        """
         core = None if belief is None else belief._core
         if belief is None or core is None:
             raise AttributeError(self.name)
@@ -369,9 +373,10 @@ def is_plain(belief: OnlineBelief) -> bool:
 def is_moderate(found: Moments, before: Moments) -> bool:
     """Whether float64 has digits enough for moments that a step has made of earlier ones.
 
-    Each variance is to be 5·10⁻⁸ of the earlier one or more, and of it the components before leave
-    as large a share open; each mean is within 4.5·10¹⁰ standard deviations of zero. A component
-    without a variance does not count if it had none before.
+    Each variance has to be at least 5·10⁻⁸ of the earlier one, and its part that is left given the
+    components before it at least 5·10⁻⁸ of the variance; each mean has to be within 4.5·10¹⁰
+    standard deviations of zero. A component without a variance does not count if it had none
+    before.
     """
     return gaussian.is_moderate(found.mean, found.cov, before.cov, _REGULAR, certificate.FAR)
 

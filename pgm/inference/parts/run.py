@@ -154,9 +154,8 @@ def _require_memory(
 ) -> None:
     """Refuse beliefs that would not fit in memory, by a `GraphError`.
 
-    Counted are the moments of all steps of the variables `kept`, or of the slices if that is None;
-    of the slices four times, unless the schedule is a filter, since those of its passes are kept,
-    too.
+    With `kept` variables the means and covariances of these at all steps count; without, those of
+    the slices, four times for a smoother, which keeps the moments of its passes.
     """
     sizes = [layout.slice_size] if kept is None else [v.dimension for v in kept]
     sets = 4 if kept is None and not isinstance(schedule, Filtering) else 1
