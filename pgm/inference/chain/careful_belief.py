@@ -114,8 +114,8 @@ class Belief(NamedTuple):
     def certain(self) -> Belief:
         """The belief with zero variances and covariances where a variance may be rounding alone.
 
-        That is, where it is no more than 100 times the bound of its rounding. A millionth of this
-        threshold is added to the error variance of the mean.
+        That is, where it is no more than 100 times the bound of its rounding. If it was not zero
+        exactly, a millionth of this threshold is added to the error variance of the mean.
         """
         floor = CLEAR * variances(self.rounding)
         open_ = np.abs(variances(self.cov.hi)) > floor
@@ -373,8 +373,9 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
     """The measurements of a step as D scalars z = h x + n with independent errors.
 
     Returns the rows [h z] (runs, D, n + 1), their variances (runs, D), and the mask (runs, D) of
-    those that were measured. `width` is n, h is over the slice, and z less the CPD's offset. With a
-    noise covariance R = U diag(r) Uᵀ that has correlations, rows are multiplied by U⁻¹.
+    those that were measured; others are zero. `width` is n, h is over the slice, and z less the
+    CPD's offset. With a noise covariance R = U diag(r) Uᵀ that has correlations, rows are
+    multiplied by U⁻¹.
     """
     height = sum(len(seen.value) for seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))

@@ -93,10 +93,11 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
 
 
 def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
-    """Whether a chain of such predicted and filtered covariances is one whose segments compose well.
+    """Whether segments of a chain with these covariances compose without a loss of digits.
 
-    They are (T+1, runs, n, n). No measurement leaves less than 1 / `limit` of a variance, and each
-    component keeps over 1 / `limit` of its variance given those before it.
+    They are the predicted and the filtered ones, (T+1, runs, n, n). No measurement leaves less than
+    1 / `limit` of a variance, and each component keeps over 1 / `limit` of its variance given those
+    before it.
     """
     with np.errstate(all="ignore"):
         stands = _hold(predicted, known, limit)

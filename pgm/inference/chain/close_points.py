@@ -133,7 +133,7 @@ def _predictions(plan: ChainPlan, ahead: Forward) -> Array:
     """Σ (e/σ)² over the components of each step's prediction, (T+1, runs).
 
     A σ of zero, or below 10⁻⁹ of the component's largest predicted one so far, is replaced by this
-    largest one, or by 10⁻⁹ of it.
+    largest one, or by 10⁻⁹ of it, respectively.
     """
     front, states = plan.layout.state_size, plan.layout.state_places
     added = np.zeros(ahead.predicted_mean.shape[:2])
@@ -194,7 +194,7 @@ def _kept(ahead: Forward, added: Array) -> Array:
 
 
 def _ratio(part: Array, whole: Array) -> Array:
-    """The largest `part` / `whole` of the variances (..., n), at most 1; 0 where `whole` is zero."""
+    """The largest `part` / `whole` of variances (..., n), at most 1; 0 where `whole` is zero."""
     found = np.where(whole > 0.0, part / np.where(whole > 0.0, whole, 1.0), 0.0)
     stays: Array = np.asarray(np.minimum(found.max(axis=-1, initial=0.0), 1.0))
     return stays
