@@ -52,9 +52,9 @@ class Later(NamedTuple):
     """The message of later measurements to a belief over a slice: r as a function of δ, and N.
 
     `vector` has the columns [r R] (runs, n, 1 + q) of r + R δ; `matrix` is N (runs, n, n). As in a
-    `Belief`, `rounding` (runs, n, n) bounds the rounding error of N, and `drift` (runs, n, n) that
-    of r. `blurred` (runs,) is the largest share of an innovation variance S, over all these
-    measurements, that may be rounding.
+    `Belief`, `rounding` B (runs, n, n) bounds the rounding error E of N, −B ≤ E ≤ B, and `drift`
+    (runs, n, n) is taken for the covariance of that of r. `blurred` (runs,) is the largest share of
+    an innovation variance S, over all these measurements, that may be rounding.
     """
 
     vector: Twofold
@@ -257,7 +257,7 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
 
 
 def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> dict[int, Twofold]:
-    """Cross-covariances of slice s with slice `second`, (runs, n, n), for s = `first`..second − 1.
+    """Cross-covariances of slice s with slice `second`, (runs, n, n), by s = `first`..second − 1.
 
     They know the measurements up to the last of `slices`; the part that δ adds is not in them. With
     P the filtered covariance at s, and Φ the product of the A and 1 − G h that carry the error

@@ -257,8 +257,8 @@ def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
     """Moments of every slice given the measurements up to `lag` steps later, all steps at once.
 
     With B_k[t] the belief over slice t given the measurements up to t + k, and C_m[t] the
-    conditional of slice t given slice t + m and the measurements before that (T in place of later
-    steps),
+    conditional of slice t given slice t + m and the measurements up to t + m − 1 (T in place of
+    later steps),
 
         B_{k+m}[t] = C_m[t] B_k[t + m],    C_{2m}[t] = C_m[t] C_m[t + m],
 

@@ -70,8 +70,8 @@ class BalancedPosterior(ChainPosterior):
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its hidden variables, unnormalised.
 
-        Its integral is the evidence that its messages know: all of it after smoothing, that up to
-        the end of its segment after filtering.
+        Its integral is the density of the measurements that its messages know: of all after
+        smoothing, of those up to the end of its segment after filtering.
 
         Raises
         ------
@@ -164,7 +164,7 @@ def _composed(segments: Element) -> Element:
 
 
 def _side_by_side(left: Canonical, right: Canonical) -> Canonical:
-    """The product of two canonical forms over different variables."""
+    """The product of two canonical forms, over the variables of the first and then the second."""
     size = left[1].shape[-1]
     precision = np.zeros((*left[1].shape[:-1], 2 * size, 2 * size))
     precision[..., :size, :size], precision[..., size:, size:] = left[0], right[0]

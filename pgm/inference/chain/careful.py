@@ -167,7 +167,8 @@ def update(
 ) -> tuple[Belief, IteratedUpdate[CarefulUpdate], Sequence[Reading]]:
     """The belief of an online filter given the measurements of its step, the only ones of the plan.
 
-    Returns the belief, the iterated update that led to it, and the readings as linearised last.
+    `step` is its number in the chain. Returns the belief, the iterated update that led to it, and
+    the readings as linearised last.
     """
     nothing = Twofold.zeros((plan.runs, 1, 1))
     mean, spread = rounded_belief(known, solved(nothing))
@@ -180,12 +181,13 @@ def update(
 
 @dataclass(frozen=True, eq=False)
 class CarefulUpdate:
-    """The belief after the measurements of a step, as a function of δ and with δ estimated.
+    """The belief after the measurements of a step, and what these say of δ.
 
-    `belief` is the former, `unknown` the estimate of δ, and `mean` (runs, n) and `spread` are the
-    moments in float64 with that estimate. `log_density` (runs,) is ln p(measurements | earlier
-    ones). `components` are the scalar measurements in the order in which they were taken in;
-    `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S over these and all earlier ones.
+    `belief` is a function of δ, `unknown` the estimate of δ, and `mean` (runs, n) and `spread` are
+    the moments of the belief in float64 with that estimate. `log_density` (runs,) is ln
+    p(measurements | earlier ones). `components` are the scalar measurements in the order in which
+    they were taken in; `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S over these and all
+    earlier ones.
     """
 
     mean: Array
@@ -203,7 +205,7 @@ class CarefulUpdate:
 
     @property
     def cov(self) -> Array:
-        """The covariance, (runs, n, n), infinite where nothing is known."""
+        """The covariance (runs, n, n), with infinite variances of components still unknown."""
         return self.spread.shown
 
     @property
@@ -321,7 +323,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
 
 
 def prior_mean(plan: ChainPlan) -> Array:
-    """The prior means of the states at step 0, (runs, m); a flat one has its declared mean."""
+    """The prior means of the states' m components, (runs, m); a flat one has its declared mean."""
     states = plan.layout.state_places
     if not is_flat(plan):
         return MomentChain(plan, ONCE).start().by_run[0][:, states]

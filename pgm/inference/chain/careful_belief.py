@@ -93,9 +93,10 @@ class Belief(NamedTuple):
     def error(self, parts: Array | None = None) -> Array:
         """The largest rounding error of a component's mean, in standard deviations, (runs,).
 
-        They are its own or, if more, 10⁻⁹ of the largest standard deviation that the component had:
-        float64 cannot tell less than 10⁻¹⁶ of that. A share of its variance that may be rounding,
-        `parts` (runs, n), by default those of the belief, counts as an error of as many of its own.
+        A mean's error is the root of its `drift`, or, if larger, `parts` (runs, n) times its
+        standard deviation: the shares of the variances that may be rounding, by default the
+        belief's. It is counted in that standard deviation, or, if larger, in 10⁻⁹ of the largest
+        one that the component had, since float64 cannot tell less than 10⁻¹⁶ of this.
         """
         variance = np.maximum(variances(self.cov.hi), 0.0)
         unit = np.sqrt(np.maximum(variance, _TOLD**2 * self.largest))
@@ -133,7 +134,8 @@ class Belief(NamedTuple):
 def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
     """Arrays (runs, ...) broadcast from run axes `before` to `after`, and flattened again.
 
-    `value` is an array, a `Twofold`, None, or a named tuple of these, which may be nested.
+    The axes are tuples of lengths, whose products are the numbers of runs. `value` is an array, a
+    `Twofold`, None, or a named tuple of these, which may be nested.
     """
     if isinstance(value, np.ndarray):
         own = value.shape[1:]
@@ -146,8 +148,8 @@ def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
 def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
     """The columns [m D] (..., n, 1 + q), with zeros where entries of D are only rounding.
 
-    That is, where one is below 10⁻²⁶ of the `summed` arrays of that shape, in absolute values,
-    whose entries it was added up from.
+    That is, where one is below 10⁻²⁶ of the absolute values of its summands; these are the entries
+    of the arrays `summed`, of the same shape.
     """
     if columns.shape[-1] == 1:
         return columns
@@ -400,5 +402,5 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array (own axes, *batch) as (runs or 1, own axes), of which there are `own`."""
+    """An array (own axes, *batch) as (runs or 1, own axes); `own` is the number of own axes."""
     return array[None] if array.ndim == own else components_last(array, own)

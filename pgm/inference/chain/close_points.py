@@ -80,7 +80,8 @@ def error(plan: ChainPlan, swept: Forward | Filtered) -> Array | None:
 def of_step(plan: ChainPlan, before: Moments, after: Moments, digits: Array | None) -> Array | None:
     """The `error` (runs,) after a step of an online filter, from the decimal digits it had before.
 
-    `digits` is None as long as none were lost. Slopes are not at hand: the share of the step is
+    `before` and `after` are the beliefs that it went from and to; `digits` is None as long as none
+    were lost. Slopes are not at hand: the share of the step is
     taken to be ε c |m| / σ of the component that is farthest from zero. None where no rule of the
     step has weights that cancel, or, as long as none were lost, the error is below 10⁻⁹.
     """

@@ -195,7 +195,10 @@ def _square(family: Family, mean: Array, expected: Array) -> Array:
 
 
 def _expected(family: Family, rows: slice, mean: Array, cov: Array) -> Array:
-    """E[f(X)] for X ~ N(mean, cov), as the lineariser sees it; NaN where f is not defined."""
+    """E[f(X)] of a CPD at some rows, for its parents X ~ N(mean, cov), by its lineariser.
+
+    NaN where f is not defined.
+    """
     if family.exact:
         return family.value(rows, mean)
     function = family.bound(rows, mean.ndim - 1, mean.shape[:-1])

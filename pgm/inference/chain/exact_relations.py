@@ -59,7 +59,7 @@ class Relation(NamedTuple):
 
 
 def projected(plan: ChainPlan, mean: Array, std: Array) -> tuple[Array, Mask]:
-    """The trajectories nearest to means (T+1, runs, n) that obey all exact relations, and who does.
+    """The trajectories nearest to means (T+1, runs, n) that obey all relations, and which do.
 
     Runs that obey already stay. A component's moves are measured in its largest standard deviation,
     of `std` (T+1, runs, n), or, where that may be rounding, in its largest number, at least one.

@@ -326,7 +326,7 @@ def _cut(
 
 
 def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
-    """Whether float64 may solve a window: no infinite prior variance, and a plain beginning."""
+    """Whether float64 may solve a window: its prior is finite, its beginning, if any, `plain`."""
     return not certificate.is_flat(plan) and (begin is None or begin.plain)
 
 

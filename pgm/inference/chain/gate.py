@@ -178,7 +178,7 @@ _WELL = 1e-6
 
 
 def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:
-    """νᵀS⁻¹ν of each of a sensor's `count` sightings, (count, *batch), and its measured components.
+    """νᵀS⁻¹ν of a sensor's `count` sightings, and their numbers of components, (count, *batch).
 
     The predicted belief over the slice has a mean (n, *batch) and a covariance (n, n, *batch).
     """
