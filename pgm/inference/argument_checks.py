@@ -1,4 +1,9 @@
-"""Checks of the arguments that schedules take: numbers, linearisers, CPDs."""
+"""Checks of arguments: numbers, linearisers, and the CPDs that a kind of belief can take.
+
+Each check returns nothing. It raises a `ModelError`, or an `EvidenceError` about a measurement,
+that names what is wrong. `owner` is the object whose text begins the message; `beliefs` names, in
+the plural, the beliefs that need the CPDs to be of some kind.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +17,28 @@ from pgm.kernels.arrays import Mask
 
 
 def require_count(owner: object, name: str, value: object) -> None:
-    """Check a whole number of 1 or more."""
+    """Refuse a value that is no whole number of 1 or more; messages call it `name`."""
     if not is_whole(value) or value < 1:
         raise ModelError(f"{owner!r}: {name} must be a whole number, 1 or more, not {value!r}")
 
 
 def require_tolerance(owner: object, tolerance: object) -> None:
-    """Check a number of 0 or more."""
+    """Refuse a tolerance that is no number, NaN or negative."""
     if not is_number(tolerance) or not tolerance >= 0.0:
         raise ModelError(f"{owner!r}: a tolerance must be 0 or more, not {tolerance!r}")
 
 
 def require_lineariser(lineariser: Any) -> None:
-    """Refuse what cannot be called, and a rule that was not made."""
+    """Refuse a lineariser that cannot be called, or that is a class.
+
+    `Taylor` is a class, `Taylor()` a lineariser.
+    """
     if not callable(lineariser) or isinstance(lineariser, type):
         raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
 
 
 def require_gaussian(cpds: Iterable[CPD], beliefs: str) -> None:
-    """Refuse a CPD that is not Gaussian, for beliefs that need its mean and covariance."""
+    """Refuse a CPD that is not Gaussian, for beliefs that are made of its mean and covariance."""
     for cpd in cpds:
         if not isinstance(cpd, ConditionalGaussian):
             raise ModelError(
@@ -42,7 +50,10 @@ def require_gaussian(cpds: Iterable[CPD], beliefs: str) -> None:
 
 
 def require_plain(cpds: Iterable[CPD]) -> None:
-    """Refuse robust noise, where there are no residuals of sensors to weigh."""
+    """Refuse CPDs with robust noise: Gaussian beliefs take it of a dynamic network's sensors alone.
+
+    It is handled by weights of a sensor's residuals, of which other CPDs have none.
+    """
     for cpd in cpds:
         if isinstance(cpd, ConditionalGaussian) and cpd.noise is not None:
             raise ModelError(
@@ -55,7 +66,11 @@ def require_plain(cpds: Iterable[CPD]) -> None:
 
 
 def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
-    """Refuse a CPD that cannot be asked for its density, where beliefs of some kind need it."""
+    """Refuse CPDs whose density cannot be evaluated, for beliefs that are weighed by it.
+
+    Refused are a `SampledCPD` without `log_density`, and robust noise whose density has an infinite
+    integral; of a mixture each part is checked.
+    """
     for cpd in cpds:
         if isinstance(cpd, MixtureCPD):
             require_density(cpd.parts, beliefs)
@@ -71,7 +86,10 @@ def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
 
 
 def require_whole(cpd: CPD, taken: Mask, step: int) -> None:
-    """Refuse a measurement with missing components, for a density without marginals."""
+    """Refuse a measurement with missing components of a CPD whose density has no marginals.
+
+    `taken` marks the components that were measured, of the sightings at a step.
+    """
     if not taken.all() and not cpd.partial:
         raise EvidenceError(
             f"{cpd!r}: a measurement at step {step} has components that are NaN, which the "

@@ -1,4 +1,9 @@
-"""Data association: the results that say which candidate each sighting was taken for."""
+"""Data association: which candidate each sighting was taken for.
+
+An *open* sighting is one whose sensor has a parent that the evidence leaves unknown
+(`pgm.unknown`). It is of one of k candidates, which are values (k, d) of that parent, or of none of
+them: *spurious*, or of a *new* thing. Probabilities (..., k + 2) are in that order.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +22,7 @@ from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
-# Associations that are no candidate's.
+# Values of `candidate` for a sighting of none.
 SPURIOUS, NEW = -1, -2
 
 
@@ -29,14 +34,16 @@ class Associations(Shown, Immutable):
     step : ndarray of int
         (M,): the steps of the sightings.
     probability : ndarray
-        (..., M, k + 2): the probability of each candidate, of a spurious sighting and of a new
-        thing, given the measurements that the belief knows; of Gaussian beliefs, given those before
-        the sighting's own. Leading axes are runs. NaN where nothing was measured.
+        (..., M, k + 2): the probability of each of k candidates, of a spurious sighting and of a
+        new thing, given the measurements that the belief knows; of Gaussian beliefs, given the
+        sighting and those taken in before it. Leading axes are runs. NaN where nothing was
+        measured.
     candidate : ndarray of int
-        (..., M): the likeliest, as a row of the candidates; −1 spurious, −2 new. −1 too where
-        nothing was measured, and where all candidates were beyond the gate.
+        (..., M): the likeliest candidate, as its row of the k; −1 spurious, −2 new. −1 too where
+        nothing was measured, and where all candidates were beyond the gate and nothing was declared
+        spurious or new.
     outliers : float
-        The share of sightings that was declared spurious or new.
+        The prior probability, as `pgm.unknown` declares it, that a sighting is spurious or new.
 
     Examples
     --------
@@ -70,11 +77,15 @@ class Associations(Shown, Immutable):
 
     @property
     def measured(self) -> Mask:
-        """The mask of sightings of which something was measured, (..., M)."""
+        """The mask of sightings of which some component was measured, (..., M)."""
         return np.asarray(~np.isnan(self.probability).any(axis=-1))
 
     def judged(self, *, gated: bool) -> tuple[Mask, Mask]:
-        """Sightings taken for no candidate, and those judged, (M, runs): alike where gated."""
+        """Masks (M, runs): sightings taken for no candidate, and sightings that count as judged.
+
+        Every measured sighting of a sensor without a gate is judged. Of a sensor with one (`gated`)
+        the second mask equals the first, since the record of the gate counts all others.
+        """
         measured = self.measured.reshape(-1, len(self.step)).T
         strange = measured & (self.candidate < 0).reshape(-1, len(self.step)).T
         return strange, strange if gated else measured
@@ -106,18 +117,22 @@ class Associations(Shown, Immutable):
         return Summary(self._title, [Listing(heads, rows, names=len(heads) - 1)] if rows else [])
 
 
-# By sensor.
+# By sensor, the associations that a call has found.
 Found = Mapping[Variable, Associations]
 NONE: Found = MappingProxyType({})
 
 
 def is_open(bound: BoundEvidence) -> bool:
-    """Whether some sightings have an unknown parent."""
+    """Whether some sightings are open: they leave a parent of their sensor unknown."""
     return any(reading.unknown is not None for reading in bound.readings)
 
 
 def by_density(bound: BoundEvidence) -> BoundEvidence:
-    """The same evidence, with its open sightings entered through their sensor's density."""
+    """The same evidence with each open sensor's CPD replaced by a mixture over its candidates.
+
+    For beliefs that evaluate densities. Sightings that are to be associated all together
+    (``association="joint"``) raise an `EvidenceError`: only Gaussian beliefs do that.
+    """
 
     def closed(reading: Reading) -> Reading:
         if reading.unknown is None:
@@ -136,7 +151,7 @@ def by_density(bound: BoundEvidence) -> BoundEvidence:
 
 
 def unidentified(reading: Reading, parent: Variable, unknown: Unknown) -> UnidentifiedCPD:
-    """The likelihood of a sensor's open sightings, a mixture over their candidates."""
+    """The CPD of a sensor's open sightings: a mixture over the candidates for its `parent`."""
     return UnidentifiedCPD(
         reading.cpd,
         parent,
@@ -151,7 +166,12 @@ def unidentified(reading: Reading, parent: Variable, unknown: Unknown) -> Uniden
 def collected(
     reading: Reading, rows: Iterable[Array], candidates: int, lead: tuple[int, ...]
 ) -> tuple[Variable, Associations]:
-    """The associations of a reading, from the probabilities of each of its rows, (runs, k + 2)."""
+    """The sensor of a reading, and its `Associations` in the order of the user's evidence.
+
+    `rows` are the probabilities (runs, candidates + 2) of each sighting, in the order of the
+    reading, which is sorted by step. `lead` are the user's axes of runs, to which the axis of runs
+    is reshaped.
+    """
     ordered = np.empty((int(np.prod(lead)), len(reading.step), candidates + 2))
     for place, row in zip(reading.order.tolist(), rows, strict=True):
         ordered[:, place] = row

@@ -1,4 +1,4 @@
-"""Results of each sensor that was read."""
+"""Mappings from each sensor that was read to its results."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ Value = TypeVar("Value")
 
 
 class EachSensor(Shown, Mapping[Variable, Value]):
-    """The results of each sensor that was read."""
+    """A mapping from each sensor that was read to its results.
+
+    Any other key raises an `EvidenceError`.
+    """
 
     _what: ClassVar[str] = "results"
 

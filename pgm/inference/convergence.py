@@ -1,8 +1,10 @@
 """The warning of a call whose iterations ended before they settled.
 
-A call warns once, of all its runs together. One linearisation is a plain filter or smoother, and a
-tolerance of 0 asks for a number of iterations: nobody expects a fixed point of either, and nothing
-is said, unless messages diverge.
+Iterations of a run have *settled*, or converged, when the last residual is within the tolerance:
+the largest change of a message, or the largest move of a mean in standard deviations. A call warns
+once, of all its runs together. One linearisation is a plain filter or smoother, and a tolerance of
+0 asks for a number of iterations: nobody expects a fixed point of either, and nothing is said,
+unless messages diverge.
 """
 
 from __future__ import annotations
@@ -23,19 +25,23 @@ from pgm.kernels.arrays import Array, Mask
 
 P = TypeVar("P")
 
-# Times as many iterations as were made, or as a few, beyond which other ways are better advice.
+# Advice to take more iterations is given up to so many times as many as were made, or as a few.
 _PATIENCE, _FEW = 10, 10
 
 
 def is_iterated(schedule: Schedule | None) -> bool:
-    """Whether a schedule was asked to go on until something settles."""
+    """Whether a schedule iterates: one for loopy graphs, or of two or more linearisations."""
     if isinstance(schedule, Loopy):
         return True
     return schedule is not None and schedule.iterations > 1
 
 
 def told(posterior: P, schedule: Schedule | None) -> P:
-    """The same posterior. A `ConvergenceWarning` is raised if its iterations did not settle."""
+    """The same posterior, after a `ConvergenceWarning` if some run of it has not settled.
+
+    There is none of a single linearisation, with a tolerance of 0 (unless messages diverged), or of
+    grids and particles, which have warnings of their own.
+    """
     status = getattr(posterior, "status", None)
     # Grids and particles have a status, and warnings, of their own.
     if not isinstance(status, Status) or schedule is None or not is_iterated(schedule):
@@ -56,9 +62,10 @@ def told(posterior: P, schedule: Schedule | None) -> P:
 
 
 def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
-    """Warn of an online step whose runs have not all converged.
+    """Warn if some run has not settled in a step of an online filter; `converged` is (*runs).
 
-    The words are the same at each step, so that Python's default filter shows them once.
+    There is no warning of a single linearisation or with a tolerance of 0. The words are the same
+    at each step, so that Python's default filter shows them once.
     """
     if is_iterated(schedule) and schedule.tolerance > 0.0 and not converged.all():
         message = (
@@ -70,7 +77,11 @@ def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
 
 
 def _diverged(status: Status, schedule: Loopy) -> bool:
-    """Whether messages of a run that did not settle grew, so that no more were sent."""
+    """Whether messages of a run that did not settle diverged, so that no more were sent.
+
+    The last residual is then not finite, or 10⁴ times the least one; or the schedule has stopped
+    before its last round, which it does for no other reason while a run is unsettled.
+    """
     record = status.residuals.reshape(len(status.residuals), -1)[:, ~status.converged.reshape(-1)]
     grown = ~np.isfinite(record[-1]) | (record[-1] > GROWN * record.min(axis=0))
     return bool(grown.any()) or status.iterations < schedule.iterations
@@ -99,7 +110,7 @@ def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
 
 
 def _has_hubs(posterior: Posterior) -> bool:
-    """Whether single-variable clusters join the others, as in a Bethe graph."""
+    """Whether a cluster of a single variable joins two or more others, as in a Bethe graph."""
     graph = posterior.graph
     return any(
         len(cluster.scope) == 1 and len(graph.neighbours(k)) > 1
@@ -121,7 +132,7 @@ def _of_linearisations(status: Status, schedule: Filtering | FixedLag | Calibrat
 
 
 def _otherwise(schedule: Filtering | FixedLag | Calibration) -> str:
-    """Another way to a fixed point than more iterations."""
+    """Advice, in words, on how to reach a fixed point otherwise than by more iterations."""
     ways = []
     damping = getattr(schedule, "damping", None)
     if isinstance(damping, LevenbergMarquardt):
@@ -135,7 +146,11 @@ def _otherwise(schedule: Filtering | FixedLag | Calibration) -> str:
 
 
 def _last(status: Status) -> tuple[str, str]:
-    """The largest residual of the runs that did not settle, and how many they are, in words."""
+    """Two parts of a message: the last residual, and in how many runs iterations did not settle.
+
+    The residual is the largest of those runs, empty if none was recorded. The second part is empty
+    if there is only one run.
+    """
     unsettled = ~status.converged
     count, size = int(unsettled.sum()), unsettled.size
     of = f" in {count} of {size} runs" if size > 1 else ""
@@ -146,9 +161,12 @@ def _last(status: Status) -> tuple[str, str]:
 
 
 def _needed(status: Status, tolerance: float, over: int) -> int | None:
-    """Iterations after which the slowest run will have settled, by its rate over the last ones.
+    """The iterations in all after which the slowest run will have settled, or None.
 
-    None where residuals do not shrink, or so slowly that other ways are better advice.
+    The residual of that run is taken to shrink on by the mean factor of its last `over` iterations.
+    None where it does not shrink, with a tolerance of 0, and where that would be more than ten
+    times as many iterations as were made, or than 100 if that is more: other ways are better advice
+    then.
     """
     record: Array = status.residuals.reshape(len(status.residuals), -1)
     over = min(over, len(record) - 1)

@@ -16,21 +16,21 @@ from pgm.inference.argument_checks import require_count
 class LevenbergMarquardt(InCode):
     """Steps that never raise the cost: full ones where they lower it, else held back.
 
-    The cost of a point x is that of the expected functions, with the covariances P and the noise
-    of the linearisation held fixed,
+    A point x of means, where CPDs y = f(x) + n, n ~ N(0, R), are linearised, has the cost
 
-        Σ rᵀ Σ⁻¹ r over all CPDs,  r = y − E[f(X)],  X ~ N(x, P):
+        sum of rᵀ Q⁻¹ r over all CPDs,  r = y − E[f(X)],  X ~ N(x, P),
 
-    under `Taylor` twice the negative log-density of x and the measurements, but for a constant. A
+    with the beliefs' covariances P and Q = R + (error of the linearisation) held fixed. Under
+    `Taylor` it is twice the negative log-density of x and the measurements, but for a constant. A
     full step that raises it is taken back, and tried again with a measurement x = (the point) + n
     added, n ~ N(0, diag(P)/λ), λ growing from try to try; if no try lowers the cost the means stay.
     A posterior's means are those of the last point accepted, its covariances those of the last
     linearisation, without the added measurement.
 
-    It suits `Taylor`, and rules as exact as `GaussHermite`. With few points F is only nearly the
-    derivative of E[f(X)], so that close to a fixed point no step may lower the cost: the means
-    stay some hundredths of a deviation short of it, and `status` says not converged; a number as
-    damping gets there.
+    It suits `Taylor`, and rules as exact as `GaussHermite`. With few sigma points the slope of the
+    linearisation is only nearly the derivative of E[f(X)], so that close to a fixed point no step
+    may lower the cost: the means stay some hundredths of a standard deviation short of it, and
+    `status` says not converged; a number as damping gets there.
 
     The first solution of a smoother, the filter's linearisation, is not controlled. From a start,
     or dead reckoning on a `Balanced` tree, the first step is: the cost of the start is never
@@ -78,7 +78,7 @@ Damping = float | LevenbergMarquardt
 
 
 def require_damping(schedule: object, damping: object) -> None:
-    """Refuse a value that is no damping."""
+    """Refuse a damping that is neither a number in [0, 1) nor a `LevenbergMarquardt`."""
     if isinstance(damping, LevenbergMarquardt):
         return
     if not is_number(damping) or not 0.0 <= damping < 1.0:

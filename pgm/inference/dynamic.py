@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class _Options(TypedDict, total=False):
-    """Options of `filter`, whatever its beliefs are."""
+    """The options of `filter` that it takes with every kind of belief."""
 
     lineariser: Lineariser
     steps: int | None
@@ -45,7 +45,7 @@ class _Options(TypedDict, total=False):
 
 
 class _SmootherOptions(_Options, total=False):
-    """Options of `smooth`, likewise."""
+    """The options of `smooth` that it takes with every kind of belief."""
 
     start: Start | None
     lag: int | None
@@ -123,7 +123,7 @@ def filter(
     lineariser : Lineariser, optional
         `Taylor()` if not given.
     steps : int, optional
-        T, where no plain array of the evidence tells.
+        T, the last step: needed where the evidence has no plain array, whose length says it.
     iterations, tolerance, damping, gate
         See `Filtering`.
     compiled : bool or Compiled, optional
@@ -258,13 +258,13 @@ def smooth(
     iterations, tolerance, damping, gate
         See `Smoothing` and `FixedLag`.
     method : Balanced, optional
-        See `compile`: `Balanced()`, or without a chain of slices, whose first linearisation is the
-        filter's. On the chain the later ones, of all steps at once, are solved for in about
-        2 log₂ T rounds, as on a balanced tree, where that is faster (from 64 steps on, up to 200
-        numbers, the components of a slice times the runs) and costs no digits (no noise-free or
-        grouped measurements, none that shrink a variance more than 4·10⁶ times); else, and in
-        machine code, along the chain. `Balanced()` saves the filter's sweep, and starts from dead
-        reckoning.
+        See `compile`: `Balanced()` solves on a balanced tree, and starts from dead reckoning, which
+        saves the filter's sweep. If not given, it is a chain of slices, whose first linearisation
+        is the filter's. The later ones, of all steps at once, are solved for in about 2 log₂ T
+        rounds, as on a balanced tree, where that is faster (from 64 steps on, if the components of
+        a slice times the runs are 200 at the most) and costs no digits (no noise-free or grouped
+        measurements, none that shrink a variance more than 4·10⁶ times); else, and always in
+        machine code, step by step along the chain.
     keep, executor, belief, compiled, progress
         See `filter`.
 
@@ -324,7 +324,10 @@ def send_over_time(
     compiled: Choice = None,
     progress: Progress = False,
 ) -> TemporalPosterior:
-    """Compile a network and send a schedule's messages; no word on whether iterations settled."""
+    """Compile a network and run a schedule on it, as `smooth` does.
+
+    There is no `ConvergenceWarning` here: callers of `filter` and `smooth` get it from these.
+    """
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True, compiled=compiled)
     graph = compile(model, bound.steps, method=method, compiled=compiled)

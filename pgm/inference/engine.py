@@ -1,4 +1,8 @@
-"""Running a schedule of messages on a cluster graph, with the family of beliefs that it takes."""
+"""Running a schedule of messages on a cluster graph, with the kind of beliefs that it takes.
+
+Beliefs are tables of discrete variables, or Gaussians of continuous ones. Of a dynamic network of
+continuous variables they may also be *point masses*: the cells of a grid, or particles.
+"""
 
 from __future__ import annotations
 
@@ -52,9 +56,10 @@ def online_points(
     schedule: Any = None,
     lag: int | None = None,
 ) -> OnlineGrid | OnlineParticles:
-    """The online filter of grid or particle beliefs.
+    """The online filter whose beliefs are a grid or particles.
 
-    A setting that means nothing to such a filter is refused.
+    A lineariser, schedule or lag other than the default is refused by a `ModelError`, since such a
+    filter has no use for it; so is a model that `require_points` refuses.
     """
     require_points(belief, model)
     asked = None if schedule == ONCE else schedule
@@ -65,7 +70,10 @@ def online_points(
 
 
 def require_points(belief: Any, model: Any) -> None:
-    """Refuse a `belief` that is no grid and no particles, or a network that cannot have it."""
+    """Refuse a `belief` that is no `Grid` and no `Particles`, or a model that cannot have it.
+
+    The model has to be a dynamic network of continuous variables.
+    """
     if not isinstance(belief, Grid | Particles):
         raise ModelError(f"belief= is a pgm.Grid(...) or pgm.Particles(...), not {titled(belief)}")
     if not isinstance(model, DynamicBayesianNetwork):
@@ -77,7 +85,11 @@ def require_points(belief: Any, model: Any) -> None:
 
 
 def require_no_others(belief: PointMasses, lineariser: Any, **given: Any) -> None:
-    """Refuse arguments that beliefs as Gaussians take, and point masses have no use of."""
+    """Refuse arguments that only Gaussian beliefs have a use for, beside a grid or particles.
+
+    `given` are the arguments by name, None where they were left out; the lineariser has to be
+    `Taylor()`, the default.
+    """
     named = [name for name, value in given.items() if value is not None]
     if lineariser is not TAYLOR and lineariser != TAYLOR:
         named.insert(0, "lineariser")
@@ -100,7 +112,12 @@ TemporalPosterior = ChainPosterior | KeptPosterior | StatePosterior | PointPoste
 def runner(
     model: DynamicBayesianNetwork, belief: PointMasses | None = None
 ) -> Callable[..., TemporalPosterior]:
-    """The function that sends the messages: of Gaussians' moments, tables, grids or particles."""
+    """The function that runs a schedule of a dynamic network with one kind of beliefs.
+
+    It takes the graph, the bound evidence, and the schedule, lineariser, start, keep and executor
+    of `infer`, and returns the posterior: of a grid or particles if `belief` is one, else of tables
+    if the model is discrete, else of Gaussians.
+    """
     if belief is not None:
         require_points(belief, model)
         return partial(_run_points, belief)
@@ -152,7 +169,7 @@ CONTINUOUS = (
 
 
 class _Options(TypedDict, total=False):
-    """Options of `infer`, whatever its beliefs are."""
+    """The options of `infer` that it takes with every kind of belief."""
 
     schedule: Schedule | None
     lineariser: Lineariser
@@ -240,7 +257,7 @@ def infer(
         Leading axes are runs. NaN is a component that was not observed, of a sensor's measurement
         or of a variable on which no other depends. `records` makes such a mapping of a table.
     schedule : Schedule, optional
-        `Filtering`, `FixedLag` or `Smoothing` for a dynamic network, `Smoothing()` without;
+        `Filtering`, `FixedLag` or `Smoothing` for a dynamic network, `Smoothing()` if not given;
         `Calibration()` for a tree; `Flooding`, `Sequential` or `Residual`, which a graph with loops
         needs.
     lineariser : Lineariser, optional
@@ -306,7 +323,8 @@ def infer(
     ModelError
         If a function returns a wrong shape, or cannot be pickled for a worker.
     LinearisationError, NumericalError
-        If a number that is needed does not exist.
+        If a linearisation, a belief or its log-evidence has no finite value, or the evidence
+        contradicts an exact model.
     ExecutorError
         If a worker dies, or the executor takes no work; ``.runs`` tells which runs were lost.
 
@@ -349,7 +367,7 @@ def send(
     progress: Progress = False,
     impossible: str = "raise",
 ) -> Any:
-    """The posterior of `infer`, without a word on whether iterations have settled."""
+    """The posterior that `infer` returns for the same arguments, without a `ConvergenceWarning`."""
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
             f"infer takes a cluster graph (pgm.compile(network, ...)), not {titled(graph)}"

@@ -1,4 +1,13 @@
-"""One CPD at all its rows: its evidence, its noise, and its linearisation."""
+"""One CPD at all its rows: its evidence, its noise, and its linearisation.
+
+A linearised CPD of a child y, given its hidden parents stacked to one vector x, is
+
+    y = F x + b + e,   e ~ N(0, Q),   Q = R + Ω,
+
+R being the CPD's own noise covariance and Ω that of the linearisation's error. An affine CPD is
+such from the start, with Ω = 0. d are the components of y, n those of x. Arrays over rows and runs
+are (rows, runs, ...); what rows, runs and the batch are says `rows`.
+"""
 
 from __future__ import annotations
 
@@ -51,11 +60,12 @@ _FEW_TIMES = 10.0
 
 @dataclass(eq=False)
 class Family(Rows):
-    """A CPD at its rows, and its linearisation there.
+    """A CPD at its rows, and its linearisation F, b and Q there.
 
-    `noise` (rows, runs, d, d) is the CPD's own and the lineariser's error; an array of its own
-    where it is `approximate`. The `judge` of a call looks at the answers of traces when it is done;
-    `compiled` are those of the trace in machine code, which has the given derivatives, too.
+    `noise` is Q, (rows, runs, d, d): a read-only view of `own_noise`, R, until some row has an
+    error Ω, then (`approximate`) an array of its own. The `judge` of a call compares the traces of
+    functions with the functions when the call is done; `compiled` are the answers of the trace in
+    machine code, derivatives that the user gave included.
     """
 
     noise: Array = field(init=False, repr=False)
@@ -77,7 +87,14 @@ class Family(Rows):
         template: FunctionTemplate | None = None,
         first_run: int = 0,
     ) -> Family:
-        """Lay out a CPD; an affine one is ready for use. Without a template it makes its own."""
+        """Lay out a CPD with its evidence bound; an affine one has F, b and Q at once.
+
+        `hidden` are the parents without evidence; `step` (rows,) is the step of each row, `inputs`
+        are the other parents' values (rows, runs or 1, d) and `lead` the user's axes of runs. It is
+        not `timed` in a network without time. A nonlinear CPD makes its own `template` if none is
+        given, and its own lineariser goes before the one given. Any other CPD raises a
+        `ModelError`.
+        """
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
         noise = own_noise(cpd, step if timed else None, rows, inputs, lead, first_run)
@@ -101,21 +118,28 @@ class Family(Rows):
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
-        """The shape of `matrix`: rows, runs, d, n."""
+        """The shape of `matrix`, (rows, runs, d, n)."""
         return (*self.noise.shape[:3], dimension(self.hidden))
 
     @cached_property
     def matrix(self) -> Array:
-        """F, (rows, runs, d, n); not initialised, where it is to be linearised."""
+        """The slope F of each row and run, (rows, runs, d, n).
+
+        Of an affine CPD it is set, read-only, by `make`. Of any other it is uninitialised memory
+        until `linearise`, `keep` or `put` fills rows in.
+        """
         return vacant(self.shape[:2], self.shape[2:])
 
     @cached_property
     def offset(self) -> Array:
-        """The offset b, (rows, runs, d); not initialised, where F is not."""
+        """The offset b, (rows, runs, d); set by `make`, or uninitialised, as `matrix` is."""
         return vacant(self.shape[:2], self.shape[2:3])
 
     def of(self, runs: slice) -> Family:
-        """Some of the runs: a view of the arrays, with linearisations of its own."""
+        """The family of some runs: views of its evidence and noise.
+
+        An affine CPD keeps F and b; a nonlinear one is to be linearised anew.
+        """
         count = runs.stop - runs.start
         part = replace(
             self,
@@ -131,7 +155,11 @@ class Family(Rows):
         return part
 
     def window(self, first: int, last: int) -> Family:
-        """Some of the rows: a view of the arrays, with linearisations of its own."""
+        """The family of the rows from `first` up to, not including, `last`.
+
+        Its evidence is a view. Linearisations are copied, so that the part can be linearised again
+        while the whole stays as it is.
+        """
         rows, part = slice(first, last), copy(self)
         for name in ("shape", "_known", "_by_row", "_steps"):
             part.__dict__.pop(name, None)
@@ -151,7 +179,7 @@ class Family(Rows):
         return part
 
     def put(self, rows: slice | tuple[slice, slice], part: Family) -> None:
-        """Keep the linearisations of some of the rows, or of the rows and runs."""
+        """Copy the linearisations of a part into some rows, or into some rows and runs."""
         if not self.exact:
             self.matrix[rows], self.offset[rows] = part.matrix, part.offset
         if part.approximate:
@@ -161,27 +189,30 @@ class Family(Rows):
 
     @property
     def uniform(self) -> bool:
-        """Whether it is affine, and the same in all runs."""
+        """Whether the CPD is affine, with the same offsets and noise in all runs."""
         return self.exact and self.own_noise.shape[1] == 1 == self.affine[1].shape[1]
 
     @property
     def taylor(self) -> bool:
-        """Whether the CPD is affine or expanded to first order at a point."""
+        """Whether the CPD is affine, or linearised to first order at a point, by `Taylor`."""
         return self.exact or isinstance(self.lineariser, Taylor)
 
     @property
     def expects(self) -> bool:
-        """Whether robust squares are expectations under the belief rather than at its mean."""
+        """Whether robust noise weighs residuals r by E[rᵀ R⁻¹ r], expected under the belief.
+
+        With `Taylor` it does not: the square is that of the residual at the belief's mean.
+        """
         return not isinstance(self.lineariser, Taylor)
 
     @property
     def settled(self) -> bool:
-        """Whether nothing of the CPD depends on a belief: it is affine, of Gaussian noise."""
+        """Whether the CPD is affine and its noise Gaussian, so that it depends on no belief."""
         return self.exact and self.cpd.noise is None
 
     @cached_property
     def semidefinite(self) -> bool:
-        """Whether the approximation error cannot be indefinite."""
+        """Whether Ω is positive semidefinite for certain, whatever the function and the belief."""
         if self.taylor or not self.hidden:
             return True
         rule = self.lineariser
@@ -189,17 +220,22 @@ class Family(Rows):
 
     @property
     def needs_cov(self) -> bool:
-        """Whether a linearisation depends on the covariance of the belief."""
+        """Whether the linearisation depends on the belief's covariance, not on its mean alone."""
         return self.template is not None and needs_cov(self.lineariser, self.template)
 
     @cached_property
     def prepared(self) -> Prepared:
-        """The lineariser, ready for the CPD's function."""
+        """The lineariser prepared for the CPD's function; its value, without hidden parents."""
         assert self.template is not None
         return prepare(self.lineariser, self.template) if self.hidden else _value
 
     def line(self, at: At, mean: Array, cov: Array) -> Line:
-        """Linearise at a belief over the hidden parents, (n, *batch) and (n, n, *batch)."""
+        """Linearise rows at a belief over their hidden parents, (n, *batch) and (n, n, *batch).
+
+        Rows that are affine, or linearised already, keep F; the line then has the value F mean + b,
+        and no error. An exception of the lineariser becomes an error that names the CPD, step and
+        run; see `failure`.
+        """
         function = at.function
         if function is None:
             assert at.matrix is not None
@@ -216,7 +252,11 @@ class Family(Rows):
             raise refusal from (None if isinstance(error, Misfit) else error)
 
     def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
-        """Keep the linearisation of a step's rows; the noise where it includes an error."""
+        """Store the linearisation of the rows of `at`, which were linearised as one.
+
+        For k rows F is (k d, n, *batch), b (k d, *batch), and Q (k d, k d, *batch), given only
+        where it is more than R.
+        """
         first, last = at.first, at.last
         if noise is not None:
             self.keep_noise(at, noise)
@@ -234,7 +274,7 @@ class Family(Rows):
             self.offset[first:last, 0] = offset.reshape(shape)
 
     def keep_noise(self, at: At, noise: Array) -> None:
-        """Keep the noise of a step's rows, which is more than the CPD's own."""
+        """Store Q of the rows of `at`: of k rows the diagonal blocks of (k d, k d, *batch)."""
         self.keep_errors()
         first, last, height = at.first, at.last, self.shape[2]
         if last - first == 1 and not self.batch:
@@ -245,7 +285,7 @@ class Family(Rows):
         self.noise[first:last] = blocks.transpose(0, 3, 1, 2) if self.batch else blocks[:, None]
 
     def stored_at(self, first: int, last: int) -> At:
-        """The stored linearisation of some rows."""
+        """The rows from `first` up to, not including, `last`, stacked, as they were linearised."""
         if self.template is None:
             at = self._affine_at(first, last)
             if self.approximate:  # of robust noise
@@ -262,9 +302,11 @@ class Family(Rows):
         return At(None, matrix, offset, self._noise_of(self.noise, first, last), first, last)
 
     def linearise(self, rows: Some, mean: Array, cov: Array, active: Mask | None = None) -> None:
-        """Linearise some rows at beliefs over the hidden parents, (runs, n) or (k, runs, n).
+        """Linearise some rows at beliefs over the hidden parents, and store the result.
 
-        `active` says which runs take the new linearisation; the others keep theirs.
+        For a row the mean is (runs, n), for k rows (k, runs, n); the covariance has n twice.
+        `active` (runs,) marks the runs that take the new linearisation, None all; the others keep
+        theirs. An affine CPD is left as it is.
         """
         if self.template is not None:
             function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
@@ -279,7 +321,11 @@ class Family(Rows):
     def checked(
         self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
     ) -> Line:
-        """A line at beliefs (*batch, n) and (*batch, n, n), which has to be finite."""
+        """Linearise a function at beliefs (*batch, n) and (*batch, n, n).
+
+        The arrays of the line end in the batch. With `finite` a value of NaN or infinity raises a
+        `LinearisationError`.
+        """
         with quiet():  # what is not finite is refused
             at = components_first(mean, 1)
             line = self.line(_unplaced(function), at, components_first(cov, 2))
@@ -295,7 +341,11 @@ class Family(Rows):
         error: Array | None,
         active: Mask | None,
     ) -> None:
-        """Keep the linearisation of some rows, for the runs that are active."""
+        """Store F, b and Q = R + `error` of some rows, for the runs that are `active`.
+
+        F is (rows, runs, d, n), b (rows, runs, d), the error (rows, runs, d, d) or None for zero;
+        of a single row they are without the first axis. `active` is (runs,), or None for all.
+        """
         if error is not None and not self.approximate and error.any():
             self.keep_errors()
         if active is None and isinstance(rows, slice) and rows == slice(None):
@@ -312,28 +362,32 @@ class Family(Rows):
             self._put(self.noise, rows, total, active)
 
     def keep_errors(self) -> None:
-        """Give `noise` an array of its own, to which errors of linearisations can be added."""
+        """Make `noise` an array of its own, to which errors of linearisations can be added."""
         if not self.approximate:
             room = vacant(self.noise.shape[:2], self.noise.shape[2:])
             room[...] = self.noise
             self.noise, self.approximate = room, True
 
     def settle(self) -> None:
-        """Give that array up again where all errors are zero."""
+        """Make `noise` a view of `own_noise` again, where the errors of all rows are zero."""
         if self.approximate and not (self.noise != self.own_noise).any():
             self.noise = np.broadcast_to(self.own_noise, self.noise.shape)
             self.approximate = False
 
     @staticmethod
     def _put(kept: Array, rows: Some | Integers, new: Array, active: Mask | None) -> None:
-        """Store new values at some rows, for the active runs."""
+        """Write new values into some rows of an array (rows, runs, ...), in active runs only."""
         if active is not None:
             tail = (1,) * (kept.ndim - 2)
             new = np.where(active.reshape(-1, *tail), new, kept[rows])
         kept[rows] = new
 
     def bound(self, rows: Some, lead: int, shape: tuple[int, ...]) -> BoundFunction:
-        """The CPD's function with the evidence of some rows bound."""
+        """The CPD's function with the evidence of some rows bound.
+
+        `shape` are the leading axes of the beliefs, (runs,) of a row or (k, runs) of k rows, and
+        `lead` is their number.
+        """
         assert self.template is not None
         step: int | Integers
         if isinstance(rows, int):
@@ -351,18 +405,28 @@ class Family(Rows):
         return BoundFunction(self.template, known, lead, step, source=self.source)
 
     def value(self, rows: Some, mean: Array) -> Array:
-        """F mean + b of some rows."""
+        """The predicted value F mean + b of some rows, (..., d), at means (..., n)."""
         return apply(self.matrix[rows], mean) + self.offset[rows]
 
     def to_chart(self, parents: Array, child: Array) -> None:
-        """Move offsets of angles by whole turns: beliefs live on one unwrapped chart."""
+        """Move b by whole turns, in place, so that predicted angles lie within π of the child's.
+
+        The means of the parents are (rows, runs, n), of the child (rows, runs, d). Angles of
+        beliefs are not wrapped: they are numbers on one branch.
+        """
         angles = self.cpd.child.angle_mask
         if self.template is not None and angles.any():
             value = self.value(slice(None), parents)
             self.offset += nearest_branch(value, child, angles) - value
 
     def probe(self, means: Mapping[Variable, Array]) -> None:
-        """Call the functions once with axes that give wrong indexing away, before inference."""
+        """Call the function and its Jacobian on trial, to refuse wrong shapes before inference.
+
+        They are called at `means` of the parents (zeros, where there are none) and the first
+        evidence, repeated along two leading axes of lengths that no vector of components has: a
+        function that indexes an axis of runs for one of components then returns a wrong shape,
+        which raises a `ModelError`.
+        """
         if self.template is None or not self.step.size:
             return
         # No axis is as long as a vector of components: function(x) that takes x[0] for a component
@@ -382,9 +446,12 @@ class Family(Rows):
                 function.jacobian(x)
 
     def trace(self, means: Mapping[Variable, Array], judge: Judge | None) -> None:
-        """Have the function traced about the means and its first evidence, unless it is already.
+        """Choose how the function's trace is used, from which derivatives come that were not given.
 
-        The answers are judged after the call; or each is compared with the function at once.
+        A trace is the function as a graph of scalar operations (`pgm.tracing`). If there is none,
+        it is made about `means` of the parents (zeros, where there are none) and the first
+        evidence. With a judge its answers are compared with the function after the call; a judge
+        without trust does without the trace. With no judge each answer is compared at once.
         """
         template = self.template
         if template is None:
@@ -403,7 +470,10 @@ class Family(Rows):
                 self.answers = self._asked(judge, template.tracer, centres)
 
     def trace_whole(self) -> Answers | str:
-        """The answers in machine code of function and given derivatives, or why there are none."""
+        """The trace of the function with its given derivatives, for machine code.
+
+        Where there is none, the reason why.
+        """
         assert self.template is not None
         if self.judge is None or self.template.tracer is None:
             return "its trace has been given up for this call"
@@ -419,7 +489,7 @@ class Family(Rows):
 
     @property
     def _observed(self) -> list[Array | None]:
-        """The first values of each argument with evidence, (d,)."""
+        """For each argument its first value, (d,), zeros without rows; None of a hidden one."""
         assert self.template is not None
         return [
             (self.inputs[parent][0, 0] if self.step.size else np.zeros(parent.dimension))
@@ -434,13 +504,17 @@ def _unplaced(function: BoundFunction) -> At:
 
 
 def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    """The value of a function without hidden parents, as a line without slope."""
+    """The value of a function without hidden parents, as a `Line` whose slope has no columns."""
     value = components_first(function(components_last(mean, 1)), 1)
     return Line(np.zeros((len(value), 0, *mean.shape[1:])), value, None)
 
 
 def cancellation(family: Family) -> float:
-    """How many times larger a CPD's linearisation is rounded than a value; 0 if not by much."""
+    """The rounding of a linearisation, in units of that of one value; 0 if it is ten or less.
+
+    It is 0, too, of an affine CPD, without hidden parents, and of any lineariser but sigma-point
+    rules.
+    """
     rule = family.lineariser
     if family.template is None or not family.hidden or not isinstance(rule, StatisticalRegression):
         return 0.0

@@ -1,4 +1,9 @@
-"""Gates: the probability within which a reading has to lie to be taken in, by sensor or of all."""
+"""Gates: a sighting is left out if its innovation is improbably large.
+
+A gate is a probability: a sighting is taken in where νᵀS⁻¹ν, of its innovation ν with covariance S,
+is within the χ² quantile of that probability. There is one gate for all sensors, or a mapping from
+some of them, or None: no gate.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +43,7 @@ Gate = float | Mapping[Variable, float] | None
 
 
 def as_gate(owner: str, gate: object) -> float | Gates | None:
-    """A gate in the form that schedules keep; a value that is no gate is refused."""
+    """A gate as schedules keep it: None, a float, or `Gates`; any other value is refused."""
     if gate is None:
         return None
     if not isinstance(gate, Mapping):
@@ -52,7 +57,7 @@ def as_gate(owner: str, gate: object) -> float | Gates | None:
 
 
 def _probability(owner: str, value: object, of: str) -> float:
-    """A probability between 0 and 1, checked; `of` names the sensor of a gate, if it has one."""
+    """A probability between 0 and 1, checked; `of` says in messages of which sensor it is."""
     if not is_number(value) or not 0.0 < value < 1.0:
         none = "left out for no gate" if of else "or None for no gate"
         raise ModelError(
@@ -63,5 +68,5 @@ def _probability(owner: str, value: object, of: str) -> float:
 
 
 def gate_of(gate: Gate, sensor: Variable) -> float | None:
-    """The gate of one sensor, None where it has none."""
+    """The gate of one sensor; None where it has none."""
     return gate.get(sensor) if isinstance(gate, Mapping) else gate

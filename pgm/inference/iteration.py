@@ -1,4 +1,11 @@
-"""Relinearising chains and trees: linearise, solve, choose the next point, until it stays."""
+"""Relinearising chains and trees: linearise, solve, choose the next point, until it stays.
+
+A *point* is where CPDs are linearised: means, and covariances for rules that use them. A run is
+*active* until it has converged. The *control* of a step chooses between the present point and the
+solution of the model linearised there: it takes the solution, or a mixture of both, or, by
+Levenberg and Marquardt, means of a lower cost (`LevenbergMarquardt` defines it). These are found
+with an *anchor*, a measurement of all means at the point, added to the model.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +20,19 @@ from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Index, Mask, block
 from pgm.progress import counted
 
-# A cost that rises by no more than this part is no worse: it is rounding.
+# A relative rise of the cost that is rounding, and counts as none.
 _NO_WORSE = 1e-13
-# A weight beyond which a held step is rounding.
+# The largest weight λ: with more the step is rounding.
 _HEAVIEST = 1e12
 
 
 class Point(NamedTuple):
     """A point of linearisation: mean (steps, runs, n) and cov (steps, runs, n, n).
 
-    `joint` (steps − 1, runs, m, m) are covariances of pairs, where a CPD needs more than states.
-    `proper` is `cov` along all directions that are known, where variances of components are
-    infinite.
+    Row t is the slice at a step, its n hidden components. `joint` (steps − 1, runs, m, m) are the
+    covariances of pairs: the states of the step before, then the slice; None where no CPD needs
+    them. Where a flat prior leaves variances in `cov` infinite, `proper` is finite: the covariance
+    along the directions that the measurements determine.
     """
 
     mean: Array
@@ -34,20 +42,24 @@ class Point(NamedTuple):
 
     @property
     def known_cov(self) -> Array:
-        """The covariance, finite, of all that measurements have read."""
+        """A covariance that is finite: `cov`, or that along the determined directions alone."""
         return self.cov if self.proper is None else self.proper
 
     @property
     def std(self) -> Array:
-        """Standard deviations of all components, (steps, runs, n)."""
+        """Standard deviations of all components, from `known_cov`, (steps, runs, n)."""
         return np.sqrt(np.maximum(np.diagonal(self.known_cov, axis1=-2, axis2=-1), 0.0))
 
     def start(self, states: Index) -> tuple[Array, Array]:
-        """Moments of the states at step 0, (1, runs, ...)."""
+        """Mean (1, runs, k) and covariance (1, runs, k, k) of step 0 at the places `states`."""
         return self.mean[:1][..., states], block(self.cov[:1], states, states)
 
     def pairs(self, states: Index, places: Index) -> tuple[Array, Array]:
-        """Moments of some components of the pairs: the states before each step, and its slice."""
+        """Means and covariances of some components of each pair, (steps − 1, runs, ...).
+
+        `states` are the places of the states in the slice, `places` those of the components in the
+        pair. `joint` has to be there if any of them is of the later slice.
+        """
         before, cov = self.mean[:-1][..., states], self.cov[:-1]
         front = before.shape[-1]
         if (places.stop if isinstance(places, slice) else places.max(initial=-1) + 1) <= front:
@@ -57,7 +69,7 @@ class Point(NamedTuple):
         return pair[..., places], block(self.joint, places, places)
 
     def mixed(self, other: Point, share: float) -> Point:
-        """A share of this point, and the rest of another."""
+        """The sum of `share` times this point and 1 − `share` times another, part by part."""
         pairs = zip(self, other, strict=True)
         return Point._make(
             None if mine is None or its is None else share * mine + (1.0 - share) * its
@@ -66,9 +78,10 @@ class Point(NamedTuple):
 
 
 class Anchor(NamedTuple):
-    """A measurement (steps, runs, n) of all components that holds a solution near a point.
+    """A measurement of all components, (steps, runs, n), that holds a solution near a point.
 
-    `weight` (runs,) is λ, `std` that of λ = 1; nothing is held where one of them is zero.
+    It is `mean` = x + e, e ~ N(0, std²/λ) in each component, with λ = `weight` (runs,). Components
+    of zero `std` and runs of zero weight are not measured.
     """
 
     mean: Array
@@ -76,12 +89,12 @@ class Anchor(NamedTuple):
     weight: Array
 
     def at(self, step: int) -> Anchor:
-        """The anchor's part at one step."""
+        """The anchor of one step, its first axis of length one."""
         one = slice(step, step + 1)
         return Anchor(self.mean[one], self.std[one], self.weight)
 
     def hold(self, step: int, mean: Array, cov: Array) -> tuple[Array, Array]:
-        """Take the measurement of a step into a belief, (runs, n) and (runs, n, n)."""
+        """Condition beliefs at a step, (runs, n) and (runs, n, n), on the anchor's measurement."""
         held = (self.std[step] > 0.0) & (self.weight > 0.0)[:, None]
         eye = np.eye(mean.shape[-1])
         variance = self.std[step] ** 2 / np.where(self.weight > 0.0, self.weight, 1.0)[:, None]
@@ -105,7 +118,11 @@ class Solution(Protocol):
 
     @property
     def point(self) -> Any:
-        """The solution's moments as a `Point`; without step control, means and deviations do."""
+        """The solution's moments as a `Point`.
+
+        Where neither linearisations nor the control of steps use covariances, it may have their
+        diagonals alone.
+        """
 
 
 S = TypeVar("S", bound=Solution)
@@ -116,31 +133,38 @@ class Problem(Protocol[Found]):
     """A model that can be linearised and solved."""
 
     def linearise(self, at: Any, active: Mask) -> None:
-        """Linearise at a solution's point, for the active runs."""
+        """Linearise all CPDs at a `Point`, in the runs of the mask `active`, (runs,)."""
 
     def solve(self, anchor: Anchor | None = None) -> Found:
-        """The solution of the linearised model."""
+        """The solution of the linearised model, with an anchor's measurement added, if any."""
 
     def settled(self) -> Mask | bool:
-        """Whether a model that changes from iteration to iteration is the one asked for."""
+        """Whether the model of a run is the one asked for, (runs,), or True for all.
+
+        Robust losses may be reached in stages, from iteration to iteration.
+        """
 
 
 class Controlled(Problem[Found], Protocol[Found]):
-    """A model whose steps can be controlled by their cost."""
+    """A model whose steps can be controlled by their cost, as `LevenbergMarquardt` defines it."""
 
     def cost(self, at: Point) -> Array:
-        """The cost of means with the covariances given, the noise as linearised, (runs,)."""
+        """The cost of a point's means, (runs,); its covariances and the noises are held fixed."""
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means projected onto exact linear CPDs, off whose solutions no cost is finite."""
+        """Means (steps, runs, n) moved to where the exact linear CPDs hold, and the cost is finite.
+
+        `found` is the solution of the model linearised there.
+        """
 
 
 @dataclass(frozen=True, eq=False)
 class Iterated(Generic[S]):
-    """The result of an iteration, of the last linearisation.
+    """The result of an iteration.
 
-    The means are the solution's, or those that the step control kept; residuals (runs,) of each
-    relinearisation tell how far the solution is from where it was linearised.
+    `solution` is that of the last linearisation; `mean` (steps, runs, n) its means, or those that
+    the step control kept. `residuals` has (runs,) of each relinearisation: the largest distance of
+    a mean from the point where it was linearised, in standard deviations. `converged` is (runs,).
     """
 
     solution: S
@@ -156,9 +180,12 @@ def iterate(
     converged: Mask,
     first: Point | None = None,
 ) -> Iterated[S]:
-    """Relinearise from the first solution on, made at `first` if at one point, as scheduled.
+    """Linearise and solve again until each run converges, or the schedule's iterations are used up.
 
-    Runs that have `converged` stay.
+    A run has converged when its residual (see `Iterated`) is within the tolerance and its model is
+    the one asked for; it then stays as it is. `solution` is the first, of one linearisation;
+    `first` the point where that was made, if all of it was made at one: the step from there is
+    controlled, too. `converged` (runs,) are the runs in which nothing is to iterate.
     """
     control = _Control(problem, schedule.damping, converged.size)
     residuals: list[Array] = []
@@ -185,7 +212,11 @@ def iterate(
 
 
 class _Control:
-    """The choice of the next point of linearisation; of runs not active it is of no account."""
+    """The choice of the next point: the solution, a mixture with the present one, or by cost.
+
+    Its results in runs that are not active are of no account. `weight` (runs,) is λ of the next
+    try.
+    """
 
     def __init__(self, problem: Problem[S], damping: float | LevenbergMarquardt, runs: int) -> None:
         self.problem = cast(Controlled[S], problem)
@@ -194,19 +225,19 @@ class _Control:
         self.weight = np.full(runs, first)
 
     def feasible(self, first: Point, found: Point) -> Point:
-        """The starting point; control by cost moves its means to where the cost is finite."""
+        """The first point; under control by cost with means of a finite cost."""
         if not isinstance(self.damping, LevenbergMarquardt):
             return first
         return first._replace(mean=self.problem.feasible(first.mean, found))
 
     def step(self, point: Point, found: Point, active: Mask) -> Point:
-        """The next linearisation point, between the present point and its solution."""
+        """The next point, from the present one and the solution found after linearising there."""
         if isinstance(self.damping, LevenbergMarquardt):
             return found._replace(mean=self._accepted(self.damping, point, found, active))
         return point.mixed(found, self.damping) if self.damping else found
 
     def shown(self, solved: Array, point: Point, active: Mask) -> Array:
-        """The means to report: the solution's, or the point's where a control holds back."""
+        """The means to report: the solution's, or under control by cost those of the next point."""
         if not isinstance(self.damping, LevenbergMarquardt):
             return solved
         return np.where(active[:, None], point.mean, solved)
@@ -214,13 +245,13 @@ class _Control:
     def _accepted(
         self, rule: LevenbergMarquardt, point: Point, found: Point, active: Mask
     ) -> Array:
-        """Means whose cost is no higher than the point's.
+        """Means (steps, runs, n) whose cost is no higher than that of the point.
 
-        Where no step finds such means, the point's own stay.
-
-        A Gauss–Newton step that raises the cost is tried again with the weight of an anchor at the
-        point, of which each try takes `factor` times as much (Levenberg, 1944; Marquardt, 1963). A
-        run whose step was good begins its next one with a weight less by that factor.
+        The solution's means are tried first. In runs whose cost they raise, the model is solved
+        again with an anchor at the point, its weight λ multiplied by `rule.factor` at each failure
+        (Levenberg, 1944; Marquardt, 1963). Where no try succeeds, the point's own means stay. A
+        success divides the λ of the next step by the factor; λ is kept between `rule.start` and
+        10¹².
         """
         cost = self.problem.cost(point)
         # A point outside a function's domain, where it has no cost, is worse than any other.

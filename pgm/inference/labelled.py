@@ -18,7 +18,7 @@ from pgm.variables import Variable
 
 
 class Labelled:
-    """A posterior whose marginals make a data set."""
+    """Base of posteriors, which can return their marginals as a data set of xarray."""
 
     def to_xarray(self: Any) -> Any:
         """The marginals of all hidden variables as a data set of xarray.
@@ -65,7 +65,10 @@ Arrays = dict[str, tuple[list[str], Any]]
 def _tables(
     marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
 ) -> tuple[Arrays, dict[str, Any]]:
-    """The probabilities of discrete variables, and the names of their states."""
+    """The probabilities of discrete variables as arrays, and the coordinates: names of states.
+
+    `dims` are the leading dimensions, runs and steps; T is `steps`, None without time.
+    """
     data: Arrays = {}
     states: dict[str, Any] = {}
     for variable, table in marginals.items():
@@ -78,7 +81,11 @@ def _tables(
 def _moments(
     marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
 ) -> tuple[Arrays, dict[str, Any]]:
-    """The moments of continuous variables as arrays, and the names of their components."""
+    """Means, standard deviations and covariances of all components, and coordinates: their names.
+
+    `dims` are the leading dimensions, runs and steps; T is `steps`, None without time. Covariances
+    between two variables are NaN.
+    """
     each = [_at_all_steps(belief.mean, -2, steps) for belief in marginals.values()]
     lead = each[0].shape[:-1] if each else (0,) * len(dims)
     size = dimension(marginals)
@@ -104,7 +111,7 @@ def _moments(
 
 
 def _at_all_steps(values: Any, axis: int, steps: int | None) -> Array:
-    """Arrays by step; with NaN at step 0, where their variables begin at step 1."""
+    """Values at steps 0..T along an axis: a NaN first where variables begin at step 1."""
     if steps is None or values.shape[axis] == steps + 1:
         return np.asarray(values)
     before = [(0, 0)] * values.ndim

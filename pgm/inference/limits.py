@@ -16,14 +16,15 @@ from pgm.factors.scope import names
 from pgm.resources import gibibytes
 from pgm.variables import Discrete
 
-# Entries of all tables, or covariances, of a graph, or of one answer over all runs: a gibibyte.
-# The peak of memory is more, by potentials and steps between: two times as much, measured, for
-# large tables, five for many small ones, six where messages go round.
+# The most array entries of all tables, or covariances, of a graph, or of one answer over all runs:
+# a gibibyte. The peak of memory is more, by potentials and intermediate results: two times as much,
+# measured, for large tables, five for many small ones, six where messages go round.
 LIMIT = 2**27
 FACTOR = "about five"
-# Bytes that the tables of many runs may take, and entries, times runs, of its halves: one is for
-# tables computed at once, which take up to four times their room on the way (measured), one for
-# those a posterior keeps; further runs are calibrated again when asked for.
+# Bytes that the tables of many runs may take by default, and the table entries, times runs, of two
+# halves of it. One half is for tables computed at once, which take up to four times as much while
+# they are (measured), the other for those a posterior keeps; others are computed again when asked
+# for.
 MEMORY = 2**28
 BATCH, KEPT = 2**22, 2**24
 # Variables of a cluster that a message lists.
@@ -39,9 +40,9 @@ class Room:
 
     @classmethod
     def of(cls, memory: float | None, graph: ClusterGraph) -> Room:
-        """The limits for a memory in bytes, or by default.
+        """The limits for so many bytes of memory, or the default ones, of 256 MiB.
 
-        Too little for a single run is refused.
+        A `GraphError` refuses what is no positive number, or too little for a single run.
         """
         if memory is None:
             return cls(BATCH, KEPT)
@@ -59,7 +60,11 @@ class Room:
 
 
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
-    """Refuse a graph whose tables, covariances or number of axes are too large."""
+    """Refuse a graph whose clusters take too much memory together, or one has too many axes.
+
+    `entries` are the array entries of each cluster, of a table or a covariance; `what` names these.
+    The error is a `GraphError`.
+    """
     total = sum(entries)
     if total <= LIMIT:
         _require_axes(graph)
@@ -76,7 +81,7 @@ def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None
 
 
 def _advice(graph: ClusterGraph) -> str:
-    """A way to smaller tables or covariances, for messages."""
+    """Advice, in words, on how to have smaller tables or covariances."""
     if not graph.is_tree:
         return "Give it smaller clusters"
     return (
@@ -89,7 +94,7 @@ def _advice(graph: ClusterGraph) -> str:
 
 
 def _require_axes(graph: ClusterGraph) -> None:
-    """Refuse clusters of more variables than NumPy's arrays have axes."""
+    """Refuse a cluster of more discrete variables than a NumPy array can have axes."""
     # Of two states each, so many variables would be refused above: most of them have one.
     if len(graph.network.variables) <= AXES or graph.width < AXES:
         return
@@ -107,7 +112,10 @@ def _require_axes(graph: ClusterGraph) -> None:
 
 
 def require_runs(entries: int, runs: int, what: str) -> None:
-    """Refuse an answer too large for memory, before it is computed."""
+    """Refuse an answer of so many array entries a run that is too large for memory, beforehand.
+
+    `what` names the answer; the error is a `GraphError`.
+    """
     if entries * runs > LIMIT:
         many = f" for {runs} runs" if runs > 1 else ""
         advice = "ask with fewer runs at once" if runs > 1 else "ask for less at once"

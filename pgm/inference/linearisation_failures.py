@@ -13,7 +13,12 @@ from pgm.linearisers.lineariser import Misfit
 
 
 def failure(rows: Rows, function: BoundFunction, mean: Array, error: Exception) -> Exception:
-    """The error to raise of a lineariser that has failed."""
+    """The error to raise in place of one that a lineariser has raised, with CPD, step and run.
+
+    A result of a wrong shape or type (`Misfit`) becomes a `LinearisationError`. An error of this
+    package that names its CPD, or comes from a rule on arrays, is returned itself, completed. Any
+    other becomes a `ModelError`. The last axis of `mean` (n, *batch) is that of runs.
+    """
     if isinstance(error, Misfit):
         return _fault(rows, function, mean, *error.args)
     told = isinstance(rows.lineariser, ArrayLineariser) or getattr(error, "cpd", None)
@@ -51,7 +56,10 @@ def _fault(
 
 
 def require_finite(rows: Rows, function: BoundFunction, mean: Array, line: Line) -> None:
-    """Refuse a line at a mean (n, *batch) that has values of NaN or infinity."""
+    """Refuse a line at a mean (n, *batch) that has a NaN or an infinity, by a `LinearisationError`.
+
+    It names the first step and run that has one.
+    """
     total = line.matrix.sum() + line.value.sum()
     if line.error is not None:
         total = total + line.error.sum()

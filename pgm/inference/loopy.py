@@ -1,7 +1,9 @@
 """Schedules on graphs of any shape: messages are sent until none changes.
 
 Message 2e goes along edge e of the graph's sepsets, from the lower cluster to the higher, 2e + 1
-back. A family of messages, tables or square roots, computes and keeps them.
+back. A family of messages, tables or square roots of Gaussians, computes and keeps them. The
+*change* of a message is in standard deviations of the belief that it makes, or in probability. A
+run is *lost* when its messages diverge, and *active* until it is lost or has converged.
 """
 
 from __future__ import annotations
@@ -25,7 +27,10 @@ Round = TypeVar("Round")
 
 @dataclass(frozen=True, eq=False)
 class Directed:
-    """The messages of a cluster graph, two for each sepset: from which cluster to which."""
+    """The `source` and `target` clusters of a cluster graph's messages, (messages,) each.
+
+    `clusters` is how many clusters there are.
+    """
 
     source: Integers
     target: Integers
@@ -33,7 +38,7 @@ class Directed:
 
     @classmethod
     def of(cls, graph: ClusterGraph) -> Directed:
-        """Number the messages of a graph."""
+        """The messages of a graph, two for each sepset."""
         edges = np.array(list(graph.sepsets), dtype=np.intp).reshape(-1, 2)
         return cls(edges.ravel(), edges[:, ::-1].ravel(), len(graph))
 
@@ -42,18 +47,18 @@ class Directed:
 
     @cached_property
     def outgoing(self) -> list[list[int]]:
-        """The messages that each cluster sends."""
+        """For each cluster the numbers of the messages that it sends."""
         found: list[list[int]] = [[] for _ in range(self.clusters)]
         for message, source in enumerate(self.source.tolist()):
             found[source].append(message)
         return found
 
     def inputs(self, message: int) -> list[int]:
-        """The messages on which one depends: all to its source but the one from its target."""
+        """The messages that enter into a message: all to its source but the one from its target."""
         return [other ^ 1 for other in self.outgoing[self.source[message]] if other != message]
 
     def dependents(self, message: int) -> list[int]:
-        """The messages that one has a part in."""
+        """The messages that a message enters into: all from its target but the one back."""
         return [other for other in self.outgoing[self.target[message]] if other != message ^ 1]
 
 
@@ -62,7 +67,7 @@ class Messages(Protocol[Round]):
 
     @property
     def directed(self) -> Directed:
-        """The directed edges, which number the messages."""
+        """The source and target of each message."""
 
     @property
     def runs(self) -> int:
@@ -70,44 +75,53 @@ class Messages(Protocol[Round]):
 
     @property
     def bounded(self) -> bool:
-        """Whether no change can grow beyond one, so that messages wander but never diverge."""
+        """Whether no change can exceed one, as of probabilities: messages then never diverge."""
 
     def round(self, messages: Sequence[int]) -> Round:
-        """Lay out the computation of some messages, in batches of equal shape."""
+        """Lay out the computation of some messages, for `propose`, in batches of equal shape."""
 
     def propose(self, round: Round) -> Array:
-        """Compute a round's messages; returns the change of each, (messages, runs)."""
+        """Compute a round's messages from those that are kept, and return their changes.
+
+        The changes are (messages, runs).
+        """
 
     def accept(self, round: Round, active: Mask, lost: Mask) -> None:
-        """Keep the proposed messages, damped, for the active runs, (runs,).
+        """Keep the messages that `propose` computed last, damped, in the active runs, (runs,).
 
-        Converged runs may go on, for the sake of the others; those that diverged are `lost` and
-        keep the messages that they have.
+        Converged runs may go on, for the sake of the others. Those that are `lost`, (runs,), keep
+        the messages that they have.
         """
 
     def relinearise(self, active: Mask) -> Array | None:
-        """Linearise CPDs at the beliefs: how far means moved, (runs,), in deviations; or None."""
+        """Linearise nonlinear CPDs at the beliefs, in the active runs.
+
+        Returns the largest move of a mean since it was linearised last, (runs,), in standard
+        deviations; None where no CPD is nonlinear.
+        """
 
 
-# How far messages settle, in deviations, before nonlinear CPDs are first linearised anew; later by
-# this share of the last move. The numbers of edges' changes that are kept, 8 MiB.
+# Nonlinear CPDs are linearised anew when no message changes by more than so many standard
+# deviations, later than this share of the last move. Changes by edge are kept up to so many, 8 MiB.
 _SETTLED, _SHARE = 1e-2, 0.1
 _KEPT = 2**20
 # A run has diverged when its residual is this many times the least that it has had.
 GROWN = 1e4
 
 
-# A round of messages, for the runs that are active, not those that are lost: how much each message
-# changed, or with `Residual` would still change, (messages, runs).
+# Sends a round of messages, given masks of the active and the lost runs; returns how much each
+# message changed, or with `Residual` would still change, (messages, runs).
 Step = Callable[[Mask, Mask], Array]
 
 
 def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -> Status:
-    """Send messages until none changes, and relinearisation moves no mean.
+    """Send messages until none changes, and relinearisation moves no mean; returns the status.
 
-    A run that has converged keeps its messages, so that a batch equals its single runs. So does one
-    that has diverged: its residual is not finite or 10⁴ times the least since its CPDs were
-    linearised last, or a relinearisation moves a mean 10⁴ times as far as the least of them.
+    Nonlinear CPDs are linearised again whenever messages have nearly settled. A run that has
+    converged keeps its messages, so that a batch equals its single runs. So does one that has
+    diverged: its residual is not finite or 10⁴ times the least since its CPDs were linearised last,
+    or a relinearisation moves a mean 10⁴ times as far as the least of them. `lead` are the user's
+    axes of runs.
     """
     step = next(_STEPS[each] for each in type(schedule).__mro__ if each in _STEPS)(messages)
     active = np.ones(messages.runs, dtype=bool)
@@ -153,24 +167,24 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
 
 
 class _Growth:
-    """The least of a residual so far, (runs,), against which its growth is told."""
+    """The least residual so far of each run, (runs,), by which divergence is noticed."""
 
     def __init__(self, runs: int) -> None:
         self.least = np.full(runs, np.inf)
 
     def grown(self, residual: Array) -> Mask:
-        """Whether a next residual is not finite, or 10⁴ times the least."""
+        """Whether the next residual is not finite, or 10⁴ times the least before it, (runs,)."""
         found: Mask = ~np.isfinite(residual) | (residual > GROWN * self.least)
         self.least = np.fmin(self.least, residual)
         return found
 
     def forget(self, runs: Mask) -> None:
-        """Begin again, for some of the runs."""
+        """Begin anew, in the runs of a mask."""
         self.least[runs] = np.inf
 
 
 def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array]:
-    """The larger of both messages' changes on each edge if all were sent now, (*lead)."""
+    """By edge, the larger change of its two messages if all were sent now, (*lead)."""
     directed = messages.directed
     change = messages.propose(messages.round(range(len(directed))))
     edges = zip(directed.source[::2].tolist(), directed.target[::2].tolist(), strict=True)
@@ -196,10 +210,7 @@ def _sequential(messages: Messages[Any]) -> Step:
 
 
 def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
-    """A round that sends groups of messages in turn.
-
-    A group reads the messages of the groups before it.
-    """
+    """A round that sends groups of messages in turn, each from those of the groups before."""
     rounds = [(list(turn), messages.round(turn)) for turn in turns]
 
     def step(active: Mask, lost: Mask) -> Array:
@@ -216,7 +227,7 @@ def _residual(messages: Messages[Any]) -> Step:
     """Residual scheduling: the message that would change most is sent next (Elidan, 2006).
 
     A round sends as many messages as there are. After each, only the messages that depend on it are
-    computed anew.
+    computed anew. The changes that a round returns are those still to come.
     """
     directed = messages.directed
     everything = messages.round(range(len(directed)))

@@ -1,18 +1,22 @@
 """Whether a belief is lost: a sequential test of innovations and of gate rejections.
 
-Against innovations of κ times the variance, a step of NIS ~ χ²(d) weighs, in logarithms of odds,
+A belief is *lost* when it is wrong by more than its covariance says. Two tests sum up
+log-likelihood ratios of a lost against a consistent belief, step by step. Against innovations of κ
+times their variance, a step of NIS ~ χ²(d) adds, in nats,
 
     a = ½ (1 − 1/κ) NIS − ½ d ln κ,
 
-and r rejected sightings of n that a gate judged weigh, for a share q₁ of rejections against q₀,
+NIS being νᵀS⁻¹ν, the normalised innovation squared of the step's d measured components. Of n
+sightings that a gate judged it rejected r; they add, for a share q₁ of rejections against q₀,
 
     b = r ln(q₁/q₀) + (n − r) ln((1 − q₁)/(1 − q₀)).
 
-A sighting of unknown identity that is taken for none of its candidates counts as rejected; q₀ is
-then at least the share that was declared to be such, and q₁ as far between ½ and 1 as q₀ between
-a tenth and 1.
+A *strange* sighting, of unknown identity and taken for none of its candidates, counts as rejected;
+q₀ is then at least the share that was declared to be such, and q₁ as far between ½ and 1 as q₀
+between a tenth and 1.
 
-Each is summed up by Page's test; see `Lost`. From recovery on both begin again at zero.
+The sums of a and of b are Page's tests (see `Lost`): the belief is lost from where one exceeds h =
+ln 10⁶ until both have fallen by ln 100; both then begin again at zero.
 """
 
 from __future__ import annotations
@@ -28,9 +32,9 @@ from pgm.display import Listing, Shown, Summary, number, places
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers, Mask
 
-# κ; the shares of rejections of a right belief, outliers among them, and of a lost one.
+# κ; the shares q₀ and q₁ of rejections of a consistent belief, by outliers, and of a lost one.
 INFLATION, OUTLIERS, LOST_SHARE = 2.0, 0.1, 0.5
-# Steps in which each test cries wrongly once at the most, on average; the odds that it is over.
+# On average a test is wrong at most once in so many steps; the odds that a stretch is over.
 STEPS, ODDS = 1e6, 100.0
 _HIGH, _BACK = log(STEPS), log(ODDS)
 _MOST = _HIGH / 3.0
@@ -38,7 +42,11 @@ _WHY = ("innovations", "rejections")
 
 
 def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
-    """The value b of rejections, of which a right belief has at least the tenth that it may."""
+    """The log-likelihood ratio b of r = `rejected` sightings of n = `judged`.
+
+    q₀ is `outliers`, the share that a consistent belief rejects, or a tenth if that is more; q₁
+    follows from it.
+    """
     own = min(max(outliers, OUTLIERS), 1.0 - 1e-6)
     share = LOST_SHARE + (1.0 - LOST_SHARE) * (own - OUTLIERS) / (1.0 - OUTLIERS)
     found: Array = rejected * log(share / own) + (judged - rejected) * log(
@@ -48,10 +56,11 @@ def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
 
 
 class Read(NamedTuple):
-    """The readings of steps in numbers, (..., runs): NIS, its components, and what gates did.
+    """What steps have read, in numbers for the test, (..., runs) each.
 
-    Sightings were `rejected` of those `judged`, or `strange`, taken for no candidate, of the `open`
-    ones; of a sensor with a gate strange ones alone count. `odds` is the weight of these.
+    `nis` is the normalised innovation squared, `dof` its d. Gates rejected `rejected` of the
+    `judged` sightings. Of the `open` ones, of unknown identity, `strange` were taken for no
+    candidate, and `odds` is their b; of a sensor with a gate only strange ones are counted here.
     """
 
     nis: Array
@@ -64,18 +73,21 @@ class Read(NamedTuple):
 
     @classmethod
     def of_open(cls, strange: Integers, open_: Integers, outliers: float) -> Read:
-        """Sightings with candidates, of which so large a share was declared to be of none."""
+        """What was read of open sightings, `strange` of which were taken for no candidate.
+
+        `outliers` is the prior probability, as it was declared, that a sighting is of none.
+        """
         nothing = np.zeros_like(open_)
         odds = weighed(strange, open_, outliers)
         return cls(np.zeros(open_.shape), nothing, nothing, nothing, strange, open_, odds)
 
     def and_(self, other: Read) -> Read:
-        """The readings of two updates of a step."""
+        """The numbers of two updates of a step together: their sums."""
         return Read._make(mine + its for mine, its in zip(self, other, strict=True))
 
     @property
     def weights(self) -> Array:
-        """The values a and b, (2, ..., runs)."""
+        """The log-likelihood ratios a and b, (2, ..., runs), each h/3 at the most."""
         a = 0.5 * ((1.0 - 1.0 / INFLATION) * self.nis - log(INFLATION) * self.dof)
         b = weighed(self.rejected, self.judged, OUTLIERS) + self.odds
         found: Array = np.minimum(np.stack([a, b]), _MOST)
@@ -83,10 +95,13 @@ class Read(NamedTuple):
 
 
 class PageTest(NamedTuple):
-    """The state of the tests of runs after a step.
+    """The state of both tests after a step, for all runs.
 
-    `level` (2, runs) is C of each test, `onset` since when it has been above zero. Of the latest
-    stretch, (runs,): since when (`first`), when it was said (`declared`), and by which test.
+    `level` (2, runs) is the sum C of each test, within [0, h]; `onset` (2, runs) the step since
+    which it has been above zero. `lost` (runs,) says whether the belief is lost. Of the latest
+    stretch of being lost, (runs,) each: the step where it probably began (`first`), where it was
+    noticed (`declared`), and the index of the test that did so, 0 of innovations and 1 of
+    rejections (`why`).
     """
 
     level: Array
@@ -98,18 +113,18 @@ class PageTest(NamedTuple):
 
     @classmethod
     def start(cls, runs: int) -> PageTest:
-        """Before the first step."""
+        """The state before the first step."""
         nothing = np.zeros(runs, dtype=np.intp)
         both = np.zeros((2, runs), dtype=np.intp)
         return cls(np.zeros((2, runs)), both, np.zeros(runs, dtype=bool), *[nothing] * 3)
 
     def over(self, runs: int) -> PageTest:
-        """The test for several runs, copied where it has one."""
+        """The same state for so many runs, repeated if it has one."""
         wide: list[Any] = [np.broadcast_to(part, (*part.shape[:-1], runs)) for part in self]
         return PageTest(*wide)
 
     def on(self, step: int, weights: Array) -> PageTest:
-        """The test after a step with log-likelihood ratios `weights`, (2, runs)."""
+        """The state after a step that adds the log-likelihood ratios `weights`, (2, runs)."""
         onset = np.where(self.level == 0.0, step, self.onset)
         level = np.clip(self.level + weights, 0.0, _HIGH)
         high = level >= _HIGH
@@ -126,12 +141,13 @@ class PageTest(NamedTuple):
 
 @dataclass(frozen=True)
 class Stretch:
-    """Steps at which a belief was lost.
+    """A stretch of steps, of one run, at which the belief was lost.
 
-    `run` is empty for one run; it probably began at `first`, was known by the measurements up to
-    `declared`, and ended after `last`. The reason `why` is ``"innovations"`` too large, of which
-    `value` is the NIS of what was taken in, a component (right: 1), or ``"rejections"`` too many,
-    of which it is the share of the sightings judged by a gate or an association.
+    `run` is the run's index, empty if there is one run. The stretch reaches from the step `first`,
+    where it probably began, to the step `last`; by the measurements up to the step `declared` it
+    was known. The reason `why` is ``"innovations"`` too large, and `value` then the mean NIS per
+    component of what was taken in (of a consistent belief 1); or it is ``"rejections"`` too many,
+    and `value` their share of the sightings that a gate or an association has judged.
     """
 
     run: tuple[int, ...]
@@ -156,8 +172,8 @@ class Lost(Shown, Immutable):
     Attributes
     ----------
     at : ndarray of bool
-        (..., T+1): whether it was lost at a step by the measurements up to it; leading axes are
-        runs.
+        (..., T+1): whether the belief was lost at a step, by the measurements up to it; leading
+        axes are runs.
     stretches : tuple of Stretch
         In the order of runs and steps, each with its `run`, `first`, `declared` and `last` step,
         `why`, and the NIS or the share of rejections as `value`.
@@ -198,7 +214,10 @@ class Lost(Shown, Immutable):
 
     @classmethod
     def of(cls, read: Read, lead: tuple[int, ...]) -> Lost:
-        """The stretches of a record of readings, (T+1, runs) each."""
+        """Run the tests on what all steps have read, (T+1, runs) each, and record the stretches.
+
+        `lead` are the user's axes of runs.
+        """
         steps, runs = read.nis.shape
         weights, test = read.weights, PageTest.start(runs)
         at = np.zeros((steps, runs), dtype=bool)
@@ -241,4 +260,5 @@ class Lost(Shown, Immutable):
 
 
 def _row(run: int, test: PageTest, last: int) -> tuple[int, int, int, int, int]:
+    """A stretch of one run as numbers: its run, `first`, `declared` and last step, and `why`."""
     return run, int(test.first[run]), int(test.declared[run]), last, int(test.why[run])

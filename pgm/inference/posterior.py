@@ -26,7 +26,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     ----------
     graph : ClusterGraph
     status : Status
-        Iterations, residuals, and whether they converged.
+        Iterations, residuals, and whether each run converged.
 
     Examples
     --------
@@ -141,20 +141,20 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     @property
     @abstractmethod
     def log_evidence(self) -> Array:
-        """The value ln p(evidence), (...)."""
+        """The log-evidence ln p(evidence), (...), in nats; see `log_evidence_kind`."""
 
     @property
     @abstractmethod
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`: exact, linearised, laplace or bethe."""
+        """What `log_evidence` is: ``exact``, ``linearised``, ``laplace``, ``bethe``, or a bound."""
 
     def _why_unsettled(self) -> str:
-        """The cause, where one is known, that messages round loops did not settle: a sentence."""
+        """Why messages round loops have not settled, as a sentence; empty if it is not known."""
         return ""
 
 
 def require_variable(variable: Variable) -> Variable:
-    """Refuse a key that is no variable, such as a name."""
+    """Refuse a key that is no variable, such as a name, or several, by an `EvidenceError`."""
     if isinstance(variable, tuple | list | set):
         raise EvidenceError(
             f"{variable!r} is asked for where one variable was due: of several, ask for "

@@ -56,7 +56,11 @@ class Rejections(Shown, Immutable):
     def of(
         cls, record: GateRecord, step: Integers, order: Integers, lead: tuple[int, ...]
     ) -> Rejections:
-        """A record (M, runs) of sightings that stand in this order of the evidence."""
+        """The decisions in a record (M, runs), put in the order of the evidence.
+
+        Row k of the record, at the k-th step of `step`, is sighting ``order[k]``; `lead` are the
+        user's axes of runs.
+        """
         back = np.argsort(order)
         shape = *lead, len(order)
         rejected, square = record.rejected[back].T, record.square[back].T
@@ -86,7 +90,7 @@ class Rejections(Shown, Immutable):
 
 
 class RejectionsBySensor(EachSensor[Rejections]):
-    """The decisions of each sensor that has a gate, and was read."""
+    """The decisions of each gated sensor that was read, by sensor."""
 
     def _absent(self, variable: Variable) -> str:
         told = f"gates were those of {list(self)}" if self else "give gate=0.99 or so"

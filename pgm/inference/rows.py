@@ -1,4 +1,11 @@
-"""A CPD at its rows, with evidence bound."""
+"""A CPD at its rows, with evidence bound.
+
+A *row* is a step of a transition, or a sighting of a sensor: a measurement at some step, of which
+there may be several. *Runs* are the simulations or robots that are worked on together; all of them
+have the same rows. In the arrays of `At` component axes come first, then the *batch*: no axis for
+one run, else that of runs, of length one where all runs are alike. An *input* is the value of a
+parent with evidence.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +28,12 @@ from pgm.variables import Variable
 
 
 class At(NamedTuple):
-    """A CPD at one step with its evidence bound; component axes first, then the batch of runs.
+    """Some rows of a CPD, stacked to be linearised as one, with their evidence bound.
 
-    `function` is to be linearised; None where the CPD is affine, or as it was linearised before:
-    then `matrix` is F (d, n, *batch) and `offset` b (d, *batch), with a batch of one for all runs.
-    `noise` (d, d, *batch) is the CPD's own, with the error where it was linearised.
+    `function` is to be linearised. It is None of an affine CPD, and of one that was linearised
+    before: then `matrix` is F (d, n, *batch) and `offset` b (d, *batch) of y = F x + b. `noise` (d,
+    d, *batch) is the CPD's own, plus the error of the linearisation where there was one. Of k rows
+    d is k times the components of the child. The rows are `first` up to, not including, `last`.
     """
 
     function: BoundFunction | None
@@ -36,7 +44,10 @@ class At(NamedTuple):
     last: int
 
     def bound(self, step: int, inputs: Sequence[Array | None]) -> At:
-        """The same CPD with other values of its observed parents, of one run."""
+        """The same rows with other inputs, at another step, of one run.
+
+        `inputs` has a value for each argument of the function, None for a hidden parent.
+        """
         function = self.function
         assert function is not None
         template, _, lead, _, group, joint, source = function
@@ -48,11 +59,13 @@ class At(NamedTuple):
 class Rows:
     """A CPD at its rows: steps for a transition, sightings for a sensor.
 
-    `hidden` are the parents without evidence, stacked; `step` (rows,) is zeros where there is no
-    time; `inputs` (rows, runs or 1, d) are the values of the other parents; `template` is None of
-    an affine CPD, whose F (d, n) and b (rows or 1, runs or 1, d) are `affine`; `own_noise` is (rows
-    or 1, runs or 1, d, d); `first_run` is for messages; `batch` are the axes of runs in `at`, none
-    of one run. `answers` are those of the function's trace, where somebody judges them.
+    `hidden` are the parents without evidence, stacked to n components; `step` (rows,) the steps,
+    zeros where there is no time (not `timed`); `inputs` (rows, runs or 1, d) the values of the
+    other parents. `template` has the function, None of an affine CPD, whose F (d, n) and b (rows or
+    1, runs or 1, d) are `affine`. `own_noise` (rows or 1, runs or 1, d, d) is the CPD's own noise
+    covariance. `batch` is (runs,), or () for one run; messages count runs from `first_run`.
+    `answers` are those of the function's trace in this call, where a judge compares them with the
+    function.
     """
 
     cpd: ConditionalGaussian
@@ -75,7 +88,7 @@ class Rows:
 
     @cached_property
     def noisy(self) -> bool:
-        """Whether the noise depends on observed parents."""
+        """Whether the noise covariance depends on observed parents."""
         return isinstance(self.cpd.cov, Noise)
 
     @cached_property
@@ -85,17 +98,20 @@ class Rows:
 
     @cached_property
     def bare(self) -> tuple[int, ...]:
-        """The components to which the CPD's own noise adds nothing at some row."""
+        """The components of the child whose own noise has no variance, at some row and run."""
         variances = np.diagonal(self.own_noise, axis1=-2, axis2=-1)
         return tuple(int(k) for k in np.flatnonzero((variances == 0.0).any(axis=(0, 1))))
 
     @cached_property
     def source(self) -> Source:
-        """Whose function it is, for messages."""
+        """The CPD, its first run and its trace's answers, as a bound function refers to them."""
         return Source(self.cpd, self.timed, self.first_run, self.answers)
 
     def at(self, first: int, last: int) -> At:
-        """Some rows, a step's, to be linearised as one."""
+        """The rows from `first` up to, not including, `last`, to be linearised as one.
+
+        They are all of one step.
+        """
         if self.template is None:
             return self._affine_at(first, last)
         count, lead = last - first, len(self.batch)
@@ -116,7 +132,11 @@ class Rows:
         return At(function, None, None, noise, first, last)
 
     def given(self, step: int, inputs: Sequence[Array], count: int) -> At:
-        """The CPD of one run with values of its observed parents, (d,), or (count, d) each."""
+        """The CPD of one run at other inputs than those of its rows, for `count` sightings.
+
+        The `inputs` are in the order of `self.inputs`, (d,) each, or (count, d) of several
+        sightings.
+        """
         if self.noisy:
             wide = self._wide(inputs, count)
             noise = self._noise_of(evaluate(self.cpd, wide, (count, 1), step), 0, count)
@@ -142,16 +162,16 @@ class Rows:
 
     @cached_property
     def order(self) -> list[int | None]:
-        """The input that each argument of the function is; None for a hidden parent."""
+        """For each argument of the function its place among `inputs`; None for a hidden parent."""
         assert self.template is not None
         places = {parent: k for k, parent in enumerate(self.inputs)}
         return [places.get(parent) for parent in self.template.given]
 
     @cached_property
     def _known(self) -> list[Array | None]:
-        """Values of each argument with evidence by row, read-only, since users' functions see them.
+        """For each argument its inputs by row, None if it is hidden; read-only, as users see them.
 
-        (rows, d) of one run, (rows, runs or 1, d) of many.
+        They are (rows, d) of one run, (rows, runs or 1, d) of many.
         """
         assert self.template is not None
         found: list[Array | None] = []
@@ -231,7 +251,11 @@ def own_noise(
     lead: tuple[int, ...],
     first_run: int,
 ) -> Array:
-    """The CPD's own noise covariance, (rows or 1, runs or 1, d, d)."""
+    """The CPD's own noise covariance at its rows, (rows or 1, runs or 1, d, d).
+
+    It has one row if it does not depend on `inputs` (rows, runs or 1, d). `step` (rows,) is None
+    without time; `lead` are the user's axes of runs.
+    """
     size = cpd.child.dimension
     if not isinstance(cpd.cov, Noise):
         if cpd.cov.ndim == 2:

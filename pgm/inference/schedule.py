@@ -13,8 +13,8 @@ from pgm.inference.damping import Damping, require_damping
 from pgm.inference.gates import Gate, as_gate
 from pgm.inference.status import FILTERED, SMOOTHED, Kind
 
-# Deviations by which a mean still moves at a fixed point: nothing that an estimate could show, and
-# within reach of float64 and of ten linearisations of most recordings.
+# Standard deviations by which a mean may still move at what counts as a fixed point: nothing that
+# an estimate could show, and within reach of float64 and of ten linearisations of most recordings.
 TOLERANCE = 1e-6
 
 
@@ -39,13 +39,12 @@ class Filtering(InCode):
         `ConvergenceWarning`).
     damping : float or LevenbergMarquardt
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
-        step by its cost.
+        step by its cost, which `LevenbergMarquardt` defines.
     gate : float or mapping of Variable to float, optional
         The probability within which readings are taken in: a sighting whose squared innovation
         νᵀS⁻¹ν at the predicted belief exceeds the χ² quantile of it, with as many degrees of
         freedom as components were measured, is left out, in this run. By sensor, those that are
         not named have no gate. ``posterior.rejected[z]`` has the record.
-
 
     References
     ----------
@@ -73,7 +72,7 @@ class Filtering(InCode):
 
     @property
     def kind(self) -> Kind:
-        """Filtered."""
+        """The kind of its beliefs: filtered."""
         return FILTERED
 
 
@@ -96,8 +95,8 @@ class Calibration(InCode):
     iterations : int
         Linearisations at the most.
     tolerance : float
-        A run stops when no mean moves by more than this many standard deviations; 0 as of
-        `Filtering`.
+        A run stops when no mean moves by more than this many standard deviations. With 0 all
+        iterations are made, and none is missed (no `ConvergenceWarning`).
 
     Examples
     --------
@@ -162,12 +161,12 @@ class Smoothing(Calibration):
 
     @property
     def kind(self) -> Kind:
-        """Smoothed."""
+        """The kind of its beliefs: smoothed."""
         return SMOOTHED
 
     @property
     def first(self) -> Filtering:
-        """The filter of the first linearisation."""
+        """The filter that makes the first linearisation, and in which the gate decides."""
         return Filtering(gate=self.gate)
 
 
@@ -200,8 +199,8 @@ class FixedLag(InCode):
     iterations : int
         Linearisations of a window at the most.
     tolerance, damping, gate
-        See `Filtering`; here for a window's smoothed means and of the cost of its trajectory, its
-        prior included. The gate is decided when a step is new, and kept.
+        See `Filtering`; here the tolerance is of a window's smoothed means, and the cost that of
+        its trajectory, its prior included. The gate is decided when a step is new, and kept.
 
     Examples
     --------
@@ -234,28 +233,28 @@ class FixedLag(InCode):
 
     @property
     def kind(self) -> Kind:
-        """Fixed-lag; filtered, of a lag of zero."""
+        """The kind of its beliefs: fixed-lag, or filtered with a lag of zero."""
         return Kind(self.lag)
 
     @property
     def filtering(self) -> Filtering:
-        """The filter to which a fixed lag of zero amounts."""
+        """The filter that is the same with a lag of zero."""
         return Filtering(self.iterations, self.tolerance, self.damping, self.gate)
 
     @property
     def first(self) -> Filtering:
-        """The filter of a new step."""
+        """The filter that first linearises a new step, and in which the gate decides."""
         return Filtering(gate=self.gate)
 
     @property
     def smoothing(self) -> Smoothing:
-        """The smoothing of a window."""
+        """The iterated smoothing of a window."""
         return Smoothing(self.iterations, self.tolerance, self.damping)
 
 
 @dataclass(frozen=True)
 class Loopy(InCode):
-    """Base of the schedules for any graph, a tree or not."""
+    """Base of the schedules for any graph, a tree or not; for the options see `Flooding`."""
 
     iterations: int = 1000
     tolerance: float = 1e-10
@@ -308,7 +307,7 @@ class Flooding(Loopy):
 @public
 @dataclass(frozen=True)
 class Sequential(Loopy):
-    """Cluster after cluster, forth and back, each message from the latest ones.
+    """Cluster after cluster, forth and back, each message computed from the latest ones.
 
     Convergence and parameters are as of `Flooding`.
 
@@ -324,10 +323,10 @@ class Sequential(Loopy):
 @public
 @dataclass(frozen=True)
 class Residual(Loopy):
-    """Always the message that would change most.
+    """One message at a time, always the one that would change most.
 
-    Each message sent makes all messages it has a part in be computed anew. So an iteration takes
-    about n² of them around a hub of n neighbours, where `Flooding` and `Sequential` take n.
+    After each message all those are computed anew that it enters into. So an iteration computes
+    about n² messages around a hub of n neighbours, where `Flooding` and `Sequential` compute n.
     Convergence and parameters are as of `Flooding`.
 
     References

@@ -1,4 +1,4 @@
-"""Initial points of linearisation for nonlinear CPDs."""
+"""Means that a user gives as the first points of linearisation of nonlinear CPDs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Start = Mapping[Variable, npt.ArrayLike]
 
 
 def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
-    """Refuse a start that is no mapping, or has keys other than hidden variables."""
+    """Refuse a start that is no mapping, or whose keys are not all hidden variables."""
     if not isinstance(start, Mapping):
         raise EvidenceError(f"start maps variables to means; found {type(start).__name__}")
     for variable in start:
@@ -30,7 +30,11 @@ def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
 
 
 def over_runs(variable: Variable, means: Array, lead: tuple[int, ...], axes: int) -> Array:
-    """The means of a variable, (..., own axes), for all of the evidence's runs, (runs, ...)."""
+    """A variable's means as (runs, ...), for all runs of the evidence.
+
+    They are given as (..., own axes), the last `axes` axes being their own, and broadcast to the
+    evidence's axes of runs, `lead`; if they do not, an `EvidenceError` says so.
+    """
     own, rest = means.shape[: means.ndim - axes], means.shape[means.ndim - axes :]
     try:
         wide = np.broadcast_to(means, (*lead, *rest))

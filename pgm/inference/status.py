@@ -71,9 +71,9 @@ class Kind(InCode):
 PREDICTED, FILTERED, SMOOTHED = Kind(-1), Kind(0), Kind(math.inf)
 
 
-# Digits of a mean, counted from its deviation, below which the user is warned.
+# Digits of a mean, counted from its standard deviation, below which the user is warned.
 ENOUGH_DIGITS = 6.0
-# Residuals that are shown.
+# Residuals that a summary shows at the most.
 FEW = 8
 # Why digits are few, and what helps.
 FAR_APART = (
@@ -89,7 +89,11 @@ CLOSE_POINTS = (
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
-    """Correct decimal digits for relative errors (runs,), (*lead); NaN errors have none."""
+    """The correct decimal digits −log₁₀ e of means with errors e, in standard deviations.
+
+    The errors are (runs,), the digits (*lead): 15.7 at the most, as of float64, and 0 for an error
+    that is not finite.
+    """
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)
     return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))
@@ -106,7 +110,7 @@ class Status(Shown, Immutable):
     residuals : ndarray
         The convergence record. Of a tree, (iterations − 1, *runs): the largest move of a mean at
         each relinearisation, in standard deviations (on a balanced tree, with `Taylor`, given
-        Jacobians and regular noise, those of a component given all others). Of other graphs,
+        Jacobians and regular noise, in those of a component given all others). Of other graphs,
         (iterations, *runs): the largest change of a message in each iteration, or move of a mean
         where CPDs were linearised anew.
     converged : ndarray of bool
@@ -170,13 +174,20 @@ class Status(Shown, Immutable):
 
     @classmethod
     def of(cls, residuals: list[Array], converged: Mask, lead: tuple[int, ...]) -> Status:
-        """The status of relinearisations: `residuals` of each and `converged` (runs,)."""
+        """The status of CPDs linearised once, and again once for each of `residuals`.
+
+        A residual (runs,) is the largest move of a mean, in standard deviations; `converged` is
+        (runs,). `lead` are the user's axes of runs, to which the axis of runs is reshaped.
+        """
         count = len(residuals)
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
         return cls(count + 1, record, converged.reshape(lead))
 
     def with_digits(self, digits: Array, cause: str = FAR_APART) -> Status:
-        """The same status with the measured digits (*runs); a run with too few warns."""
+        """The same status with measured digits (*runs); fewer than six raise a `PrecisionWarning`.
+
+        `cause` says in the warning why digits are few, and what helps.
+        """
         least = float(digits.min(initial=np.inf))
         if least < ENOUGH_DIGITS:
             runs = int((digits < ENOUGH_DIGITS).sum())
@@ -188,7 +199,7 @@ class Status(Shown, Immutable):
         return self._with(digits=digits)
 
     def with_compilation(self, words: str) -> Status:
-        """The same status with an account of which sweeps ran in machine code, or why not."""
+        """The same status with an account of the sweeps in machine code, as of `compilation`."""
         return self._with(compilation=words)
 
     def _with(self, **changes: Any) -> Status:

@@ -33,7 +33,7 @@ from pgm.variables import Discrete, Variable
 
 # Rows for the beliefs of all variables of a chain, and the most variables that share them.
 ROWS, VARIABLES = 12, 4
-# Rows of a network without time, and its first runs beside each other.
+# Rows for a network without time, and how many of its first runs are columns.
 NETWORK_ROWS, RUNS = 12, 2
 
 
@@ -45,10 +45,10 @@ def over_time(
     last: int,
     told_of: Sequence[str] = (),
 ) -> Summary:
-    """The summary of a posterior over time, of which only the beliefs shown are asked for.
+    """The summary of a posterior over time; beliefs that are not shown are not computed.
 
-    `variables` are hidden templates; those that are no states begin at step 1. Lines `told_of`
-    stand below the figures.
+    `variables` are hidden templates; those that are no states begin at step 1. `runs` are the
+    user's axes of runs, `last` is T. Lines `told_of` stand below the log-evidence and the status.
     """
     states = posterior.graph.model.states
     told = [*figures(posterior), *told_of]
@@ -58,7 +58,7 @@ def over_time(
 def marginals_over_time(
     title: str, marginals: Any, layout: SliceLayout, runs: tuple[int, ...], last: int
 ) -> Summary:
-    """The summary of marginals over time, without evidence and status."""
+    """The summary of marginals over time alone, without log-evidence and status."""
     return Summary(title, ends(marginals, layout.slice, layout.states, runs, last))
 
 
@@ -69,7 +69,7 @@ def ends(
     runs: tuple[int, ...],
     last: int,
 ) -> list[str | Listing]:
-    """The first and last beliefs of the first variables, a listing each."""
+    """Listings of the beliefs of the first variables, each of its first and last steps."""
     shown = variables[:VARIABLES]
     most = max(ROWS // max(len(shown), 1) - (len(shown) > 1), ENDS)
     parts: list[str | Listing] = [
@@ -85,7 +85,7 @@ def ends(
 def at_a_step(
     title: str, belief: Any, variables: Sequence[Variable], runs: tuple[int, ...]
 ) -> Summary:
-    """The summary of an online belief: its log-evidence, status and variables."""
+    """The summary of an online belief: log-evidence, status, and the belief of each variable."""
     parts: list[str | Listing] = [f"log-evidence {spread(np.asarray(belief.log_evidence))}"]
     parts.append(belief.status._title)
     return Summary(title, [*parts, *by_variable(belief, variables, runs)])
@@ -101,7 +101,7 @@ def of_network(
 def by_variable(
     posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...]
 ) -> list[str | Listing]:
-    """The beliefs of the first and last variables, of the first runs beside each other."""
+    """The beliefs of the first and last variables, a row each; the first runs are columns."""
     picked = [place for place in places(runs, RUNS) if place is not None][:RUNS]
     rows: list[Sequence[str] | None] = []
     for k in few(len(variables), NETWORK_ROWS) if picked else ():
@@ -124,7 +124,7 @@ def by_variable(
 
 
 def moments_of(belief: Any) -> Listing:
-    """The means and deviations of a belief of point masses, of the runs and steps shown alone."""
+    """Means and standard deviations of a belief of point masses, of the runs and steps shown."""
     names = [f"{c} [rad]" if c in belief.angles else c for c in belief.components]
     if not belief.lead:
         return by_component(names, belief.mean, belief.cov)
@@ -137,7 +137,7 @@ def moments_of(belief: Any) -> Listing:
 
 
 def figures(posterior: Any) -> Iterable[str]:
-    """The log-evidence with its kind, and the status, a line each."""
+    """A line of the log-evidence with its kind, and one of the status."""
     try:
         found = np.asarray(posterior.log_evidence)
         yield f"log-evidence {spread(found)} ({posterior.log_evidence_kind})"
@@ -147,7 +147,7 @@ def figures(posterior: Any) -> Iterable[str]:
 
 
 def spread(values: Array, digits: int = 6) -> str:
-    """A number; of several runs their extent."""
+    """A number as text; of several runs the least and the largest."""
     if not values.ndim:
         return number(float(values), digits)
     if not values.size:

@@ -1,13 +1,17 @@
 """The backward pass in twice the digits: a smoother that inverts no covariance of states.
 
-With the gain G and the innovation v of variance S of a component read along h, backwards from r = 0
-and N = 0 behind the last step,
+The forward pass (`careful`) takes in scalar measurements z = h x + n one by one, each with a gain
+G, an innovation v = z − h m and its variance S. The backward pass begins with r = 0 and N = 0
+behind the last step, and goes back through each scalar and through each transition A:
 
-    r ← (1 − G h)ᵀ r + hᵀv/S,    N ← (1 − G h)ᵀ N (1 − G h) + hᵀh/S,
+    r ← (1 − G h)ᵀ r + hᵀv/S,    N ← (1 − G h)ᵀ N (1 − G h) + hᵀh/S;    r ← Aᵀ r,    N ← Aᵀ N A.
 
-and r ← Aᵀ r, N ← Aᵀ N A through a transition A. A belief m, P becomes m + P r, P − P N P; where
-that would leave too few digits (an unstable motion, a wide prior), it is found from the next belief
-by Bayes' rule instead (Bryson & Frazier, 1963; de Jong, 1989; Durbin & Koopman, 2012, 4.4 to 4.7).
+r and N are the *message* of all measurements passed so far. With them a belief m, P that knows only
+the earlier measurements becomes m + P r, P − P N P. Where that would leave too few digits (an
+unstable motion, a wide prior), the smoothed belief is found from the next slice's by Bayes' rule
+instead (Bryson & Frazier, 1963; de Jong, 1989; Durbin & Koopman, 2012, 4.4 to 4.7).
+
+With a flat prior m is a function of the unknown δ (q components; see `careful`), and so is r.
 """
 
 from __future__ import annotations
@@ -40,16 +44,17 @@ from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stack
 from pgm.kernels.extended import Twofold
 from pgm.progress import counted
 
-# A difference is found in another way where this part of it may be rounding.
+# Bayes' rule is tried where more than this share of a smoothed variance may be rounding.
 _CLOSE = 1e-12
 
 
 class Later(NamedTuple):
-    """The message of later measurements to a slice: r as a function of δ, (runs, n, 1 + q), and N.
+    """The message of later measurements to a belief over a slice: r as a function of δ, and N.
 
-    `rounding` and `drift` (runs, n, n) bound the changes of N and r by rounding, as those of a
-    `Belief`; `blurred` (runs,) is the largest part of an innovation's variance that it may have
-    changed.
+    `vector` has the columns [r R] (runs, n, 1 + q) of r + R δ; `matrix` is N (runs, n, n). As in a
+    `Belief`, `rounding` B (runs, n, n) bounds the rounding error E of N, −B ≤ E ≤ B, and `drift`
+    (runs, n, n) is taken for the covariance of that of r. `blurred` (runs,) is the largest share of
+    an innovation variance S, over all these measurements, that may be rounding.
     """
 
     vector: Twofold
@@ -59,7 +64,10 @@ class Later(NamedTuple):
     blurred: Array
 
     def before(self, components: list[Component]) -> Later:
-        """The message after including the components measured at the step."""
+        """The message carried back over a step's scalar measurements, to its predicted belief.
+
+        `components` are in the order in which they were taken in.
+        """
         vector, matrix, rounding, drift, blurred = self
         for row, keep, innovation, weight, error, blur, moved in reversed(components):
             said = innovation * weight[:, None]
@@ -75,7 +83,7 @@ class Later(NamedTuple):
         return Later(vector, matrix, rounding, drift, blurred)
 
     def back(self, matrix: Twofold) -> Later:
-        """The message to the slice before, through a transition."""
+        """The message carried back through a transition A = `matrix`: Aᵀ r and Aᵀ N A."""
         slope, said = matrix.hi.mT, self.matrix
         rounding = through(slope, self.rounding) + rounded(slope, said.hi)
         drift = through(slope, self.drift)
@@ -84,18 +92,22 @@ class Later(NamedTuple):
 
 
 class Back(NamedTuple):
-    """Gains on the slice after, (runs, n, n), and the runs that they are used in, (runs, 1, 1)."""
+    """The gain G of Bayes' rule, by which a smoothed belief follows from the next slice's.
+
+    `gain` is (runs, n, n); `lost` (runs, 1, 1) marks the runs in which the belief was found so,
+    since P − P N P would have left fewer digits.
+    """
 
     gain: Twofold
     lost: Mask
 
 
 class Smooth(NamedTuple):
-    """A slice given the measurements up to a last step.
+    """The belief over the slice at `step`, given the measurements up to some last step.
 
-    `here` is the message of all that is read from its `step` on; `back` is where in some run the
-    belief was found from that of the slice after it; `parts` (runs, n) are those of variances that
-    rounding may have changed.
+    `here` is the message of the measurements from `step` on, its own among them, up to the last.
+    `back` has the gains of Bayes' rule, None where no run needed it. `parts` (runs, n) are the
+    shares of the variances that may be rounding.
     """
 
     step: int
@@ -107,11 +119,11 @@ class Smooth(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CarefulSmoothed:
-    """Both passes in twice the digits.
+    """A chain smoothed in twice the digits: the forward pass `careful`, and the smoothed slices.
 
-    `slices` are given all measurements, or those up to a lag after each; `beliefs` their moments,
-    rounded, and `proper` (T+1, runs, n, n) their covariances along all directions that are known,
-    where variances are infinite.
+    `slices` has one entry a step, given all measurements, or those up to a lag after the step.
+    `beliefs` are their moments in float64. `proper` (T+1, runs, n, n) are finite covariances, along
+    the directions that are known, for the case that `beliefs` has infinite variances; else None.
     """
 
     careful: Careful
@@ -122,7 +134,11 @@ class CarefulSmoothed:
 
     @classmethod
     def of(cls, plan: ChainPlan, careful: Careful, lag: int | None = None) -> CarefulSmoothed:
-        """The backward pass, from the last step, or to each step from a lag after it."""
+        """Smooth a forward pass; with a `lag`, each slice given the measurements up to a lag later.
+
+        A moment that is not finite is refused with a NumericalError; the infinite variances that a
+        flat prior leaves are no such moments.
+        """
         shape = careful.forward.mean.shape
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
         proper: dict[int, Array] = {}
@@ -146,23 +162,23 @@ class CarefulSmoothed:
 
     @property
     def error(self) -> Array:
-        """The error of the means, (runs,); see `Belief.error`."""
+        """The largest rounding error of any mean, filtered or smoothed, (runs,): `Belief.error`."""
         largest: Array = np.max([each.belief.error(each.parts) for each in self.slices], axis=0)
         return np.maximum(largest, self.careful.error)
 
     @property
     def means(self) -> Array:
-        """The means of the slices."""
+        """The smoothed means of the slices, (T+1, runs, n)."""
         return self.beliefs.mean
 
     @cached_property
     def point(self) -> Point:
-        """The moments of slices and of pairs, as a point of linearisation."""
+        """The smoothed moments of slices, and of pairs where CPDs need these, to linearise at."""
         pairs = None if self.layout.single else self.pairs()
         return Point(self.beliefs.mean, self.beliefs.cov, pairs, self.proper)
 
     def pairs(self) -> Array:
-        """The covariances of the states before each step with its slice."""
+        """The covariances of the pairs (states at t − 1, slice at t), t = 1..T, (T, runs, m, m)."""
         states, front = self.layout.state_places, self.layout.state_size
         found = [
             joint(self.careful, [step - 1, step], self.slices)[1]
@@ -174,7 +190,7 @@ class CarefulSmoothed:
         return block(np.array(found), wanted, wanted) if found else np.zeros(shape)
 
     def at(self, plan: ChainPlan, mean: Array) -> CarefulSmoothed:
-        """The smoothed chain with other means, as step control may keep them."""
+        """The same covariances with other means (T+1, runs, n), as step control may keep them."""
         shift = mean - self.beliefs.mean
         slices = [
             each._replace(belief=each.belief.shifted(own))
@@ -186,7 +202,11 @@ class CarefulSmoothed:
 
 @quiet()
 def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
-    """Every slice from a first up to a last step, given the measurements up to this."""
+    """The slices at the steps `first`..`last` in order, given the measurements up to `last`.
+
+    Where more than 10⁻¹² of a variance may be rounding, Bayes' rule from the next slice is tried
+    too, and used in the runs in which it leaves a smaller share.
+    """
     columns, cov, *_ = careful.steps[last].predicted
     nothing = np.zeros(cov.shape)
     said = Twofold.zeros(columns.shape), Twofold.zeros(cov.shape)
@@ -210,10 +230,11 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
 
 @quiet()
 def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Array, Array]:
-    """Moments (runs, k n) of slices at k ascending steps, given the measurements up to a last step.
+    """The joint mean (runs, k n) and covariance (runs, k n, k n) of the slices at k `steps`.
 
-    `slices` are those from some step up to the last: of the steps between the first and the latest
-    wanted ones all are gone through, of others none.
+    The steps ascend. `slices`, as `smoothed` finds them, begin at `steps[0]` or before; all know
+    the measurements up to the step of the last of them. A component that is still unknown, given a
+    flat prior, has an infinite variance and no covariance with others.
     """
     last = slices[-1].step
     begin, known = slices[0].step, careful.steps[last].taken.unknown
@@ -236,11 +257,13 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
 
 
 def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> dict[int, Twofold]:
-    """The covariances (runs, n, n) of the slices from a first step on with that at a second one.
+    """Cross-covariances of slice s with slice `second`, (runs, n, n), by s = `first`..second − 1.
 
-    With Φ the product of A (1 − G h) from one step to another, the errors of two predictions have
-    the covariance P Φᵀ, of which the measurements from the second step on leave P Φᵀ (1 − N P). A
-    slice that was found from the one after it has that one's covariance, times its gain.
+    They know the measurements up to the last of `slices`; the part that δ adds is not in them. With
+    P the filtered covariance at s, and Φ the product of the A and 1 − G h that carry the error
+    there to the prediction at `second`, of covariance P⁻, they are P Φᵀ (1 − N P⁻), N being the
+    message of the measurements from `second` on. A slice that Bayes' rule found from the next one
+    has the cross-covariance of that one, times its gain.
     """
     begin = slices[0].step
     move, predicted, _ = careful.steps[second]
@@ -263,9 +286,10 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
 
 
 def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
-    """The belief over a slice given later measurements too: m + P r and P − P N P.
+    """The belief m + P r, P − P N P over a slice, from its filtered belief and the later message.
 
-    Bounds of rounding go along; returned too is the share of each variance that rounding may be.
+    The second result are the shares of its variances that may be rounding, (runs, n). The belief's
+    own bounds of rounding are found, too.
     """
     columns, cov, own, drift, largest = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
@@ -285,9 +309,13 @@ def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
 
 
 def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belief, Array]:
-    """`_given` by Bayes' rule from the slice after it, and the gain G = P Aᵀ(P⁻)⁺ on that.
+    """The smoothed belief over a slice by Bayes' rule, from that of the slice after it.
 
-    The covariance (1 − G A) P (1 − G A)ᵀ + G (Q + P′) Gᵀ subtracts nothing.
+    With m, P the filtered belief `known`, A, Q and m⁻, P⁻ the transition and the prediction of the
+    step `after`, and m′, P′ the smoothed belief of `later`, it is m + G (m′ − m⁻) and
+    (1 − G A) P (1 − G A)ᵀ + G (Q + P′) Gᵀ, which subtracts nothing. Returns the gain
+    G = P Aᵀ (P⁻)⁺ (runs, n, n), the belief, and the largest share of a variance that may be
+    rounding, (runs,).
     """
     belief, predicted = later.belief, after.predicted
     columns, cov, own, drift, largest = known
@@ -321,7 +349,7 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
 
 
 def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
-    """Belief `a` in the runs of the mask, `b` in the rest."""
+    """Belief `a` in the runs that the mask (runs, 1, 1) marks, `b` in the rest."""
     return b._replace(
         columns=extended.where(mask, a.columns, b.columns),
         cov=extended.where(mask, a.cov, b.cov),

@@ -1,9 +1,12 @@
-r"""Associating sightings, for Gaussian beliefs: each with its likeliest candidate.
+r"""Associating sightings of unknown identity, for Gaussian beliefs: each with a candidate.
 
-At the predicted belief of a step, N(μ, P), a candidate m_k of a sighting z has the innovation ν_k =
-z − ẑ_k with covariance S_k = H_k P H_kᵀ + R_k; it is in question where ν_kᵀ S_k⁻¹ ν_k is below the
-gate, and the likeliest by ln w_k + ln N(ν_k; 0, S_k), each sighting by itself or all together
-(`joint_compatibility.py`). Sensors whose sightings are known are taken in first.
+A sighting is *open* if one parent of its sensor is unknown: one of k candidates m_k with prior
+probabilities w_k, say the landmarks of a map. Beside these it may be *spurious* or of a *new*
+thing. At the belief N(μ, P) of its step, candidate m_k of a sighting z has the innovation ν_k = z −
+ẑ_k with covariance S_k = H_k P H_kᵀ + R_k. It is considered where ν_kᵀ S_k⁻¹ ν_k is within the
+candidates' gate, and the likeliest one has the largest ln w_k + ln N(ν_k; 0, S_k), each sighting by
+itself or all of a step together (`joint_compatibility.py`). A step's sensors whose sightings are
+not open are taken in first, then one open sensor after another, with the candidates chosen.
 """
 
 from __future__ import annotations
@@ -36,9 +39,10 @@ from pgm.variables import Variable
 
 
 class Associated(NamedTuple):
-    """Evidence whose sightings all have a candidate.
+    """Evidence without open sightings, and what was decided about those that were open.
 
-    With it stand the candidates chosen for the open sightings, by sensor.
+    In `bound` the parent has the value of the likeliest candidate; of a spurious or new sighting no
+    component counts as measured. `found` has the probabilities of all candidates, by sensor.
     """
 
     bound: BoundEvidence
@@ -49,7 +53,11 @@ class Associated(NamedTuple):
 def associated(
     graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, gate: Asked | None = None
 ) -> Associated:
-    """The evidence of all steps, associated by a filter that linearises once, with a gate maybe."""
+    """Associate the open sightings of all steps by a filter that linearises each CPD once.
+
+    `gate` is the filter's, for all sightings that are taken in. An EvidenceError refuses a prior of
+    infinite variance, and sightings that are to be summed out.
+    """
     known = replace(bound, readings=tuple(r for r in bound.readings if r.unknown is None))
     plan = ChainPlan.make(graph, known, lineariser)
     if certificate.is_flat(plan):
@@ -80,7 +88,11 @@ def associated_at(
     belief: Moments,
     gate: Asked | None = None,
 ) -> Associated:
-    """The measurements of one step, associated at a belief; `bound` counts steps from zero."""
+    """Associate the open sightings of one step, at its predicted `belief`.
+
+    `bound` has the measurements of that step alone, as its step 0; `step` is its number in the
+    chain, for CPDs that depend on time and for messages.
+    """
     pending = [_Pending(reading, gate) for reading in bound.readings if reading.unknown is not None]
     known = tuple(reading for reading in bound.readings if reading.unknown is None)
     belief = _taken(graph, bound, lineariser, step, known, belief, gate)
@@ -92,7 +104,7 @@ def associated_at(
 
 
 def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
-    """The evidence with its open sightings associated, and the candidates chosen for them."""
+    """The evidence with its open sightings closed, once those of all steps are associated."""
     closed = {each.reading.cpd.child: each.closed for each in pending}
     readings = tuple(closed.get(r.cpd.child, r) for r in bound.readings)
     found = dict(
@@ -102,7 +114,12 @@ def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
 
 
 class _Pending:
-    """The open sightings of a sensor, as far as they are associated."""
+    """The open sightings of a sensor, as far as they are associated.
+
+    `probability`, `values` and `taken` have one array for each sighting associated so far, in the
+    order of the reading: the probabilities (runs, k + 2) of the candidates, of spurious and of new;
+    the value (runs, d) of the parent; and the mask (runs, d) of the components taken in.
+    """
 
     def __init__(self, reading: Reading, gate: Asked | None) -> None:
         assert reading.unknown is not None
@@ -116,12 +133,12 @@ class _Pending:
                 variable=self.parent,
                 cpd=reading.cpd,
             )
-        # By row: (runs, k + 2), (runs, d) of the parent, and (runs, d) of what is taken.
         self.probability = list[Array]()
         self.values = list[Array]()
         self.taken = list[Array]()
 
     def rows(self, step: int) -> range:
+        """The rows of the sightings of a step."""
         first, last = np.searchsorted(self.reading.step, [step, step + 1]).tolist()
         return range(first, last)
 
@@ -134,11 +151,12 @@ class _Pending:
         rows: range,
         belief: Moments,
     ) -> Moments:
-        """Choose candidates for some rows' sightings at a belief, and update with them.
+        """Choose a candidate for each sighting of a step at a belief; the belief given them.
 
-        Their shares are ∝ N(ν; 0, S) times the share of each candidate, zero outside the gate,
-        beside the densities of a spurious and a new one; the likeliest is taken, together with the
-        rest of the step if `association` is joint.
+        `rows` are these sightings. The probability of candidate k is ∝ w_k N(ν_k; 0, S_k), zero
+        outside the candidates' gate, that of a spurious and of a new sighting ∝ its declared
+        density. The likeliest is chosen for each, or, if `association` is joint, for all together.
+        Spurious and new sightings are not taken in. The lists of the class grow by these rows.
         """
         runs, unknown = bound.runs, self.unknown
         pairs = _innovations(
@@ -151,7 +169,7 @@ class _Pending:
             terms = np.where(square > limit, -np.inf, terms)
         others = np.broadcast_to(unknown.log_outliers, (len(rows), runs, 2))
         terms = np.concatenate([terms, others], axis=-1)
-        # What no one declared, and no candidate explains, is left out as spurious.
+        # A sighting that no candidate explains is spurious, even where none was declared to be.
         terms[np.isneginf(terms).all(axis=-1), -2] = 0.0
         if unknown.association == JOINT:
             terms = self._jointly(pairs, terms, belief.by_run[1], step)
@@ -167,7 +185,13 @@ class _Pending:
         return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
 
     def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
-        """The logarithms of a joint decision about a step's sightings: 0 if taken, else −∞."""
+        """Decide about a step's sightings together: log-probabilities, 0 of the choice, else −∞.
+
+        `terms` (sightings, runs, k + 2) are the logarithms of what each probability is proportional
+        to, −∞ outside the gate; `cov` is P (runs, n, n). A sighting without a candidate is taken as
+        spurious or new, as is likelier. A search of too many hypotheses is refused with an
+        EvidenceError.
+        """
         assert self.unknown.gate is not None
         compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
         parts = pairs.matrix, pairs.residual, pairs.noise, pairs.size[..., 0], compatible
@@ -191,7 +215,11 @@ class _Pending:
         return decided
 
     def _expanded(self, rows: range, runs: int) -> Reading:
-        """Each sighting with each candidate, as runs of one sighting: rows, runs, candidates."""
+        """Each pair of a sighting and a candidate as one run, which has that sighting at step 0.
+
+        There are len(rows) · runs · candidates of them, the candidates fastest; the candidate is
+        the value of the parent.
+        """
         reading, candidates = self.reading, self.unknown.candidates
         count, shape = len(candidates), (len(rows), runs, len(candidates))
 
@@ -215,7 +243,7 @@ class _Pending:
         )
 
     def part(self, rows: range) -> Reading:
-        """Some associated sightings, as evidence of a single step."""
+        """Some sightings with the candidates chosen for them, as evidence of a single step 0."""
         chosen = slice(rows.start, rows.stop)
         return replace(
             self.reading,
@@ -232,7 +260,7 @@ class _Pending:
 
     @property
     def closed(self) -> Reading:
-        """All sightings, with the candidates that they were associated with as inputs."""
+        """All sightings, with the candidates chosen for them as values of the parent."""
         whole = self.part(range(len(self.reading.step))) if self.values else self.reading
         inputs = whole.inputs
         if not self.values:
@@ -250,7 +278,10 @@ def _taken(
     belief: Moments,
     gate: Asked | None,
 ) -> Moments:
-    """The belief given some measurements of its step; their rows count steps from zero."""
+    """The belief given `readings`, measurements of its step, gated where `gate` says so.
+
+    The readings have them as those of step 0; `step` is its number in the chain.
+    """
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
     chain = MomentChain(plan, Filtering(gate=gate), keep=False)
@@ -258,9 +289,11 @@ def _taken(
 
 
 class _Pairs(NamedTuple):
-    """Each sighting with each candidate, (rows, runs, candidates, ...): H, ν and R.
+    """The innovation ν of each sighting with each candidate, (rows, runs, candidates, ...).
 
-    `density` and `square` are of the innovation; `size` counts the components measured.
+    `density` is ln N(ν; 0, S), `square` νᵀS⁻¹ν, `size` the number of components measured. `matrix`
+    is H (..., d, n) over the slice, `residual` ν (..., d), `noise` R (..., d, d); a missing
+    component has H = 0, ν = 0 and unit variance.
     """
 
     density: Array
@@ -280,7 +313,11 @@ def _innovations(
     belief: Moments,
     rows: int,
 ) -> _Pairs:
-    """The innovations of each sighting with each candidate, linearised at the belief of its run."""
+    """The innovations of each sighting with each candidate, linearised at the belief of its run.
+
+    `reading` has each pair as a run of its own, as `_expanded` lays out a number of `rows`. An S
+    that is singular, indefinite or not finite is refused with a NumericalError.
+    """
     every = reading.values.shape[1]
     one = BoundEvidence(0, (every,), (), (reading,))
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)

@@ -1,7 +1,12 @@
 """The backward sweep: Bayes' rule reverses every transition, then beliefs flow back.
 
+The vector of a step, its *slice* (n components), holds states and hidden controls; only the states
+act on the next slice. A transition, with the filtered belief before it, is reversed to an affine
+conditional of the states at t given the slice at t + 1 and the measurements up to t. The filtered
+belief at T is the smoothed one there, and is pushed back through these conditionals.
+
 The reversed chain exists where messages in information form (`messages.py`) do not: of a static
-state read exactly.
+state read exactly. Stacks have the steps first and the runs second.
 """
 
 from __future__ import annotations
@@ -27,7 +32,11 @@ _FEW_STEPS = 64
 
 
 def transition(plan: ChainPlan) -> Conditional:
-    """The slice given the states before it, as one affine conditional a step: (T, runs, ...)."""
+    """The slice at t given the states at t − 1, all CPDs as one affine conditional: (T, runs, ...).
+
+    Row t − 1 is of step t; the matrix has a row for each component of the slice, and a column for
+    each of the states.
+    """
     if plan.layout.single:
         family = plan.transition[0].family
         return Conditional(family.matrix, family.offset, family.noise)
@@ -52,9 +61,9 @@ def transition(plan: ChainPlan) -> Conditional:
 
 
 def between_slices(plan: ChainPlan) -> Conditional:
-    """The conditionals of each slice given the one before, (T, runs, n, n).
+    """The conditionals of each slice given the whole slice before, of matrices (T, runs, n, n).
 
-    Columns of the earlier controls are zero.
+    They are those of `transition`, with columns of zeros for the earlier controls.
     """
     found = transition(plan)
     layout = plan.layout
@@ -67,22 +76,25 @@ def between_slices(plan: ChainPlan) -> Conditional:
 
 
 def about(conditional: Conditional, reference: Array) -> Conditional:
-    """The same conditionals for deviations x − reference, (T+1, runs, n)."""
+    """The conditionals of `between_slices`, for x[t] − reference[t] in place of x[t].
+
+    `reference` is (T+1, runs, n).
+    """
     matrix, offset, cov = conditional
     return Conditional(matrix, apply(matrix, reference[:-1]) + offset - reference[1:], cov)
 
 
 class Ahead(Protocol):
-    """The parts of a forward pass that the backward one needs."""
+    """What a backward pass needs of a forward one: moments before and after measurements."""
 
     @property
     def predicted_mean(self) -> Array:
-        """(T+1, runs, n): before each step's measurements."""
+        """The predicted means, before each step's measurements, (T+1, runs, n)."""
         ...
 
     @property
     def predicted_cov(self) -> Array:
-        """(T+1, runs, n, n)."""
+        """The predicted covariances, (T+1, runs, n, n)."""
         ...
 
     @property
@@ -92,17 +104,18 @@ class Ahead(Protocol):
 
     @property
     def cov(self) -> Array:
-        """(T+1, runs, n, n)."""
+        """The filtered covariances, (T+1, runs, n, n)."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Reverse:
-    """The chain from its end: the model of the past given the future, for the same evidence.
+    """The reversed chain: affine conditionals of each slice given the next, for the same evidence.
 
-    At row t `states` gives the states of step t from the slice of step t + 1 and the measurements
-    up to t; `slices` a slice from its states, None where there are no controls; `beliefs` are the
-    smoothed ones, where they have been found already.
+    Row t of `states`, of T, is p(states at t | slice at t + 1, measurements up to t). Row t of
+    `slices`, of T+1, is p(slice at t | its states, measurements up to t); None where there are no
+    controls, so that the states are the slice. `beliefs` are the smoothed moments, where they have
+    been found already.
     """
 
     states: Conditional
@@ -111,7 +124,10 @@ class Reverse:
 
     @classmethod
     def make(cls, plan: ChainPlan, forward: Ahead, *, smooth: bool = False) -> Reverse:
-        """Reverse every step, many at once; smooth too, where machine code does both together."""
+        """Reverse the transitions of a plan by Bayes' rule, many steps at once.
+
+        With `smooth` the smoothed `beliefs` are found too, if machine code does both in one pass.
+        """
         places = plan.layout.state_places
         moved = transition(plan)
         slices = _given_states(plan, forward) if plan.layout.control_places.size else None
@@ -131,13 +147,16 @@ class Reverse:
 
     @property
     def whole(self) -> Conditional:
-        """The conditionals p(x[t] | x[t+1], measurements up to t); row t holds step t."""
+        """The conditionals p(slice at t | slice at t + 1, measurements up to t), row t of T."""
         if self.slices is None:
             return self.states
         return compose_conditionals(self.states, Conditional(*(part[:-1] for part in self.slices)))
 
     def moved(self, mean: Array, states: Index) -> Reverse:
-        """The same smoothed covariances with other smoothed means of the slices, (T+1, runs, n)."""
+        """The same chain with other offsets, such that its smoothed means are `mean`.
+
+        `mean` is (T+1, runs, n); `states` are the places of the states in a slice.
+        """
         matrix, _, cov = self.states
         offset = mean[:-1][..., states] - apply(matrix, mean[1:])
         slices = self.slices
@@ -147,7 +166,10 @@ class Reverse:
         return Reverse(Conditional(matrix, offset, cov), slices)
 
     def back(self, step: int, belief: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Smoothed moments of the slice at a step, from the slice after it."""
+        """Smoothed mean and covariance of the slice at a step, from `belief`, those one step later.
+
+        They are (runs, n) and (runs, n, n).
+        """
         mean, cov = moments.push(*belief, Conditional(*(part[step] for part in self.states)))
         if self.slices is not None:
             mean, cov = moments.push(mean, cov, Conditional(*(part[step] for part in self.slices)))
@@ -155,6 +177,8 @@ class Reverse:
 
 
 class _Step(NamedTuple):
+    """The arguments of `moments.reverse`: states before, transition, prediction of the slice."""
+
     mean: Array
     cov: Array
     matrix: Array
@@ -164,14 +188,15 @@ class _Step(NamedTuple):
 
 
 def _reverse(step: _Step) -> Conditional:
-    """p(x[t] | x[t + 1]) by Bayes' rule, from the filtered belief and the transition."""
+    """p(states at t | slice at t + 1) by Bayes' rule, from filtered states and the transition."""
     return moments.reverse(*step)
 
 
 def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
-    """The slice given its states, and the measurements up to it.
+    """p(slice | its states, measurements up to its step) as affine conditionals, (T+1, runs, ...).
 
-    States are given exactly; a control follows by its regression on them.
+    The states follow from themselves, without noise; the controls by their regression on the
+    states, with the gain Cov(controls, states) Cov(states)⁺ of the filtered belief.
     """
     layout = plan.layout
     states, controls = layout.state_places, layout.control_places
@@ -187,7 +212,7 @@ def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
 
 
 def stepwise_is_faster(steps: int, runs: int) -> bool:
-    """Whether one step after another is faster than a scan."""
+    """Whether a smoother that goes one step after another is faster than a parallel scan."""
     return runs >= _MANY_RUNS or steps < _FEW_STEPS
 
 
@@ -208,7 +233,7 @@ def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
 
 
 def scan(forward: Ahead, reverse: Reverse) -> Beliefs:
-    """Smoothed moments of every slice, in 2 log₂ T rounds."""
+    """Smoothed moments of every slice by a parallel scan, in 2 log₂ T rounds."""
     start = Moments(forward.mean[-1:], forward.cov[-1:])
     back = Conditional(*(part[::-1] for part in reverse.whole))
     found = prefixes(start, levels(back, compose_conditionals), push_moments)
@@ -229,14 +254,16 @@ def sweep(forward: Ahead, reverse: Reverse) -> Beliefs:
 
 
 def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
-    """Moments of every slice given the measurements up to a lag after it, all steps at once.
+    """Moments of every slice given the measurements up to `lag` steps later, all steps at once.
 
-    With B_k[t] the belief that knows those up to k steps later, and C_m[t] the slice at t given
-    that m steps later, both up to T at the most,
+    With B_k[t] the belief over slice t given the measurements up to t + k, and C_m[t] the
+    conditional of slice t given slice t + m and the measurements up to t + m − 1 (T in place of
+    later steps),
 
         B_{k+m}[t] = C_m[t] B_k[t + m],    C_{2m}[t] = C_m[t] C_m[t + m],
 
-    so that a lag takes as many pushes as it has ones in binary, and a composition for each digit.
+    so that beliefs are pushed once for each one in the lag's binary digits, and conditionals
+    composed once for each digit.
     """
     shape, own = forward.mean.shape[:2], forward.mean.shape[2:]
     mean, cov = room(shape, own), room(shape, own * 2)
@@ -259,7 +286,10 @@ def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
 
 
 def pairs(beliefs: Beliefs, reverse: Reverse, steps: slice | int) -> Beliefs:
-    """Moments of the pairs at steps t ≥ 1, (states of t−1, slice of t), given the slices'."""
+    """Smoothed moments of the pairs (states at t − 1, slice at t), from those of the slices.
+
+    `steps` picks values of t − 1, from 0 to T − 1.
+    """
     conditional = Conditional(*(part[steps] for part in reverse.states))
     slice_mean, slice_cov = beliefs.mean[1:][steps], beliefs.cov[1:][steps]
     mean, cov = moments.push(slice_mean, slice_cov, conditional)

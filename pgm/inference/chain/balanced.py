@@ -1,4 +1,8 @@
-"""Messages and cluster beliefs of a balanced tree."""
+"""Messages and cluster beliefs of a balanced tree.
+
+Its leaves are the clusters of the chain of slices. Every other cluster stands for a *segment*, the
+steps after a up to b, and holds the states at a, at b and at a step between (`BalancedGraph`).
+"""
 
 from __future__ import annotations
 
@@ -25,8 +29,8 @@ class BalancedPosterior(ChainPosterior):
     """The beliefs of a balanced cluster tree after a schedule of messages.
 
     All is as on a chain of slices but the messages and the beliefs of clusters. After smoothing
-    they are those of calibration; after filtering messages down know the measurements up to a
-    segment alone, and cluster 0 is sent none.
+    they are those of calibration. After filtering a message down to a segment knows only the
+    measurements up to its left end, and cluster 0 is sent none.
     """
 
     graph: BalancedGraph
@@ -66,8 +70,8 @@ class BalancedPosterior(ChainPosterior):
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its hidden variables, unnormalised.
 
-        Its integral is the evidence that its messages know: all of it after smoothing, that up to
-        the end of its segment after filtering.
+        Its integral is the density of the measurements that its messages know: of all after
+        smoothing, of those up to the end of its segment after filtering.
 
         Raises
         ------
@@ -103,7 +107,10 @@ class BalancedPosterior(ChainPosterior):
         return CanonicalForm._make(form.scope, K, h, form.g)
 
     def _future(self, step: int) -> Canonical:
-        """The likelihood of the measurements after a step, as far as the belief knows them."""
+        """The likelihood of the measurements after a step over its states, in canonical form.
+
+        It is one (all zeros) unless the posterior is smoothed.
+        """
         if self.kind == SMOOTHED:
             K, h, g = self._backward_messages
             return K[step], h[step], g[step]
@@ -112,9 +119,10 @@ class BalancedPosterior(ChainPosterior):
         return np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)
 
     def _segment(self, first: int, last: int) -> Canonical:
-        """The canonical form of a segment over the states at both ends, about the origin.
+        """The message up from a segment, p(y, measurements after a up to b | x), in canonical form.
 
-        It was composed about the filtered means at its ends, where its numbers are small.
+        x and y are the states at a = `first` and b = `last`. It is composed about their filtered
+        means, where its numbers are small, and then moved to the origin.
         """
         whole = _composed(self._leaves(first, last))
         precision, h, g = (part[0] for part in canonical.from_affine(*whole[:3]))
@@ -130,7 +138,10 @@ class BalancedPosterior(ChainPosterior):
         return canonical.shift(precision, h, g + whole.g[0], np.concatenate(ends, axis=-1))
 
     def _leaves(self, first: int, last: int) -> Element:
-        """The elements of the steps after the first up to the last, steps first."""
+        """The elements of the single steps `first` + 1 to `last`, one a row.
+
+        Each goes from the states before its step to those at it, about their filtered means.
+        """
         conditionals = transition(self._plan)
         size, runs = self.graph.layout.state_size, self._plan.runs
         nothing = np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)
@@ -142,7 +153,7 @@ class BalancedPosterior(ChainPosterior):
 
 
 def _composed(segments: Element) -> Element:
-    """All segments, (S, ...), as one: neighbours are composed in log₂ S rounds."""
+    """The S successive segments (S, ...) composed to one, (1, ...), in log₂ S rounds."""
     while (count := segments.F.shape[0]) > 1:
         even = count - count % 2
         pairs = compose(take(segments, slice(0, even, 2)), take(segments, slice(1, even, 2)))
@@ -153,7 +164,7 @@ def _composed(segments: Element) -> Element:
 
 
 def _side_by_side(left: Canonical, right: Canonical) -> Canonical:
-    """The product of two canonical forms over different variables."""
+    """The product of two canonical forms, over the variables of the first and then the second."""
     size = left[1].shape[-1]
     precision = np.zeros((*left[1].shape[:-1], 2 * size, 2 * size))
     precision[..., :size, :size], precision[..., size:, size:] = left[0], right[0]

@@ -1,14 +1,18 @@
-"""The forward pass in twice the digits, for models whose deviations lie too far apart for float64.
+"""The forward pass in twice the digits, where standard deviations lie too far apart for float64.
 
-Measurements are decorrelated and taken in by component, each read with S = h P hᵀ + noise above
-rounding, or determined already:
+Numbers are pairs of float64 (`Twofold`). The measurements of a step are decorrelated to scalars
+z = h x + n, n ~ N(0, r), which are taken in one by one:
 
-    G = P hᵀ/S,   v = z − h m,   m ← m + G v,   P ← (1 − G h) P (1 − G h)ᵀ + G noise Gᵀ.
+    S = h P hᵀ + r,   G = P hᵀ/S,   v = z − h m,
+    m ← m + G v,   P ← (1 − G h) P (1 − G h)ᵀ + G r Gᵀ.
 
-A flat prior is an unknown δ of which all means are functions m + D δ. The columns [m D] go through
-the pass as one mean does, each component read leaves an innovation [v V], and δ has the information
-Σ VᵀV / S. A flat component is δ and a part of unit variance, so that covariances given δ are those
-of an ordinary model (de Jong, 1991; Durbin & Koopman, 2012, 5.7 and 6.4).
+One whose S is no more than rounding was determined before, and says nothing.
+
+The infinite variances of a *flat* prior are an unknown vector δ (q components), of which all means
+are functions m + D δ. The columns [m D] go through the pass as one mean does, each scalar taken in
+leaves an innovation v + V δ, columns [v V], and δ has the information Σ VᵀV / S. A flat component
+of the prior is one of δ plus a part of unit variance, so that covariances given δ are those of an
+ordinary model (de Jong, 1991; Durbin & Koopman, 2012, 5.7 and 6.4).
 """
 
 from __future__ import annotations
@@ -53,9 +57,10 @@ from pgm.progress import counted
 
 
 class Step(NamedTuple):
-    """A step of the pass: the transition to it, its belief before and after measurements.
+    """A step of the pass: the transition to it, and its belief before and after measurements.
 
-    Belief and estimate of δ know the measurements up to the step.
+    `move` is None at the first step; `taken` has the belief and the estimate of δ given the
+    measurements up to the step.
     """
 
     move: Move | None
@@ -65,20 +70,23 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Careful:
-    """A forward pass in twice the digits, and its beliefs, rounded."""
+    """A forward pass: its `steps` in twice the digits, and `forward`, their moments in float64."""
 
     forward: Forward
     steps: list[Step]
 
     @property
     def error(self) -> Array:
-        """The error of the means, (runs,); see `Belief.error`."""
+        """The largest rounding error of a filtered mean, (runs,); see `Belief.error`."""
         largest: Array = np.max([step.taken.belief.error() for step in self.steps], axis=0)
         return largest
 
 
 class Begin(NamedTuple):
-    """The belief that a window begins with, and the information Σ [v V]ᵀ[v V] / S behind it."""
+    """The belief that a window of steps begins with, given the measurements of its first step.
+
+    `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S over all measurements that it knows.
+    """
 
     belief: Belief
     information: Twofold
@@ -91,10 +99,13 @@ def sweep(
     begin: Begin | None = None,
     gated: gate.Asked | None = None,
 ) -> tuple[Careful, Status]:
-    """The forward pass, linearised by the schedule or as the last pass left it.
+    """The forward pass over all steps of a plan, and the status of its linearisations.
 
-    `begin` is where a window begins, in place of the prior; `gated` the gates where no schedule
-    tells.
+    With a schedule each CPD is linearised at its incoming belief, and the plan keeps that; without
+    one the plan's linearisations are used, and `gated` are the gates that decide, if any. `anchor`
+    holds all slices near a point, for step control. `begin` is where a window begins, in place of
+    the prior. Beliefs that are not finite or indefinite, and measurements that contradict what is
+    certain, are refused with a NumericalError.
     """
     out = Forward.empty(plan)
     steps: list[Step] = []
@@ -145,7 +156,7 @@ def sweep(
 
 
 def predict(plan: ChainPlan, step: int, known: Belief) -> Belief:
-    """The belief of an online filter one step later, at `step`."""
+    """The belief of an online filter predicted to `step`, by the only transition of the plan."""
     found = predicted(known, moving(plan, 1, *known.moments))
     refusals.belief(plan, step, found[:2])
     return found
@@ -154,7 +165,11 @@ def predict(plan: ChainPlan, step: int, known: Belief) -> Belief:
 def update(
     plan: ChainPlan, step: int, known: Belief, schedule: Filtering
 ) -> tuple[Belief, IteratedUpdate[CarefulUpdate], Sequence[Reading]]:
-    """The belief of an online filter given the measurements of its step, as it read them."""
+    """The belief of an online filter given the measurements of its step, the only ones of the plan.
+
+    `step` is its number in the chain. Returns the belief, the iterated update that led to it, and
+    the readings as linearised last.
+    """
     nothing = Twofold.zeros((plan.runs, 1, 1))
     mean, spread = rounded_belief(known, solved(nothing))
     reading = CarefulReading.of(plan, 0, mean, spread, known, nothing, schedule)
@@ -166,10 +181,13 @@ def update(
 
 @dataclass(frozen=True, eq=False)
 class CarefulUpdate:
-    """The updated belief, mean (runs, n), and ln p of its measurements given earlier ones.
+    """The belief after the measurements of a step, and what these say of δ.
 
-    `spread` is its covariance. `components` are in the order in which they were taken in;
-    `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S of all so far.
+    `belief` is a function of δ, `unknown` the estimate of δ, and `mean` (runs, n) and `spread` are
+    the moments of the belief in float64 with that estimate. `log_density` (runs,) is ln
+    p(measurements | earlier ones). `components` are the scalar measurements in the order in which
+    they were taken in; `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S over these and all
+    earlier ones.
     """
 
     mean: Array
@@ -187,7 +205,7 @@ class CarefulUpdate:
 
     @property
     def cov(self) -> Array:
-        """The covariance, (runs, n, n), infinite where nothing is known."""
+        """The covariance (runs, n, n), with infinite variances of components still unknown."""
         return self.spread.shown
 
     @property
@@ -196,14 +214,18 @@ class CarefulUpdate:
         return Point(self.mean[None], self.cov[None], None, self.spread.cov[None])
 
     def at(self, mean: Array) -> CarefulUpdate:
-        """The belief with other means, as step control may keep them."""
+        """The same update with its mean moved to (runs, n), as step control may keep it."""
         if np.array_equal(mean, self.mean):
             return self
         return replace(self, mean=mean, belief=self.belief.shifted(mean - self.mean))
 
 
 class CarefulReading(UpdateProblem[CarefulUpdate]):
-    """The measurements of a step, taken in in twice the digits."""
+    """The measurements of a step as an iterated update of a belief in twice the digits.
+
+    `belief` is the predicted one; `information` that of the earlier measurements about δ, as in
+    `Begin`.
+    """
 
     belief: Belief
     information: Twofold
@@ -221,7 +243,12 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         *,
         gated: gate.Asked | None = None,
     ) -> CarefulReading:
-        """The measurements of a step, at a belief of this mean, (runs, n), and covariance."""
+        """The update of a predicted belief by the measurements at `step`, a row of the plan.
+
+        `mean` (runs, n) and `spread` are the moments of `belief` in float64, δ being estimated from
+        `information`. Without a schedule the plan's linearisations are used, and `gated` are the
+        gates. The gates decide here.
+        """
         chain, at = MomentChain(plan, schedule, gated=gated), Moments.of(plan, mean, spread.shown)
         parts = chain.readings(step)
         made = cls(parts, plan.first + step, at.mean, at.cov)
@@ -236,7 +263,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         return made
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
-        """Linearise a sensor's measurements."""
+        """Linearise a sensor's measurements, for the active runs.
+
+        A lineariser that cannot do with an infinite variance is refused with a LinearisationError.
+        """
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
     def raised(self, found: CarefulUpdate, surplus: Array | float) -> CarefulUpdate:
@@ -245,7 +275,12 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
 
     @quiet()
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
-        """The belief updated with the measurements linearised at present."""
+        """The belief given the measurements as they are linearised at present.
+
+        Those of an anchor follow, of all components of the slice; they are no evidence. An
+        indefinite predictive covariance, a log-density that is not finite, and a measurement that
+        contradicts what is certain are refused with a NumericalError.
+        """
         belief, information, parts = self.belief, self.information, self.measured
         runs, size = belief.largest.shape
         rows, noises, seen = decorrelated(parts, runs, size)
@@ -288,7 +323,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
 
 
 def prior_mean(plan: ChainPlan) -> Array:
-    """The means of the states at step 0, (runs, n); a flat component has its declared mean."""
+    """The prior means of the states' m components, (runs, m); a flat one has its declared mean."""
     states = plan.layout.state_places
     if not is_flat(plan):
         return MomentChain(plan, ONCE).start().by_run[0][:, states]
@@ -296,7 +331,11 @@ def prior_mean(plan: ChainPlan) -> Array:
 
 
 def start(plan: ChainPlan, *, linearise: bool) -> Belief:
-    """The slice at step 0 before its measurements; there are no controls."""
+    """The belief over the slice at step 0 before its measurements; controls there are zero.
+
+    With `linearise` the nonlinear CPDs of the prior are linearised in the plan; beside a flat prior
+    they are refused with a LinearisationError.
+    """
     nonlinear = next((link.family for link in plan.prior if not link.family.exact), None)
     if linearise and nonlinear is not None:
         if is_flat(plan):
@@ -320,7 +359,11 @@ def start(plan: ChainPlan, *, linearise: bool) -> Belief:
 
 
 def transition(plan: ChainPlan, rows: slice) -> Move:
-    """Conditionals of some slices given the slices before them; earlier controls do not matter."""
+    """Affine conditionals of slices given the slices before, of the plan's transition `rows`.
+
+    Row t − 1 is of step t. Parts are (rows or 1, runs or 1, ...); the columns of the earlier
+    controls are zero.
+    """
     layout = plan.layout
     found = _conditional(plan.transition, rows, layout.state_size, layout.slice_size, plan.runs)
     matrix = Twofold.zeros((*found.matrix.shape[:-1], layout.slice_size))
@@ -329,7 +372,13 @@ def transition(plan: ChainPlan, rows: slice) -> Move:
 
 
 def _conditional(links: list[Link], rows: slice, front: int, size: int, runs: int) -> Move:
-    """The links' children given the first `front` components of the vector that all stand in."""
+    """All CPDs of the links as one affine conditional, of a vector's end given its beginning.
+
+    Parents and children stand in a vector of `front` + `size` components, each child after its
+    parents; the first `front` are given, the rest are the children's. Parts are (rows or 1, runs or
+    1, ...). Each component of infinite noise variance becomes one of δ, with noise of unit
+    variance.
+    """
     families = [link.family for link in links]
     parts = [[shortened(part[rows]) for part in (f.matrix, f.offset, f.noise)] for f in families]
     flat = [np.asarray(np.isinf(variances(each[2])).any(axis=(0, 1))) for each in parts]
@@ -359,7 +408,11 @@ def _conditional(links: list[Link], rows: slice, front: int, size: int, runs: in
 
 
 def _regular(noise: Array, flat: Mask) -> Twofold:
-    """A noise of exactly the rank it was meant to have; of unit variance where it is infinite."""
+    """A noise covariance (..., d, d) in twice the digits, whose pivots that are rounding are zero.
+
+    It has the rank that was meant in float64. The components `flat` (d,), of infinite variance,
+    get unit variance and no correlation.
+    """
     if flat.any():
         noise = np.where(flat[:, None] | flat, np.eye(flat.size) * flat, noise)
     unit, pivots = extended.eliminated(noise, NEGLIGIBLE)
@@ -369,7 +422,7 @@ def _regular(noise: Array, flat: Mask) -> Twofold:
 
 
 def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
-    """The transition to a step, linearised at the belief before it."""
+    """The transition to a step, linearised at the belief before it, (runs, n) and (runs, n, n)."""
     if not all(link.family.exact for link in plan.transition):
         for link in plan.transition:
             cov = proper(link.family, step, cov)
@@ -378,7 +431,11 @@ def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
 
 
 def proper(family: Family, step: int, cov: Array) -> Array:
-    """A covariance to linearise at; Taylor's formula, which does not look at it, needs none."""
+    """A covariance that a CPD can be linearised at: with zeros for infinite entries, if need be.
+
+    Taylor's formula does not look at them. For a lineariser that does, a LinearisationError refuses
+    them.
+    """
     improper = ~np.isfinite(cov)
     if family.exact or not improper.any():
         return cov

@@ -1,4 +1,11 @@
-"""Beliefs in twice the digits, functions m + D δ of an unknown δ, with bounds of their rounding."""
+"""Beliefs in twice the digits, functions m + D δ of an unknown δ, with bounds of their rounding.
+
+δ (q components) is what a flat prior leaves open (`careful`); given δ a belief has the mean m + D δ
+and the covariance P. Two matrices (runs, n, n) go along with it. `rounding` bounds the error E of
+P, −B ≤ E ≤ B in the order of semidefinite matrices, and goes through a matrix F as F B Fᵀ. `drift`
+is the covariance of the error of m, as if that were random. "Twice the digits" are pairs of
+float64, `Twofold`.
+"""
 
 from __future__ import annotations
 
@@ -24,29 +31,28 @@ from pgm.kernels.arrays import (
 from pgm.kernels.extended import Twofold
 from pgm.kernels.roots import NEGLIGIBLE
 
-# The part of what is summed up to a variance that rounding may change.
+# The share of the summands of a variance that its rounding, in twice the digits, may be.
 ROUNDING = 1e-31
-# The share of the largest deviation of a component below which deviations are not told apart.
+# A component's standard deviations below this share of its largest one are not told apart.
 _TOLD = 1e-9
-# The parts of a mean and of a variance in float64 that rounding may change.
+# The shares of a mean and of a variance in float64 that may be rounding.
 _EPS = float(np.finfo(np.float64).eps)
 _LAST_DIGIT = 4.0 * _EPS
-# The part of a deviation that steps in float64, of moderate ratios, may have moved a mean by.
+# The standard deviations that earlier steps, in float64, may have moved a mean by.
 _STEPS = 1e-8
-# The part of what is summed up to an entry of D below which it is rounding.
+# An entry of D below this share of its summands is rounding.
 _CANCELLED = 1e-26
-# The part of a variance that is taken for rounding which counts as an error of the mean.
+# Of a variance that is taken for rounding, the share that counts as one of the mean's error.
 _SUNK = 1e-6
-# By so much a variance has to exceed what rounding may have made of a zero.
+# How many times a variance has to exceed the bound of its rounding, not to be taken for zero.
 CLEAR = 100.0
 
 
 class Belief(NamedTuple):
-    """Moments as functions of δ: columns [m D] (runs, n, 1 + q) and P (runs, n, n).
+    """Moments as functions of δ: `columns` [m D] (runs, n, 1 + q), `cov` P (runs, n, n).
 
-    `rounding` bounds, as a covariance, what rounding has changed P by: it goes through transitions
-    and measurements as an error does. `drift` is the covariance, in that sense, of what it has
-    changed m by; `largest` (runs, n) are the largest variances before measurements, so far.
+    `rounding` and `drift` (runs, n, n) bound the rounding errors of P and of m, as the module says.
+    `largest` (runs, n) are each component's largest predicted variance so far.
     """
 
     columns: Twofold
@@ -57,35 +63,40 @@ class Belief(NamedTuple):
 
     @classmethod
     def first(cls, columns: Twofold, cov: Twofold, rounding: float, drift: float) -> Belief:
-        """A belief of which rounding has changed variances and means by such parts."""
+        """A belief whose variances and means are rounded by the shares `rounding` and `drift`."""
         variance = variances(cov.hi)
         moved = diagonal((drift * columns.hi[..., 0]) ** 2)
         return cls(columns, cov, diagonal(rounding * np.abs(variance)), moved, variance)
 
     @classmethod
     def of(cls, mean: Array, cov: Array) -> Belief:
-        """A belief in pairs of float64, from moments (runs, n) and (runs, n, n) in float64."""
+        """A belief in twice the digits, from moments (runs, n) and (runs, n, n) in float64.
+
+        Its bounds are those of float64: a few ε of each variance, and for each mean ε of itself and
+        10⁻⁸ standard deviations, which earlier steps may have moved it by.
+        """
         found = cls.first(Twofold(mean[..., None]), Twofold(cov), _LAST_DIGIT, _EPS)
         return found._replace(drift=found.drift + diagonal(_STEPS**2 * np.abs(variances(cov))))
 
     @property
     def moments(self) -> tuple[Array, Array]:
-        """The moments in float64, where there is no δ."""
+        """Mean (runs, n) and covariance (runs, n, n) in float64 of a belief without δ."""
         return moments(self, solved(Twofold.zeros((len(self.largest), 1, 1))))
 
     @property
     def parts(self) -> Array:
-        """The parts of variances that rounding may have changed, (runs, n)."""
+        """The shares of the variances that may be rounding, (runs, n); 0 of a variance of zero."""
         variance = variances(self.cov.hi)
         found: Array = variances(self.rounding) / np.where(variance > 0.0, variance, np.inf)
         return found
 
     def error(self, parts: Array | None = None) -> Array:
-        """The change of a mean that rounding may have made, (runs,).
+        """The largest rounding error of a component's mean, in standard deviations, (runs,).
 
-        Counted from its deviation, or from 10⁻⁹ of the largest deviation that the component had,
-        where that is more: float64 cannot tell less than 10⁻¹⁶ of it. The parts of variances that
-        rounding may have changed, (runs, n), count as much.
+        A mean's error is the root of its `drift`, or, if larger, `parts` (runs, n) times its
+        standard deviation: the shares of the variances that may be rounding, by default the
+        belief's. It is counted in that standard deviation, or, if larger, in 10⁻⁹ of the largest
+        one that the component had, since float64 cannot tell less than 10⁻¹⁶ of this.
         """
         variance = np.maximum(variances(self.cov.hi), 0.0)
         unit = np.sqrt(np.maximum(variance, _TOLD**2 * self.largest))
@@ -96,13 +107,17 @@ class Belief(NamedTuple):
         return found
 
     def shifted(self, mean: Array) -> Belief:
-        """The belief with its mean moved, by (runs, n)."""
+        """The belief with its mean moved by `mean`, (runs, n)."""
         columns = self.columns.copy()
         columns[..., 0] = columns[..., 0] + mean
         return self._replace(columns=columns)
 
     def certain(self) -> Belief:
-        """The belief with zeros where a variance may be rounding alone."""
+        """The belief with zero variances and covariances where a variance may be rounding alone.
+
+        That is, where it is no more than 100 times the bound of its rounding. If it was not zero
+        exactly, a millionth of this threshold is added to the error variance of the mean.
+        """
         floor = CLEAR * variances(self.rounding)
         open_ = np.abs(variances(self.cov.hi)) > floor
         if open_.all():
@@ -117,7 +132,11 @@ class Belief(NamedTuple):
 
 
 def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
-    """Arrays (runs, ...), nested in tuples, broadcast from the axes `before` of runs to `after`."""
+    """Arrays (runs, ...) broadcast from run axes `before` to `after`, and flattened again.
+
+    The axes are tuples of lengths, whose products are the numbers of runs. `value` is an array, a
+    `Twofold`, None, or a named tuple of these, which may be nested.
+    """
     if isinstance(value, np.ndarray):
         own = value.shape[1:]
         return np.broadcast_to(value.reshape(*before, *own), (*after, *own)).reshape(-1, *own)
@@ -127,9 +146,10 @@ def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
 
 
 def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
-    """The columns [m D], with zeros where entries of D are only rounding.
+    """The columns [m D] (..., n, 1 + q), with zeros where entries of D are only rounding.
 
-    An entry of D is only rounding if it is far smaller than the summands that cancelled.
+    That is, where one is below 10⁻²⁶ of the absolute values of its summands; these are the entries
+    of the arrays `summed`, of the same shape.
     """
     if columns.shape[-1] == 1:
         return columns
@@ -146,15 +166,18 @@ def diagonal(values: Array) -> Array:
 
 
 def rounded(matrix: Array, cov: Array, noise: Array | None = None) -> Array:
-    """A bound, as a covariance, of the rounding of F P Fᵀ, or of F P Fᵀ + noise."""
+    """A diagonal bound of the error that rounding makes in F P Fᵀ or F P Fᵀ + noise, (..., d, d).
+
+    F is `matrix` (..., d, n), P is `cov`; the product is in twice the digits.
+    """
     summed = _summed(matrix, cov)
     return diagonal(ROUNDING * (summed if noise is None else summed + np.abs(variances(noise))))
 
 
 def through(matrix: Array, bound: Array) -> Array:
-    """The bound F B Fᵀ on the error of F e, from the covariance-like bound B of e.
+    """The bound F B Fᵀ of the error of F P Fᵀ, or of F m, from a bound B of that of P, or of m.
 
-    A product that cancels keeps its size.
+    Its own rounding in float64 is added on the diagonal, so that it does not vanish by cancelling.
     """
     return sandwich(matrix, bound) + diagonal(_LAST_DIGIT * _summed(matrix, bound))
 
@@ -167,9 +190,10 @@ def _summed(matrix: Array, cov: Array) -> Array:
 
 
 class Move(NamedTuple):
-    """An affine conditional A x + b + n: (..., n, n), (..., n) and the covariance (..., n, n).
+    """An affine conditional A x + b + C δ + n of a slice given the one before.
 
-    `columns` are how it depends on δ, (..., n, q): not at all, but for a prior.
+    `matrix` A is (..., n, n), `offset` b (..., n), `cov` that of n (..., n, n). `columns` C is
+    (..., n, q), with q = 0 but for a flat prior.
     """
 
     matrix: Twofold
@@ -184,7 +208,10 @@ class Move(NamedTuple):
 
 @quiet()
 def predicted(belief: Belief, move: Move) -> Belief:
-    """The belief over the next slice, before its measurements."""
+    """The belief over the next slice before its measurements: A (m + D δ) + b and A P Aᵀ + Q.
+
+    Its bounds are found too; a variance that may be rounding alone becomes zero.
+    """
     matrix = move.matrix
     summed = np.abs(matrix.hi) @ np.abs(belief.columns.hi)
     columns = cancelled(matrix @ belief.columns, summed)
@@ -198,10 +225,11 @@ def predicted(belief: Belief, move: Move) -> Belief:
 
 
 class Solved(NamedTuple):
-    """An estimate of δ: [1 δ] (runs, 1 + q, 1), zero where nothing is known, and its covariance.
+    """The estimate of δ from measurements: `weights` [1 δ] (runs, 1 + q, 1), and its covariance.
 
-    `open` (runs, q, q) has directions in which nothing is known as columns, or zeros; `log_weight`
-    is what integrating δ out adds to the measurements' log-density.
+    `cov` is (runs, q, q). Along directions of which nothing is known both are zero, and `open`
+    (runs, q, q) has these as columns, with zeros in the others. `log_weight` (runs,) is added to
+    the measurements' log-density at δ = 0 to integrate δ out.
     """
 
     weights: Twofold
@@ -210,15 +238,17 @@ class Solved(NamedTuple):
     log_weight: Array
 
     def between(self, first: Belief, second: Belief) -> Twofold:
-        """The share of δ in the covariance of two slices, (runs, n, n)."""
+        """D₁ Cov(δ) D₂ᵀ: what δ adds to the cross-covariance of two slices, (runs, n, n)."""
         return first.columns[..., 1:] @ self.cov @ second.columns[..., 1:].mT
 
 
 def solved(whole: Twofold) -> Solved:
     """The estimate of δ from W = Σ [v V]ᵀ[v V] / S, (runs, 1 + q, 1 + q).
 
-    With M = Σ VᵀV / S and y = Σ Vᵀv / S it is δ = −M⁻¹y; its covariance M⁻¹. Where M is singular,
-    its determinant is the product of the eigenvalues that are not zero: the limit of priors κ I.
+    [v V] are the innovations of the measurements and S their variances. With M = Σ VᵀV / S and
+    y = Σ Vᵀv / S it is δ = −M⁻¹y, of covariance M⁻¹. Where M is singular, M⁻¹ is a generalised
+    inverse, and the determinant in the log-weight ½ (yᵀM⁻¹y − ln |M|) the product of the
+    eigenvalues that are not zero: the limit of priors N(0, κ I).
     """
     runs, size = whole.shape[0], whole.shape[-1] - 1
     weights = Twofold(np.zeros((runs, size + 1, 1)))
@@ -241,15 +271,15 @@ def solved(whole: Twofold) -> Solved:
 
 
 def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
-    """Mean and covariance; the variance of a component of which nothing is known is infinite."""
+    """Mean (runs, n) and covariance (runs, n, n), infinite variances of what is still unknown."""
     mean, spread = rounded_belief(belief, unknown)
     return mean, spread.shown
 
 
 def rounded_belief(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
-    """The mean (runs, n) and covariance P + D M⁺ Dᵀ, rounded to float64.
+    """The mean m + D δ (runs, n) and the covariance P + D Cov(δ) Dᵀ in float64, at an estimated δ.
 
-    Beside them stand the directions D O that are still unknown.
+    The covariance is a `Diffuse`, whose open directions are D O, for those of δ that are unknown.
     """
     mean, cov = (belief.columns @ unknown.weights).hi[..., 0], belief.cov
     if unknown.open.shape[-1]:
@@ -261,10 +291,11 @@ def rounded_belief(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
 
 
 class Component(NamedTuple):
-    """A component of a measurement, taken in: h, 1 − G h, the innovation [v V], and 1 / S.
+    """A scalar measurement z = h x + n that was taken in, with gain G and predictive variance S.
 
-    The gain and 1 / S are zero where nothing was learnt. Rounding may have changed S by `error`, G
-    by `blur`, and the mean through it by `drift`.
+    `row` is h (runs, n), `keep` 1 − G h (runs, n, n), `innovation` [v V] (runs, 1 + q), `weight`
+    1/S (runs,); G and 1/S are zero where nothing was learnt. Rounding may be the share `error`
+    (runs,) of S; it may have changed G by `blur` and the mean by `drift`, both (runs, n).
     """
 
     row: Twofold
@@ -279,7 +310,14 @@ class Component(NamedTuple):
 def take(
     belief: Belief, row: Twofold, value: Twofold, noise: Twofold, seen: Mask
 ) -> tuple[Belief, Component, Array, bool]:
-    """Update with one component; also its predictive variance, and whether that is indefinite."""
+    """Condition a belief on one scalar measurement z = h x + n, n ~ N(0, r), of each run.
+
+    `row` is h (runs, n), `value` z and `noise` r (runs,); `seen` (runs,) marks the runs that have
+    the measurement. An h P hᵀ that may be rounding alone counts as zero; where S is then zero,
+    nothing is learnt. Returns the updated belief; the measurement as a `Component`; the predictive
+    variances S = h P hᵀ + r (runs,); and whether in some run h P hᵀ or S is negative beyond
+    rounding or not finite, or a negative r, of a lineariser's error, leaves no S > 0.
+    """
     columns, cov, rounding, drift, _ = belief
     cross = (cov @ row[..., None])[..., 0]
     spread = row.dot(cross)
@@ -289,15 +327,15 @@ def take(
     floor = blurred + rounded(line, cov.hi)[:, 0, 0]
     negative = (np.minimum(spread.hi, spread.hi + noise.hi) < -CLEAR * floor).any()
     indefinite = bool(negative) or not np.isfinite(floor).all()
-    # What the belief leaves open may be rounding alone; the noise is none.
+    # h P hᵀ may be rounding alone; the noise variance is exact.
     open_ = spread.hi > CLEAR * floor
-    # And still say more of a component than rounding does, which would then be lost.
+    # Even so P hᵀ may hold more than rounding of a component: that is lost with it.
     said = np.sqrt(np.maximum(variances(rounding) * blurred[:, None], 0.0))
     said = said + ROUNDING * (np.abs(cov.hi) @ np.abs(row.hi)[..., None])[..., 0]
     said = (np.abs(cross.hi) > CLEAR * said) & ~open_[:, None]
     cross = extended.where(open_[:, None], cross, 0.0)
     predictive = extended.where(open_, spread, 0.0) + noise
-    # A lineariser's error may be negative, and take more than there is.
+    # A lineariser's error may be negative, and larger than h P hᵀ and the CPD's own noise.
     indefinite |= bool((seen & (noise.hi < 0.0) & (predictive.hi <= 0.0)).any())
     read = seen & (predictive.hi > 0.0)
     weight = extended.where(read, 1.0 / extended.where(read, predictive, 1.0), 0.0)
@@ -334,10 +372,12 @@ def take(
 
 
 def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twofold, Twofold, Mask]:
-    """Measurement components with independent errors: rows, variances and a mask.
+    """The measurements of a step as D scalars z = h x + n with independent errors.
 
-    Rows (runs, D, n + 1) are h and the measurement less the CPD's offset; `noises` (runs, D) are
-    variances.
+    Returns the rows [h z] (runs, D, n + 1), their variances (runs, D), and the mask (runs, D) of
+    those that were measured; others are zero. `width` is n, h is over the slice, and z less the
+    CPD's offset. With a noise covariance R = U diag(r) Uᵀ that has correlations, rows are
+    multiplied by U⁻¹.
     """
     height = sum(len(seen.value) for seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))
@@ -362,5 +402,5 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array with the runs as first axis, (runs, ...); an array of one run gets that axis."""
+    """An array (own axes, *batch) as (runs or 1, own axes); `own` is the number of own axes."""
     return array[None] if array.ndim == own else components_last(array, own)

@@ -18,8 +18,8 @@ balanced tree composes multiply such losses, hence their limit is lower, `GENTLE
 
 Means have a test of their own. A mean is rounded to ε times the largest number that it came from,
 which may stand at another step: a start of 10⁸ m, say, for a state that is known to 1 mm later. The
-rounding ε |m| / σ, in deviations, is carried along the chain. It counts where it is more than
-3·10⁻⁸ and 30 times the rounding that the mean has by its own size.
+rounding ε |m| / σ, in standard deviations, is carried along the chain. It counts where it is more
+than 3·10⁻⁸ and 30 times the rounding that the mean has by its own size.
 
 A smoothed covariance is tested for the rounding of the reversed conditionals, too; see
 `reversal_rounding`.
@@ -42,12 +42,13 @@ from pgm.kernels.arrays import Array, apply, deviation, sandwich, variances
 MODERATE = 2e7
 # A stricter ratio, for covariances from which segments of a balanced tree are composed.
 GENTLE = 4e6
-# Rounding of a mean, in its deviations, that counts where numbers are so many times smaller.
+# Standard deviations of a mean's rounding that count elsewhere, where they are so many times more
+# than the rounding of the mean there.
 _COUNTS, _FARTHER = 3e-8, 30.0
-# The part of a deviation that rounding of a mean may be, of a belief that goes on in float64.
+# The standard deviations that a mean's rounding may be, if its belief is to go on in float64.
 _TOLD = 1e-8
 _EPS = float(np.finfo(np.float64).eps)
-# The same part for a mean that an online filter steps from; FAR is that mean², in its variance.
+# The same for a mean that an online filter steps from: mean² is then at most FAR variances.
 SHARE = 1e-5
 FAR = (SHARE / _EPS) ** 2
 
@@ -58,9 +59,11 @@ def is_flat(plan: ChainPlan) -> bool:
 
 
 def is_ordinary(mean: Array, cov: Array, share: float = _TOLD) -> bool:
-    """Whether float64 can carry beliefs: covariances (..., n, n), and means beside deviations.
+    """Whether float64 has digits enough for beliefs of means (..., n), covariances (..., n, n).
 
-    The rounding of a mean may be so large a share of its deviation.
+    Covariances are finite, each component keeps over 1 / `MODERATE` of its variance given those
+    before it, and the rounding ε |m| of a mean is at most the part `share` of its standard
+    deviation.
     """
     if not np.isfinite(cov).all() or not roots.is_regular(cov, 1.0 / MODERATE):
         return False
@@ -68,7 +71,11 @@ def is_ordinary(mean: Array, cov: Array, share: float = _TOLD) -> bool:
 
 
 def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:
-    """Whether a forward pass, and the covariances that a smoother made of it, kept their digits."""
+    """Whether a forward pass, and the covariances that a smoother made of it, kept their digits.
+
+    `smoothed` is (T+1, runs, n, n), or None after a filter; the plan is as it was linearised for
+    the pass. Of a `Filtered` only means, and what its `Watch` has seen, are judged.
+    """
     with np.errstate(all="ignore"):  # a ratio of what is not finite is no moderate one
         if swept.far and _means_sink(swept, both=smoothed is not None):
             return False
@@ -86,17 +93,23 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
 
 
 def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
-    """Whether segments about these covariances, before and after measurements, compose well."""
+    """Whether segments of a chain with these covariances compose without a loss of digits.
+
+    They are the predicted and the filtered ones, (T+1, runs, n, n). No measurement leaves less than
+    1 / `limit` of a variance, and each component keeps over 1 / `limit` of its variance given those
+    before it.
+    """
     with np.errstate(all="ignore"):
         stands = _hold(predicted, known, limit)
         return stands and _is_regular(predicted, limit) and _is_regular(known, limit)
 
 
 def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
-    """Whether a mean comes from numbers so large that its last digits count where it is small.
+    """Whether the rounding of a mean that is large at one step counts at another one.
 
-    The error of a mean is ε |mean|: in deviations ε |mean| / σ. It is carried along the chain, and
-    stays at most as many deviations at later steps, and with `both` at earlier ones.
+    A mean is off by ε |m| / σ standard deviations. The error is carried along the chain, and is at
+    most as many standard deviations at later steps, and with `both`, after smoothing, at earlier
+    ones. It counts where it is over 3·10⁻⁸ and over 30 times the rounding of the step's own means.
     """
     mean, left = swept.mean, variances(swept.cov)
     axes = tuple(range(mean.ndim - 1))
@@ -114,9 +127,9 @@ def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
 
 
 def _is_regular(cov: Array, limit: float) -> bool:
-    """Whether in all beliefs (T+1, runs, n, n) each component has a share 1 / `limit` of its own.
+    """Whether each component keeps over 1 / `limit` of its variance given those before it.
 
-    That is, the part of its variance that the components before it leave open.
+    Of all covariances (T+1, runs, n, n).
     """
     size = cov.shape[-1]
     last = np.moveaxis(cov, (-2, -1), (0, 1)).reshape(size, size, -1)
@@ -136,10 +149,11 @@ def _hold(before: Array, after: Array, limit: float) -> bool:
 
 
 def _told_apart(plan: ChainPlan, swept: Forward) -> bool:
-    """Whether innovations of measurements without noise keep enough digits of their variances.
+    """Whether innovations of sensors with singular noise keep enough digits of their variances.
 
-    The variance that the readings before it leave open of one, its pivot in H P Hᵀ + R, is compared
-    with (Σⱼ |hⱼ| σⱼ)², the largest summands that it is the difference of.
+    The variance of component j given those before it, its pivot L_jj² in H P Hᵀ + R = L Lᵀ, may be
+    `MODERATE` times smaller than (Σ_i |H_ji| σ_i)² + R_jj, which bounds the summands of the
+    differences that it is found from.
     """
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:

@@ -1,17 +1,24 @@
 """The digits of means that sigma points close together leave, in coordinates far from zero.
 
-The value of a linearisation is Σ w f(x) over a rule's points. Where weights are large and of both
-signs, as the 1/α² of ``Unscented(alpha)``, it is a difference, and the last digits of each f(x) and
-x, far from zero, grow by as much. With F the slope at a mean μ and y the value there, rounding is
+The value of a linearisation is Σ w f(x) over a rule's points x with weights w. Where weights are
+large and of both signs, as the 1/α² of ``Unscented(alpha)``, it is a difference, and the rounding
+of each f(x) and x, far from zero, grows by as much. With F the slope at a mean μ and y the value
+there, rounding is
 
-    e = ε √(Σ w² + ...) √(y² + Σ_j (F_j μ_j)²),
+    e = ε c √(y² + Σ_j (F_j μ_j)²),    c = √(Σ w² + ...),
 
-for independent errors of all values and points (`Points.cancellation`). It shifts a prediction by
-e/σ of its deviations, and by a measurement of noise R, of which HPHᵀ is known before, a belief by
-at most e/√R √(HPHᵀ/(HPHᵀ + R)) of what it has left. Shares add up as squares do, and are forgotten
-as a filter forgets: ν_t = ρ_t ν_{t−1} + Σ share², with ρ the largest share of a variance that is
-not new, P_{t−1}/P_t⁻, times what a measurement leaves of it, P_t/P_t⁻. All smoothed beliefs are
-sums of filtered ones and later measurements, and no worse in their own deviations.
+for independent errors of all values and points; c is `Points.cancellation`.
+
+A *share* is the part of a standard deviation by which one linearisation's rounding may move a mean.
+That of a prediction of standard deviation σ is e/σ. That of a measurement of noise variance R, if
+the belief before it has HPHᵀ, is at most e/√R √(HPHᵀ/(HPHᵀ + R)), in standard deviations of the
+belief after it. Shares add up as squares, and are forgotten as a filter forgets:
+
+    ν_t = ρ_t ν_{t−1} + Σ share²,    ρ_t = max P_{t−1}/P_t⁻ · max P_t/P_t⁻,
+
+where the ratios are of each component's variances: the part of a predicted one that is not new, and
+the part that a measurement leaves. √ν_t is the error of step t. All smoothed beliefs are sums of
+filtered ones and later measurements, and no worse in their own standard deviations.
 """
 
 from __future__ import annotations
@@ -28,14 +35,16 @@ from pgm.kernels.arrays import Array, apply, block, sandwich, variances
 from pgm.kernels.prefixes import gather
 
 _EPS = float(np.finfo(np.float64).eps)
-# A part of a deviation, added up, of which nothing need be told.
+# An error of means, in standard deviations, of which nothing need be told.
 NOTHING = 1e-9
-# Where a deviation is a smaller part of one before, float64 tells nothing of it anyway.
+# A standard deviation below this part of an earlier one is taken for that part of it.
 _SUNK = 1e-9
 
 
 def error(plan: ChainPlan, swept: Forward | Filtered) -> Array | None:
-    """The part of a deviation by which means are off, (runs,); None where that is next to nothing.
+    """The standard deviations by which means may be off, (runs,): the largest √ν_t of all steps.
+
+    None where no rule has weights that cancel, or a bound at hand shows that it is below 10⁻⁹.
 
     Parameters
     ----------
@@ -69,9 +78,12 @@ def error(plan: ChainPlan, swept: Forward | Filtered) -> Array | None:
 
 
 def of_step(plan: ChainPlan, before: Moments, after: Moments, digits: Array | None) -> Array | None:
-    """The `error` after a step of an online filter, (runs,), from the digits that it had before.
+    """The `error` (runs,) after a step of an online filter, from the decimal digits it had before.
 
-    Slopes are not at hand: no component is taken to move a value by more than its deviations.
+    `before` and `after` are the beliefs that it went from and to; `digits` is None as long as none
+    were lost. Slopes are not at hand: the share of the step is
+    taken to be ε c |m| / σ of the component that is farthest from zero. None where no rule of the
+    step has weights that cancel, or, as long as none were lost, the error is below 10⁻⁹.
     """
     times = largest(families(plan))
     if not times:
@@ -85,18 +97,24 @@ def of_step(plan: ChainPlan, before: Moments, after: Moments, digits: Array | No
 
 
 def families(plan: ChainPlan) -> list[Family]:
-    """The families that a pass linearises."""
+    """The families of the prior, the transition, and the sensors that have measurements."""
     links = [link.family for link in (*plan.prior, *plan.transition)]
     return links + [sensor.family for sensor in plan.read]
 
 
 def largest(every: Iterable[Family]) -> float:
-    """The largest rounding of a linearisation, as a part of the value; 0 of rules that are safe."""
+    """The largest ε c of the families: the rounding of a linearised value, as a part of it.
+
+    It is 0 if no family has a rule with weights that cancel.
+    """
     return _EPS * max(map(cancellation, every), default=0.0)
 
 
 def _farthest(plan: ChainPlan, mean: Array, cov: Array) -> float:
-    """The most deviations that a mean or a reading is from zero, of components that have any."""
+    """The largest distance of a mean or a reading from zero, in standard deviations.
+
+    Those of a reading are of its noise; components with none do not count.
+    """
     farthest = _most(mean, np.maximum(variances(cov), 0.0))
     for sensor in plan.read:
         if cancellation(sensor.family):
@@ -106,18 +124,23 @@ def _farthest(plan: ChainPlan, mean: Array, cov: Array) -> float:
 
 
 def _most(values: Array, variance: Array) -> float:
+    """The largest |value| / √variance over the components whose variance is not zero."""
     open_ = variance > 0.0
     far = np.where(open_, np.abs(values) / np.sqrt(np.where(open_, variance, 1.0)), 0.0)
     return float(far.max(initial=0.0))
 
 
 def _predictions(plan: ChainPlan, ahead: Forward) -> Array:
-    """The shares² of all predictions, (T+1, runs)."""
+    """Σ (e/σ)² over the components of each step's prediction, (T+1, runs).
+
+    A σ of zero, or below 10⁻⁹ of the component's largest predicted one so far, is replaced by this
+    largest one, or by 10⁻⁹ of it, respectively.
+    """
     front, states = plan.layout.state_size, plan.layout.state_places
     added = np.zeros(ahead.predicted_mean.shape[:2])
     spread = np.maximum(variances(ahead.predicted_cov), 0.0)
     before = np.maximum.accumulate(spread, axis=0)
-    # What is certain has no deviation to count from but one that it had.
+    # What is certain has no standard deviation to count in but one that it had before.
     unit = np.sqrt(np.where(spread > 0.0, np.maximum(spread, _SUNK**2 * before), before))
     pairs = np.concatenate([ahead.mean[:-1][..., states], ahead.predicted_mean[1:]], axis=-1)
     each = [(link, ahead.predicted_mean[:1][..., states], 0) for link in plan.prior]
@@ -135,7 +158,10 @@ def _predictions(plan: ChainPlan, ahead: Forward) -> Array:
 
 
 def _rounding(family: Family, times: float, mean: Array) -> Array:
-    """The rounding e of a linearisation's value at means (rows, runs, n) of hidden parents."""
+    """The rounding e (rows, runs, d) of a linearised value, at means (rows, runs, n) of parents.
+
+    `times` is c, the rule's `cancellation`.
+    """
     matrix = family.matrix
     value = apply(matrix, mean) + family.offset
     found: Array = _EPS * times * np.sqrt(value**2 + ((matrix * mean[..., None, :]) ** 2).sum(-1))
@@ -143,9 +169,10 @@ def _rounding(family: Family, times: float, mean: Array) -> Array:
 
 
 def _of_reading(moved: Array, family: Family, cov: Array, noise: Array) -> Array:
-    """The shares² of measurements, from rounding (rows, runs, d) and what was known before.
+    """The squared shares of measurements, e²/R · HPHᵀ/(HPHᵀ + R), (rows, runs, d).
 
-    One without noise leaves no deviation to count from but that before it.
+    `moved` is e (rows, runs, d), `cov` P of the parents before, `noise` the variances R. A
+    component without noise leaves no variance to count in, and HPHᵀ takes the place of R.
     """
     known = np.maximum(variances(sandwich(family.matrix, cov)), 0.0)
     floor = np.where(noise > 0.0, noise, known)
@@ -155,7 +182,7 @@ def _of_reading(moved: Array, family: Family, cov: Array, noise: Array) -> Array
 
 
 def _kept(ahead: Forward, added: Array) -> Array:
-    """The largest √ν of all steps, (runs,)."""
+    """The largest √ν_t of all steps, (runs,), from each step's Σ share², `added` (T+1, runs)."""
     before, left = variances(ahead.predicted_cov), variances(ahead.cov)
     stays = _ratio(left[:-1], before[1:]) * _ratio(left[1:], before[1:])
     total = added[0]
@@ -168,7 +195,7 @@ def _kept(ahead: Forward, added: Array) -> Array:
 
 
 def _ratio(part: Array, whole: Array) -> Array:
-    """The largest part of a variance, at most one; none of a component without a variance."""
+    """The largest `part` / `whole` of variances (..., n), at most 1; 0 where `whole` is zero."""
     found = np.where(whole > 0.0, part / np.where(whole > 0.0, whole, 1.0), 0.0)
     stays: Array = np.asarray(np.minimum(found.max(axis=-1, initial=0.0), 1.0))
     return stays

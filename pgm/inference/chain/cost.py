@@ -1,8 +1,11 @@
-"""The cost of a trajectory: what every CPD leaves unexplained, in its own deviations.
+"""The cost of a trajectory, by which a step control judges its steps: −2 ln p less constants.
+
+It sums rᵀ Q⁺ r over the residuals r of all CPDs, Q being their noise covariances as they were
+linearised; of robust measurements twice their losses, 2 ρ. A residual is the child's mean less the
+mean that its CPD expects at the parents' belief.
 
 Linear CPDs with singular noise are obeyed exactly by all trajectories of finite cost, onto which
-others are projected. Their relations are C x + B x⁻ = c, a row for each component of the child;
-those that the noise leaves open are zero.
+others are projected (`exact_relations`).
 """
 
 from __future__ import annotations
@@ -30,9 +33,10 @@ from pgm.kernels.arrays import (
 
 
 def trajectory(plan: ChainPlan, at: Point) -> Array:
-    """The cost of the slices' means, (runs,).
+    """The cost of the trajectory of means `at.mean` (T+1, runs, n), (runs,).
 
-    A window adds the cost of its first slice under its prior.
+    Linearisers that take expectations over a belief take them with the covariances of `at`. A
+    window adds the cost of its first slice under the belief that it begins with.
     """
     total = np.zeros(plan.runs)
     if plan.begin is not None:
@@ -53,7 +57,11 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
 
 
 def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Array]]:
-    """Each family of prior and transition at all its steps: its parents' moments, its own mean."""
+    """The links of prior and transition, each with the moments of its parents and its child's mean.
+
+    Yields the link, the parents' means (rows, runs, n) and covariances (rows, runs, n, n), and the
+    child's means (rows, runs, d): one row of the prior, T of a transition.
+    """
     states = plan.layout.state_places
     mean, cov = at.start(states)
     for link in plan.prior:
@@ -67,7 +75,11 @@ def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Arr
 
 
 def _robust(sensor: Sensor, mean: Array, cov: Array) -> Array:
-    """The expected cost 2 Σ E[ρ(ν)] of robust measurements under the slices' beliefs, (runs,)."""
+    """Twice the losses of a robust sensor's measurements, 2 Σ ρ(s), (runs,).
+
+    s is the square of the residual in standard deviations of the noise, at the means (M, runs, n)
+    of the measurements' slices; with a lineariser that takes expectations, E[s] under the beliefs.
+    """
     family, parents, everything = sensor.family, sensor.parents, slice(None)
     if not mean.shape[0]:
         return np.zeros(mean.shape[1])
@@ -81,7 +93,10 @@ def _robust(sensor: Sensor, mean: Array, cov: Array) -> Array:
 
 
 def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
-    """The cost of some steps' measurements at beliefs over their slices, (k, runs, n): (runs,)."""
+    """The cost Σ rᵀ R⁺ r of a sensor's measurements `rows`, (runs,), at beliefs over their slices.
+
+    These are (k, runs, n) and (k, runs, n, n), one for each row; missing components do not count.
+    """
     family, parents = sensor.family, sensor.parents
     if not mean.shape[0]:
         return np.zeros(mean.shape[1])
@@ -95,7 +110,11 @@ def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
 
 
 def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
-    """The cost of sightings whose noise is correlated within a step, (runs,)."""
+    """The cost of sightings whose noise is correlated within a step, (runs,).
+
+    `left` has the residuals (k, runs, d) of the measurements `rows`; steps that have others too do
+    not count.
+    """
     runs, height = left.shape[1:]
     first, last, _ = rows.indices(len(sensor.values))
     total = np.zeros(runs)
@@ -116,7 +135,12 @@ def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
 
 
 def weighted(family: Family, residual: Array, cov: Array) -> Array:
-    """Σ rᵀ Σ⁺ r over the first axis; determined components and infinite variances do not count."""
+    """The sum of rᵀ C⁺ r over the first axis, (runs,), for residuals r of covariances C.
+
+    They are (k, runs, d) and (k, runs, d, d). Components of infinite variance, and those that
+    earlier ones determine, do not count. An indefinite C is refused with a NumericalError that
+    names the CPD.
+    """
     total = _squares(residual, cov)
     if total is None:
         raise NumericalError(
@@ -129,7 +153,7 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
 
 
 def _squares(residual: Array, cov: Array) -> Array | None:
-    """`weighted`; None where a covariance is indefinite."""
+    """The sum of `weighted`; None where a covariance is indefinite or not finite."""
     flat = np.isinf(np.einsum("...ii->...i", cov))
     if flat.any():
         residual = np.where(flat, 0.0, residual)
@@ -145,7 +169,11 @@ def _squares(residual: Array, cov: Array) -> Array | None:
 def require_cost(
     schedule: Filtering | Smoothing, families: Iterable[Family], *, first: bool = True
 ) -> None:
-    """Refuse nonlinear CPDs of singular noise, so of infinite cost, where this controls steps."""
+    """Refuse nonlinear CPDs of singular noise if steps are controlled by their cost.
+
+    It would be infinite nearly everywhere; the refusal is a ModelError. `first` says that the first
+    linearisation is a filter's, so that a schedule of one iteration has no step to control.
+    """
     once = first and schedule.iterations == 1
     if once or not isinstance(schedule.damping, LevenbergMarquardt):
         return
@@ -161,13 +189,16 @@ def require_cost(
 
 
 def _square(family: Family, mean: Array, expected: Array) -> Array:
-    """The cost of a CPD at means of its child and their expected values, (runs,)."""
+    """The cost of a CPD, (runs,), from means of its child and expected ones, (rows, runs, d)."""
     left = difference(mean, expected, family.cpd.child.angle_mask)
     return weighted(family, left, family.noise)
 
 
 def _expected(family: Family, rows: slice, mean: Array, cov: Array) -> Array:
-    """E[f(X)] for X ~ N(mean, cov), as the lineariser sees it; NaN where f is not defined."""
+    """E[f(X)] of a CPD at some rows, for its parents X ~ N(mean, cov), by its lineariser.
+
+    NaN where f is not defined.
+    """
     if family.exact:
         return family.value(rows, mean)
     function = family.bound(rows, mean.ndim - 1, mean.shape[:-1])

@@ -1,12 +1,13 @@
 """Diffuse beliefs: some directions have infinite variance; measurements inform along the others.
 
-Given a flat prior a belief is the limit of N(μ, P + κ O Oᵀ) as κ grows, the columns of O being what
-is still open. A measurement z = H x + n has an innovation ν = z − Hμ of covariance S + κ U Uᵀ, with
-S = H P Hᵀ + R and U = H O. With combinations N of components, N U = 0 and d − rank U rows,
+Given a flat prior a belief is the limit of N(μ, P + κ O Oᵀ) as κ grows; the columns of O are the
+directions of which nothing is known yet, the *open* ones. A measurement z = H x + n has an
+innovation ν = z − Hμ of covariance S + κ U Uᵀ, with S = H P Hᵀ + R and U = H O. With combinations N
+of components, N U = 0 and d − rank U rows,
 
     νᵀ (S + κ U Uᵀ)⁻¹ ν  →  (Nν)ᵀ (N S Nᵀ)⁻¹ Nν
 
-as κ → ∞, of as many degrees of freedom: what is known of d components by now (Koopman,
+as κ → ∞, of as many degrees of freedom as N has rows (Koopman,
 Exact initial Kalman filtering and smoothing for nonstationary time series models, 1997; Durbin &
 Koopman, 2012, 5.2 and 7.2). A component is unknown where its row of U is not zero; of two that are,
 a difference may be known.
@@ -31,17 +32,18 @@ from pgm.kernels.arrays import (
 )
 from pgm.kernels.roots import NEGLIGIBLE
 
-# The share of what was summed up below which an entry is rounding, as U is eliminated.
+# In the elimination of U an entry below this share of its summands is rounding.
 _RANK = 1e-10
-# A component without noise counts as one whose deviation is this share of its dependence.
+# A component without noise counts as if its noise's standard deviation were this share of the
+# largest entry of its row of U.
 _EXACT = 1e-8
 
 
 class Diffuse(NamedTuple):
     """The covariances of beliefs P + κ O Oᵀ, in the limit of an infinite κ.
 
-    `cov` P is (..., n, n), `open` O (..., n, q), zero where all is known, and `size` (..., n, q)
-    what was summed up to O, of which a part of 10⁻¹³ may be rounding.
+    `cov` P is (..., n, n), `open` O (..., n, q), zero where all is known. `size` (..., n, q) are
+    the summands of O in absolute values, of which a share of 10⁻¹³ may be rounding.
     """
 
     cov: Array
@@ -50,12 +52,12 @@ class Diffuse(NamedTuple):
 
     @property
     def unknown(self) -> Mask:
-        """The components of which something is unknown, (..., n)."""
+        """The mask (..., n) of components of infinite variance: their row of O is not zero."""
         return np.asarray(np.any(self.open, axis=-1))
 
     @property
     def shown(self) -> Array:
-        """The covariance as results have it: infinite variances, and no covariance with others."""
+        """The covariance as users see it: an unknown component has variance ∞, covariances of 0."""
         unknown = self.unknown
         if not unknown.any():
             return self.cov
@@ -71,7 +73,7 @@ class Diffuse(NamedTuple):
         )
 
     def at(self, rows: Index) -> Diffuse:
-        """The beliefs at some of the first axis."""
+        """The beliefs at some rows of the first axis, which are steps."""
         return Diffuse(*(part[rows] for part in self))
 
     def reach(self, matrix: Array) -> Array:
@@ -84,10 +86,12 @@ class Diffuse(NamedTuple):
     def innovations(
         self, matrix: Array, residual: Array, noise: Array
     ) -> tuple[Array, Array, Integers]:
-        """The innovations (..., d) of measurements, their covariances, and how much is unknown.
+        """The innovations (..., d) of measurements z = H x + n, their covariances, and rank U.
 
-        Where U is not zero they are Nν and N S Nᵀ, with zeros of unit variance in place of the
-        `rank U` (...) components that are unknown.
+        `matrix` is H (..., d, n), `residual` ν = z − Hμ, `noise` R (..., d, d). Where U = H O is
+        zero they are ν and S. Else they are Nν and N S Nᵀ, with zeros of unit variance in place of
+        the rank U (...) combinations that are unknown: νᵀS⁻¹ν is then that of d − rank U
+        components.
         """
         reach = self.reach(matrix)
         lead = reach.shape[:-2]
@@ -103,7 +107,7 @@ class Diffuse(NamedTuple):
             for part in (matrix, noise, self.cov)
         )
         turn, known = _combined(reach[lost], noise)
-        # What H sums up is turned before P enters: what is open may have a large P.
+        # N H comes before P, which may be large along what is unknown.
         turned = sandwich(turn @ matrix, cov) + sandwich(turn, noise)
         residual[lost] = np.where(known, apply(turn, residual[lost]), 0.0)
         spread[lost] = independent(turned, known)
@@ -112,11 +116,12 @@ class Diffuse(NamedTuple):
 
 
 def _combined(reach: Array, noise: Array) -> tuple[Array, Mask]:
-    """Combinations N (k, d, d) of components; the `known` ones (k, d) have N U = 0.
+    """Combinations N (k, d, d) of measured components, and the mask (k, d) of rows with N U = 0.
 
-    Gauss's elimination of U (k, d, q), in deviations of the noise (k, d, d): the components that
-    say the most of what is open are taken out of the others, by factors of one at the most, so that
-    precise ones are not lost among the rest.
+    They come from the elimination of U, `reach` (k, d, q), by rows in units of the standard
+    deviations of their noise (k, d, d). The component that depends most on an unknown direction is
+    the pivot, whose row of N is masked out; it is subtracted from the others by factors of one at
+    the most, so that precise components are not lost among imprecise ones.
     """
     own, largest = variances(noise), np.abs(reach).max(axis=-1)
     exact = _EXACT * np.where(largest > 0.0, largest, 1.0)

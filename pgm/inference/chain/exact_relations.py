@@ -1,4 +1,10 @@
-"""Project trajectories onto the noise-free relations of a model, the nearest that satisfy all."""
+"""Project trajectories onto the noise-free relations of a model, the nearest that satisfy all.
+
+Where the noise of a linear CPD or measurement is singular, its slices obey relations
+C x[t] + B x[t − 1] = c exactly. The moves of the means that obey them, of least length in given
+units, solve block tridiagonal normal equations in which relations that are missed weigh a great
+deal (a quadratic penalty).
+"""
 
 from __future__ import annotations
 
@@ -22,16 +28,18 @@ from pgm.kernels.tridiagonal import Tridiagonal
 
 # A relation that is missed by no more than this part of the numbers in it is obeyed.
 OBEYED = 1e-10
-# The weights of relations of unit length against moves in units, pass after pass.
+# The weights of relations of unit length, against squared moves in units, pass after pass.
 _WEIGHTS = (1e8, 1e8, 1e10, 1e10, 1e12, 1e12, *(1e14,) * 6)
-# A deviation below this part of the numbers' size may be rounding.
+# A standard deviation below this part of the numbers' size may be rounding.
 _ROUNDING = 1e-7
 
 
 class Relation(NamedTuple):
     """Noise-free relations C x[t] + B x[t − 1] = c of one CPD at k steps.
 
-    C and B are (k, runs, d, n), for n components of a slice.
+    `step` t is (k,), `own` C and `before` B (k, runs, d, n) over the n components of a slice,
+    `value` c (k, runs, d). There is a row for each component of the child; it is zero if the
+    component has noise that those before it do not determine.
     """
 
     step: Integers
@@ -40,7 +48,10 @@ class Relation(NamedTuple):
     value: Array
 
     def missed(self, mean: Array) -> tuple[Array, Array]:
-        """The residual of each row at a trajectory (T+1, runs, n), and the size of its numbers."""
+        """The residuals c − C x[t] − B x[t − 1], (k, runs, d), at a trajectory (T+1, runs, n).
+
+        Second are the sums of the absolute values of their summands.
+        """
         here, earlier = mean[self.step], mean[self.step - 1]
         left = self.value - apply(self.own, here) - apply(self.before, earlier)
         size = np.abs(self.value) + apply(np.abs(self.own), np.abs(here))
@@ -48,11 +59,11 @@ class Relation(NamedTuple):
 
 
 def projected(plan: ChainPlan, mean: Array, std: Array) -> tuple[Array, Mask]:
-    """The trajectories nearest to means (T+1, runs, n) that obey all exact relations.
+    """The trajectories nearest to means (T+1, runs, n) that obey all relations, and which do.
 
-    Means that obey stay. Distances are in each component's largest deviation `std`, or, where that
-    is rounding, in the size of its numbers. The mask (runs,) is false where rounding has left them
-    astray.
+    Runs that obey already stay. A component's moves are measured in its largest standard deviation,
+    of `std` (T+1, runs, n), or, where that may be rounding, in its largest number, at least one.
+    The mask (runs,) is false where rounding has left a relation missed.
     """
     relations = list(_relations(plan))
     obeyed = _obeyed(relations, mean)
@@ -82,7 +93,11 @@ def _obeyed(relations: list[Relation], mean: Array) -> Mask:
 
 
 def _equations(relations: list[Relation], mean: Array, unit: Array, weight: float) -> Tridiagonal:
-    """The equations of the moves ξ, in units, that minimise |ξ|² + w |relations missed|²."""
+    """The normal equations of the moves ξ that minimise |ξ|² + w Σ |residual|², (T+1, runs, n).
+
+    ξ is in `unit` (runs, n), w the `weight`; each row of a relation is scaled to unit length in
+    these units. `mean` is the trajectory that moves.
+    """
     steps, runs, size = mean.shape
     diagonal = np.zeros((steps, runs, size, size)) + np.eye(size)
     above, right = np.zeros((steps - 1, runs, size, size)), np.zeros((steps, runs, size))
@@ -105,9 +120,9 @@ def _equations(relations: list[Relation], mean: Array, unit: Array, weight: floa
 
 
 def _relations(plan: ChainPlan) -> Iterator[Relation]:
-    """Relations from the noise-free rows of all linear CPDs and measurements.
+    """The relations of all linear CPDs and measurements with singular noise.
 
-    With noise L Lᵀ, (I − L L⁺) (y − F p − b) = 0.
+    With noise covariance L Lᵀ a child y of parents p obeys (I − L L⁺) (y − F p − b) = 0.
     """
     layout = plan.layout
     states, front, size = layout.state_places, layout.state_size, layout.slice_size
@@ -136,7 +151,10 @@ def _relations(plan: ChainPlan) -> Iterator[Relation]:
 
 
 def _left_open(family: Family, noise: Array) -> Array | None:
-    """I − L L⁺ for the noise L Lᵀ of a linear CPD, zero in rows of pivots; None where regular."""
+    """I − L L⁺ (..., d, d) for a noise covariance L Lᵀ, with zero rows where L has a pivot.
+
+    None if the covariance is regular, or the CPD nonlinear.
+    """
     lower = roots.root(noise)
     fixed = roots.determined(lower)
     if not family.exact or not fixed.any():
@@ -147,7 +165,10 @@ def _left_open(family: Family, noise: Array) -> Array | None:
 
 
 def _row(link: Link, free: Array, width: int) -> tuple[Array, Array]:
-    """The relation of a link over the vector of its parents and child, and its right side."""
+    """The relation of a link: coefficients (rows, runs, d, width) and right side (rows, runs, d).
+
+    `free` is I − L L⁺; `width` the length of the vector in which parents and child stand.
+    """
     family = link.family
     row = np.zeros((*family.shape[:3], width))
     row[..., link.child] = np.eye(family.shape[2])

@@ -1,4 +1,8 @@
-"""The smoothed beliefs of each CPD's family, of all its rows at once."""
+"""The smoothed beliefs of each CPD's family, of all its rows at once.
+
+A family is a CPD with its hidden parents and its child. Its rows are the steps of a transition, the
+sightings of a sensor; a prior has one.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +22,8 @@ from pgm.kernels.arrays import Array, Index, Mask, block, quiet
 class FamilyBelief(NamedTuple):
     """The joint belief (rows, runs, n) of a CPD's hidden parents and, if hidden, its child.
 
-    `values` (rows, runs or 1, d) are a sensor's measurements, `taken` which components were; None
-    for all.
+    `values` (rows, runs or 1, d) are the measurements of a sensor, None of another CPD; `taken` is
+    the mask of the components measured, None for all.
     """
 
     family: Family
@@ -31,7 +35,7 @@ class FamilyBelief(NamedTuple):
 
 @quiet()
 def family_beliefs(posterior: ChainPosterior) -> dict[CPD, FamilyBelief]:
-    """The belief of each family that has rows, by CPD, given all measurements, after smoothing."""
+    """The belief of each family that has rows, by CPD, from a smoothed posterior."""
     plan, beliefs = posterior._plan, posterior._beliefs
     layout, places = plan.layout, plan.layout.state_places
     found: dict[CPD, FamilyBelief] = {}
@@ -56,7 +60,7 @@ def family_beliefs(posterior: ChainPosterior) -> dict[CPD, FamilyBelief]:
 
 
 def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
-    """The belief of a family whose variables stand in one vector of moments."""
+    """The belief of a family, whose components are the places `chosen` of a vector of moments."""
     mean, cov = moments.mean[..., chosen], block(moments.cov, chosen, chosen)
     return FamilyBelief(family, mean, cov, None, None)
 

@@ -1,9 +1,10 @@
 """Fixed-lag smoothing: each belief knows the measurements of some further steps.
 
-With one linearisation the filter's forward pass is reversed, and beliefs go back by a lag, all
-steps at once. With more, a window slides along the chain: it is linearised and smoothed until that
-settles, from the belief at its first step that the window before has left, so that no measurement
-counts twice; in twice the digits where float64 has too few.
+With one linearisation the filter's forward pass is reversed, and beliefs go back by the lag, all
+steps at once. With more, a window slides along the chain. That of step s has the steps s − lag to
+s; it begins with the belief at s − lag given the measurements up to there, as the window before has
+left it, so that no measurement counts twice. It is linearised and smoothed until that settles, in
+twice the digits (pairs of float64) where float64 has too few.
 """
 
 from __future__ import annotations
@@ -37,9 +38,10 @@ from pgm.progress import counted
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """The results of the windows of a chain, each at its newest step, (T+1, runs, ...).
+    """What each window of a chain has found at its newest step, (T+1, runs, ...).
 
-    `plain` says whether float64 had digits enough for all of them.
+    `newest` are the beliefs, `log_evidence` (T+1, runs) is that of the measurements up to the step;
+    `plain` says whether float64 had digits enough for all windows.
     """
 
     newest: Beliefs
@@ -51,9 +53,10 @@ class Windows:
 class Lagged:
     """Beliefs given the measurements up to a lag after each step.
 
-    `forward` is the pass of the last linearisations, `reverse` its reverse, if needed. `windows` is
-    None, and `careful` may be there, where everything was linearised once. `error` (runs,) is of
-    the means, where anything was solved in twice the digits; see `Belief.error`.
+    `forward` is the forward pass with the last linearisations. With one linearisation, `reverse` is
+    the chain reversed in float64, or else `careful` the pass in twice the digits; with more, both
+    are None, and `windows` has what the windows found. `error` (runs,) is that of the means,
+    `Belief.error`, where anything was solved in twice the digits.
     """
 
     forward: Forward
@@ -65,12 +68,12 @@ class Lagged:
 
 
 def slides(plan: ChainPlan, schedule: FixedLag) -> bool:
-    """Whether there is anything to iterate."""
+    """Whether windows slide: the schedule iterates, and a CPD is nonlinear or of robust noise."""
     return schedule.iterations > 1 and not plan.exact
 
 
 def smooth(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
-    """Linearise once, in float64."""
+    """The beliefs with one linearisation, that of the filter, in float64; and its status."""
     ahead, _ = forward.run(plan, schedule.first)
     reverse = Reverse.make(plan, ahead)
     found = Lagged(ahead, backward.lagged(ahead, reverse, schedule.lag), reverse)
@@ -78,7 +81,7 @@ def smooth(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 
 def carefully(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
-    """Linearise once, in twice the digits."""
+    """The beliefs with one linearisation, that of the filter, in twice the digits; its status."""
     swept, _ = careful.sweep(plan, schedule.first)
     made = CarefulSmoothed.of(plan, swept, schedule.lag)
     found = Lagged(swept.forward, made.beliefs, careful=swept, error=made.error)
@@ -86,7 +89,10 @@ def carefully(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 
 def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
-    """Slide a window along the chain."""
+    """The beliefs by a window that slides along the chain and is iterated at each step; its status.
+
+    The plan keeps the last linearisation of each CPD.
+    """
     if compiled.is_used(plan):
         plan.account.leave(WINDOWS)
     cost.require_cost(schedule.smoothing, plan.families)
@@ -125,7 +131,11 @@ class _Record:
         self.diffuse: Diffuse | None = None
 
     def leave(self, window: Window) -> None:
-        """Add the log-evidence of the steps that leave the window, (runs,)."""
+        """Add to `left` the log-evidence of the measurements that the next window begins with.
+
+        They are those of the first two steps of `window`, or of its second one, if it began with a
+        belief given those of its first.
+        """
         self.left = self.left + window.ahead.log_density[:2].sum(axis=0)
 
     def keep(self, first: int, window: Window) -> None:
@@ -151,7 +161,10 @@ class _Record:
             self.error = error if self.error is None else np.maximum(self.error, error)
 
     def _keep_open(self, new: slice, ahead: Forward, begun: int) -> None:
-        """Keep the predictions' unknown directions at some steps, if there are any."""
+        """Keep the `Diffuse` covariances of the predictions at the steps `new`, if there are any.
+
+        They are those of a window's forward pass from row `begun` on.
+        """
         if ahead.diffuse is not None and self.diffuse is None:
             shape, size = self.forward.mean.shape, ahead.diffuse.open.shape[-1]
             cov = stacked(shape[:2], shape[2:] * 2)
@@ -176,8 +189,8 @@ class _Record:
 class Beginning(NamedTuple):
     """The belief (runs, n) at a window's first step, given the measurements up to there.
 
-    `careful` is the same where twice the digits found it: rounded to float64 it may be ordinary,
-    and too little for a later window to be solved in twice the digits.
+    `careful` is the same belief in twice the digits, where it was found so: in float64 it may do
+    for a window, and yet have too few digits for a later one that is solved in twice the digits.
     """
 
     mean: Array
@@ -186,7 +199,7 @@ class Beginning(NamedTuple):
 
     @property
     def plain(self) -> bool:
-        """Whether float64 can carry it."""
+        """Whether float64 has digits enough for it."""
         return self.careful is None or certificate.is_ordinary(self.mean, self.cov)
 
     def over(self, runs: int) -> Beginning:
@@ -195,7 +208,7 @@ class Beginning(NamedTuple):
         return found
 
     def cut(self, plan: ChainPlan, first: int, last: int) -> ChainPlan:
-        """The plan of a window of steps that begins here."""
+        """The plan of the steps first..last, which begins with this belief in place of a prior."""
         begin = self.over(plan.runs)
         mean, cov, _ = Moments.of(plan, begin.mean, begin.cov)
         return plan.window(first, last, (mean, cov))
@@ -210,10 +223,11 @@ class Beginning(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A window after its last iteration.
+    """A window after its last iteration: its forward pass `ahead`, and its smoothed `beliefs`.
 
-    The step control held `beliefs.mean` back by `moved` (steps, runs, n); `careful` is the solution
-    in twice the digits, where float64 had too few.
+    `moved` (steps, runs, n) is `beliefs.mean` less the means of the last solution, zero unless step
+    control held them back. `careful` is the solution in twice the digits, where float64 had too
+    few.
     """
 
     plan: ChainPlan
@@ -225,9 +239,9 @@ class Window:
     careful: CarefulSmoothed | None
 
     def at(self, row: int) -> Beginning:
-        """The belief at a row given the measurements there, for another window to begin with.
+        """The belief at a row given the measurements up to there, for another window to begin with.
 
-        A mean that the step control held back is held back here as much.
+        Its mean is moved by `moved`, too.
         """
         mean, cov = self.ahead.mean[row] + self.moved[row], self.ahead.cov[row]
         if self.careful is None:
@@ -238,9 +252,9 @@ class Window:
 
 
 class SingleStep(NamedTuple):
-    """The newest step of a window, its CPDs linearised as a filter does.
+    """One step of a filter, the newest of a window: its plan, linearised, and its forward pass.
 
-    `error` (runs,) is of the means, where it took twice the digits.
+    `error` (runs,) is that of the means, `Belief.error`, where it took twice the digits; else None.
     """
 
     plan: ChainPlan
@@ -251,7 +265,11 @@ class SingleStep(NamedTuple):
 def filter_step(
     plan: ChainPlan, step: int, begin: Beginning | None, schedule: Filtering = ONCE
 ) -> SingleStep:
-    """Filter one step: its transition and its measurements, from the belief before."""
+    """Filter one step, its transition and its measurements, from `begin`, the belief before.
+
+    Step 0, with None for `begin`, has the prior in place of a transition. It is filtered in twice
+    the digits where float64 has too few.
+    """
     first = max(step - 1, 0)
     alone, begin = _cut(plan, first, step, begin)
     if _is_plain(alone, begin):
@@ -270,7 +288,11 @@ def filter_step(
 def iterate_window(
     plan: ChainPlan, first: int, last: int, begin: Beginning | None, schedule: FixedLag
 ) -> Window:
-    """Iterate on a window of steps, all of whose CPDs have been linearised."""
+    """Smooth the window of the steps first..last, linearised again and again until it settles.
+
+    `begin` is the belief at its first step, None for the prior. All of its CPDs have been
+    linearised before. It is solved in twice the digits where float64 has too few.
+    """
     part, begin = _cut(plan, first, last, begin)
     if _is_plain(part, begin):
         try:
@@ -294,14 +316,17 @@ def iterate_window(
 def _cut(
     plan: ChainPlan, first: int, last: int, begin: Beginning | None
 ) -> tuple[ChainPlan, Beginning | None]:
-    """The plan of steps first..last, and its first belief; both have the prior if none is given."""
+    """The plan of the steps first..last, and the belief it begins with, for each of its runs.
+
+    None stands for the prior.
+    """
     if begin is None:
         return plan.window(first, last), None
     return begin.cut(plan, first, last), begin.over(plan.runs)
 
 
 def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
-    """Whether float64 can solve a window: no infinite prior variance, and a plain beginning."""
+    """Whether float64 may solve a window: its prior is finite, its beginning, if any, `plain`."""
     return not certificate.is_flat(plan) and (begin is None or begin.plain)
 
 

@@ -1,4 +1,8 @@
-"""The forward pass: messages in moment form, from cluster 0 to cluster T, and their record."""
+"""The forward pass: messages in moment form, from cluster 0 to cluster T, and their record.
+
+A step's belief is *predicted* before its measurements and *known* after them. Records are (T+1,
+runs, ...); a sweep works on arrays with the runs last, and without that axis if there is one run.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +32,14 @@ from pgm.kernels.arrays import Array, stacked, vacant
 from pgm.progress import counted
 from pgm.resources import retain
 
-# From this many runs on, only the beliefs of a filter are kept until something else is asked for.
+# From this many runs on, only the known beliefs of a filter are kept; predictions are found by a
+# second sweep, if they are asked for.
 MANY = 8
-# And so many runs at a time: what a step touches then stays in a cache of some megabytes.
+# Such a filter sweeps at most so many runs at a time: what a step touches then stays in a cache of
+# some megabytes.
 MOST = 10_000
-# Between measurements that are mild, beliefs are looked at every so many steps, at the last, and
-# where a variance has grown by so much since.
+# Between mild measurements a `Watch` looks at beliefs every so many steps, at the last, and where a
+# variance has grown by this factor since.
 _EVERY, _GROWN = 8, 1e2
 # Means, covariances, and log-densities of a record.
 Arrays = tuple[Array, ...]
@@ -41,12 +47,13 @@ Arrays = tuple[Array, ...]
 
 @dataclass(frozen=True, eq=False)
 class Forward:
-    """The beliefs of a forward sweep, before and after measurements, (T+1, runs, n).
+    """The moments of a forward sweep, before and after measurements, (T+1, runs, ...).
 
-    Controls at step 0 are zero. `log_density` is of each step's measurements given those before.
-    `closest` is that of the `Watch`, or zero where nothing has watched; `far` whether a mean may be
-    10⁸ deviations from zero, or nothing has looked. `diffuse` has the covariances before
-    measurements by what is open in them, where a flat prior leaves anything open.
+    Controls at step 0 are zero. `log_density` (T+1, runs) is ln p of each step's measurements given
+    those before. `closest` is that of the `Watch`, or zero without one. `far` says that a mean may
+    be 10⁸ standard deviations from zero, or that nothing has looked. `diffuse` has the covariances
+    before measurements along their known and their unknown directions, None unless a flat prior
+    leaves some unknown.
     """
 
     predicted_mean: Array
@@ -60,7 +67,7 @@ class Forward:
 
     @classmethod
     def empty(cls, plan: ChainPlan) -> Forward:
-        """Empty arrays for a sweep."""
+        """Arrays of zeros for a sweep to fill."""
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
 
         def moments() -> tuple[Array, Array]:
@@ -81,9 +88,9 @@ class Forward:
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """The beliefs of a filter alone; a second sweep finds the rest when it is asked for.
+    """The moments after measurements alone, as of `Forward`; a second sweep finds the others.
 
-    `closest` and `far` are as of `Forward`.
+    `schedule` is that of the second sweep.
     """
 
     plan: ChainPlan
@@ -101,11 +108,12 @@ class Filtered:
 
 
 class Watch:
-    """The running minimum of conditional shares of variance over a sweep, for the certificate.
+    """How much of a variance a sweep leaves at the least, for `certificate.suffices`.
 
-    `closest` is the smallest share of a variance that the components before it leave open, or that
-    a sharp measurement leaves. Beliefs are looked at before and after sharp measurements, where
-    variances have grown, and at some steps between.
+    `closest` is the smallest share of a variance so far that is left by the components before it in
+    the vector, or by a *sharp* measurement. A measurement is *mild* if it is known to leave a
+    thousandth of each variance or more, else sharp. Covariances are looked at before and after
+    sharp measurements, where variances have grown, and at some steps between.
     """
 
     def __init__(self) -> None:
@@ -113,7 +121,10 @@ class Watch:
         self._level: Array | float = np.inf
 
     def look(self, predicted: Array, known: Array, mild: bool, *, last: bool) -> None:
-        """Look at the covariances (n, n, runs) of a step, before and after its measurements."""
+        """Look at the covariances (n, n, runs) of a step, before and after its measurements.
+
+        `mild` says that these were mild, `last` that it is the last step.
+        """
         spread = np.einsum("iir->ir", predicted)
         regular = mild and not (spread > _GROWN * self._level).any()
         if not regular:
@@ -134,7 +145,11 @@ class Watch:
 
 
 class _Record:
-    """The arrays that a sweep fills, one row a step; predictions are optional."""
+    """The arrays that a sweep fills, one row a step.
+
+    `known` are means, covariances and log-densities after measurements, `predicted` means and
+    covariances before them, or empty. `watch` is there for a sweep that keeps no predictions.
+    """
 
     def __init__(self, plan: ChainPlan, known: Arrays, predicted: Arrays = ()) -> None:
         self.plan, self.reached, self.watch = plan, 0, Watch()
@@ -169,7 +184,10 @@ class _Record:
 
     @contextmanager
     def refusing(self, schedule: Filtering | None) -> Iterator[None]:
-        """Refuse the first step whose update fails, or whose belief is not finite."""
+        """A context for a sweep, after which its first step that is not finite is refused.
+
+        If the sweep fails, an earlier step that is not finite is refused instead; see `refuse`.
+        """
         retain()
         try:
             yield
@@ -181,14 +199,15 @@ class _Record:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all numbers are finite; a covariance that is not stays so up to the last step."""
+        """Whether all numbers are finite; of known covariances only the last, as NaN persists."""
         total = self.mean.sum() + self.cov[-1].sum() + self.log_density.sum()
         return bool(np.isfinite(total + sum(part.sum() for part in self.predicted)))
 
     def refuse(self, schedule: Filtering | None) -> None:
-        """Raise the error of the first step whose belief is not finite.
+        """Raise the error of the first step that failed, or whose belief is not finite.
 
-        The step is done again, with each number looked at; later failures follow from it.
+        Later failures follow from it. The step is done again with all numbers checked, which finds
+        the CPD or sensor to blame; if the check passes, nothing is raised.
         """
         lost = np.zeros(self.reached, dtype=bool)
         for part in (self.mean, self.cov, self.log_density):
@@ -206,7 +225,10 @@ class _Record:
 
 
 def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
-    """Arrays (steps, runs, ...) of the plan in a sweep's order, (steps, ..., runs)."""
+    """An array (steps, runs, ...) as a sweep takes it: (steps, ..., runs), without runs for one.
+
+    `own` is the number of its axes of components.
+    """
     if not plan.batch:
         return array[:, 0]
     return array.transpose(0, *range(2, 2 + own), 1)
@@ -215,7 +237,10 @@ def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
 def stored(
     plan: ChainPlan, anchor: Anchor | None = None, gated: gate.Asked | None = None
 ) -> Forward:
-    """The forward pass with the linearisations that the plan holds; gates decide anew."""
+    """The forward pass with the linearisations that the plan holds.
+
+    `anchor` holds all slices near a point, for step control; the gates `gated` decide anew.
+    """
     out = Forward.empty(plan)
     if anchor is None and gated is None:
         went = _swept(plan, None, out.known, out.predicted, keep=False)
@@ -227,7 +252,10 @@ def stored(
 
 
 def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
-    """The forward pass, each CPD linearised at its incoming belief."""
+    """The forward pass, each CPD linearised at its incoming belief, and its status.
+
+    The plan keeps the linearisations.
+    """
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     out = Forward.empty(plan)
     went = _swept(plan, schedule, out.known, out.predicted, keep=True)
@@ -240,7 +268,10 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
 def filtered(
     plan: ChainPlan, schedule: Filtering, room: Room | None = None
 ) -> tuple[Filtered, Status]:
-    """The beliefs of `run` alone; `room` has arrays for their moments."""
+    """The known beliefs of `run` alone, and its status; the plan keeps no linearisations.
+
+    `room` has arrays for means and covariances, (T+1, runs, ...).
+    """
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
     mean, cov = room or (vacant(shape, (size,)), vacant(shape, (size, size)))
@@ -260,7 +291,11 @@ def _swept(
     *,
     keep: bool,
 ) -> Swept:
-    """A sweep in machine code; runs that it gives up are swept step by step."""
+    """Sweep into the arrays `known` and `predicted`, in machine code where that is due.
+
+    Runs that machine code gives up, and plans that it does not take, are swept by NumPy. Without a
+    schedule the plan's linearisations are used; `keep` has the plan keep new ones.
+    """
     rest = known, predicted
     found = compiled.forward(plan, schedule, *rest, keep=keep)
     if found is None:
@@ -296,7 +331,7 @@ def _stepwise(
     *,
     keep: bool,
 ) -> Swept:
-    """A sweep of all runs together, or, where little is kept, in parts that a cache holds."""
+    """`_swept` by NumPy: of all runs together, or without predictions in parts for the cache."""
     parts, closest, converged = 1, 0.0 if predicted else 1.0, np.ones(plan.runs, dtype=bool)
     if not predicted:
         parts = math.ceil(plan.runs / MOST)
@@ -314,9 +349,9 @@ def _stepwise(
 
 
 def _joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
-    """Residuals by iteration for all runs, with the residuals of some runs put in.
+    """Residuals of all runs, an array (`count`,) for each iteration, with those of `runs` put in.
 
-    The shorter record repeats its last row.
+    The shorter of the two lists repeats its last array, or zeros if it has none.
     """
     longest = max(len(record), len(part))
     found = [each.copy() for each in record + (record[-1:] or [np.zeros(count)]) * longest]

@@ -1,10 +1,11 @@
 r"""Gates: sightings too far from their prediction say nothing.
 
 At the predicted belief N(μ, P) of a step, a sighting z that is linearised as ẑ + H (x − μ) + n has
-the innovation ν = z − ẑ with S = H P Hᵀ + noise. It is rejected where νᵀS⁻¹ν exceeds the χ²
-quantile of the gate's probability, of as many degrees of freedom as components were measured: not
-taken, in this run, for all that follows, which the plan says (Bar-Shalom, Li & Kirubarajan, 2001,
-5.4). Directions of which nothing is known yet are not judged, and no degrees of freedom: see
+the innovation ν = z − ẑ with covariance S = H P Hᵀ + R. It is rejected where νᵀS⁻¹ν exceeds the χ²
+quantile of the gate's probability, with as many degrees of freedom as components were measured
+(Bar-Shalom, Li & Kirubarajan, 2001, 5.4). A rejected sighting counts as not measured in that run,
+in this pass and in all later ones: the masks of the plan's sensors say so. Directions of which
+nothing is known yet, given a flat prior, are not judged, and are no degrees of freedom: see
 `diffuse`.
 """
 
@@ -34,7 +35,7 @@ Asked = float | Mapping[Variable, float]
 
 
 def require_sensors(model: DynamicBayesianNetwork, gate: object) -> None:
-    """Refuse a gate declared for a variable that is not a sensor of the model."""
+    """Refuse a gate for a variable that is no sensor of the model, with an EvidenceError."""
     for variable in gate if isinstance(gate, Mapping) else ():
         if variable not in model.sensors:
             raise EvidenceError(
@@ -45,7 +46,7 @@ def require_sensors(model: DynamicBayesianNetwork, gate: object) -> None:
 
 
 def prepare(plan: ChainPlan, gate: Asked | None) -> None:
-    """Make room in a plan for the decisions of its gates."""
+    """Give each sensor that has a gate a `GateRecord`, and a mask `taken` that gates write to."""
     if gate is None:
         return
     require_sensors(plan.layout.model, gate)
@@ -69,10 +70,12 @@ def decide(
     cov: Array,
     diffuse: Diffuse | None = None,
 ) -> list[Measured]:
-    """Gate the measurements of a step; rejected ones are masked out, in the plan too.
+    """Gate the measurements of a step; returns them with rejected ones masked out.
 
-    The predicted belief has a mean (n, *batch) and a covariance (n, n, *batch), or, where anything
-    is unknown, the covariance `diffuse` with the runs first.
+    `parts` are the sensors' readings, `seen` the same as linearised. The predicted belief has a
+    mean (n, *batch) and a covariance (n, n, *batch); where a flat prior leaves anything unknown,
+    `diffuse` is the covariance instead, with the runs first. The readings and the plan's sensors
+    are masked, too, and the decisions recorded.
     """
     return [
         part_seen
@@ -90,10 +93,9 @@ def _decided(
     cov: Array,
     diffuse: Diffuse | None,
 ) -> Measured:
-    """Gate the sightings of one sensor: rejected if νᵀS⁻¹ν exceeds χ²'s quantile.
+    """Gate the sightings of one sensor: `decide` for it, with `gate` its probability.
 
-    The limit's degrees of freedom are the components measured. Squares (sightings, runs) are
-    recorded, NaN where nothing was measured.
+    The squares νᵀS⁻¹ν (sightings, *batch) are recorded, NaN where nothing was measured.
     """
     one_run = mean.ndim == 1 and diffuse is None
     if one_run and seen.taken is None and len(seen.value) == part.sensor.height:
@@ -134,7 +136,11 @@ def _decided(
 
 
 def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured | None:
-    """Accept the one whole sighting of one run, the usual case; None where it may be rejected."""
+    """Gate one sighting of one run, with one or two components, all measured: the usual case.
+
+    An accepted one is recorded, and returned. None where it may have to be rejected, has more
+    components, or S is nearly singular: then `_decided` goes on.
+    """
     sensor, record = part.sensor, part.sensor.gated
     if not sensor.whole:
         mean, cov = mean[sensor.parents], within(cov, sensor.parents)
@@ -165,13 +171,17 @@ def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) ->
     return seen
 
 
-# A sighting that is taken in; and the share of the variances that a regular covariance of two has.
+# The mask of rejected sightings where one is accepted; and |S| of two components, as a share of the
+# product of their variances, from which on S is safely regular.
 _TAKEN: Mask = np.zeros(1, dtype=bool)
 _WELL = 1e-6
 
 
 def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:
-    """Squared lengths (count, *batch) of a sensor's innovations, and their components."""
+    """νᵀS⁻¹ν of a sensor's `count` sightings, and their numbers of components, (count, *batch).
+
+    The predicted belief over the slice has a mean (n, *batch) and a covariance (n, n, *batch).
+    """
     sensor, height = seen.sensor, len(seen.value) // count
     if not sensor.whole:
         mean, cov = mean[sensor.parents], within(cov, sensor.parents)
@@ -195,9 +205,9 @@ def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array,
 
 
 def _diffuse_squares(seen: Measured, mean: Array, belief: Diffuse) -> tuple[Array, Integers]:
-    """The Mahalanobis squares at a diffuse belief, over the components of ν with finite variance.
+    """νᵀS⁻¹ν of each sighting at a diffuse belief, (sightings, *batch), and its degrees of freedom.
 
-    Directions of a sighting that are unknown do not count.
+    Combinations of a sighting's components that depend on an unknown direction do not count.
     """
     sensor, batch = seen.sensor, mean.shape[1:]
     height = sensor.height
@@ -224,7 +234,7 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 
 @lru_cache(maxsize=64)
 def _limits(gate: float, height: int) -> Array:
-    """The χ² limits of νᵀS⁻¹ν for 0..height components, (height + 1,); infinite for none."""
+    """The χ² quantiles of the probability `gate` for 0..height components; infinite for none."""
     limits = np.full(height + 1, np.inf)
     limits[1:] = mahalanobis.square_within(gate, np.arange(1, height + 1))
     return limits

@@ -1,4 +1,4 @@
-"""Results that know a forward pass: innovations, what gates rejected, where chains were lost."""
+"""Results that know a forward pass: innovations, what gates rejected, where beliefs were lost."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from pgm.variables import Variable
 
 
 class Innovated(ABC):
-    """Base of results that hold a forward pass.
+    """Base of results that hold a forward pass; computes innovations and such when asked for.
 
-    Innovations and related figures are computed on request.
+    `_planned` is the plan as it stands, whose linearisations may not all be kept; `associations`
+    are those of sightings that left open what was seen, by sensor.
     """
 
     _planned: ChainPlan
@@ -35,7 +36,7 @@ class Innovated(ABC):
     @property
     @abstractmethod
     def _plan(self) -> ChainPlan:
-        """The plan with its linearisations."""
+        """The same plan, with the linearisations of the forward pass."""
 
     @cached_property
     @quiet()
@@ -59,7 +60,7 @@ class Innovated(ABC):
     @cached_property
     @quiet()
     def lost(self) -> Lost:
-        """The steps at which the belief was probably wrong, by its innovations and rejections."""
+        """The steps at which the belief was probably wrong, by its NIS and by rejections."""
         plan = self._plan
         nis, dof = by_step(plan, plan.read, self._forward)
         rejected, judged = np.zeros_like(dof), np.zeros_like(dof)

@@ -35,7 +35,7 @@ class Innovations(Shown, NoArray):
         (..., M, d, d): its predictive covariance, S = H P Hᵀ + noise; NaN in rows and columns of
         the same components.
     step : ndarray of int
-        (M,).
+        (M,): the step of each sighting.
     nis : ndarray
         (..., T+1): the normalised innovation squared of each step, rᵀS⁻¹r with the joint
         covariance of all components that were read at the step; NaN without any. While a
@@ -89,7 +89,7 @@ class BySensor(EachSensor[Innovations]):
 
 
 def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovations:
-    """The innovations of a sensor at the predicted beliefs of a forward sweep."""
+    """The innovations of a sensor, as it was linearised, at the predicted beliefs of a sweep."""
     family, parents, lead = sensor.family, sensor.parents, plan.lead
     mean = forward.predicted_mean[family.step][..., parents]
     residual = sensor.moved - family.value(slice(None), mean)
@@ -123,7 +123,11 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
 
 
 def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[Array, Integers]:
-    """Normalised innovations squared, (T+1, runs), NaN without any, and their components."""
+    """The NIS of each step over all components that `sensors` read, and its degrees of freedom.
+
+    Both are (T+1, runs); the NIS is NaN where nothing was read. The degrees of freedom are the
+    components read less the directions of them of which nothing was known, given a flat prior.
+    """
     shape = plan.steps + 1, plan.runs
     nis, dof = np.full(shape, np.nan), np.zeros(shape, dtype=np.intp)
     for steps, matrix, residual, noise, missing in stacks(plan, sensors, forward.predicted_mean):
@@ -141,7 +145,11 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
 
 
 def whitened(innovations: Innovations) -> Array:
-    """Whitened innovations, (steps with any, runs, measurements, d), 0 where none was taken."""
+    """The innovations of a sensor by step, each whitened by its own S = L Lᵀ: L⁻¹ν.
+
+    They are (steps, runs, k, d), k being the most sightings of a step, with zeros for what is
+    missing or rejected. Steps of zeros alone are left out.
+    """
     shape = innovations.residual.shape
     runs = math.prod(shape[:-2])
     residual = innovations.residual.reshape(runs, *shape[-2:])
@@ -160,7 +168,11 @@ def whitened(innovations: Innovations) -> Array:
 
 
 def autocorrelation(now: Array, later: Array) -> tuple[float, float]:
-    """The autocorrelation between rows, and its standard deviation if they are white."""
+    """The correlation of whitened innovations with later ones, and its standard deviation if white.
+
+    Rows of `now` and `later`, (steps, runs, k, d), are pairs; both results are NaN if no pair of
+    sightings has been taken.
+    """
     met = inner(now, now) * inner(later, later) > 0.0
     now, later = now[met], later[met]
     scale = np.sqrt(np.sum(now**2) * np.sum(later**2))
@@ -168,6 +180,6 @@ def autocorrelation(now: Array, later: Array) -> tuple[float, float]:
         return np.nan, np.nan
     product = np.zeros(met.shape)
     product[met] = inner(now, later)
-    # The measurements of a step are no independent ones: their products are one term.
+    # The measurements of one step are not independent of each other: their products are one term.
     terms = product.sum(axis=-1)
     return float(terms.sum() / scale), float(np.sqrt(np.sum(terms**2)) / scale)

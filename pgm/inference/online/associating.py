@@ -1,4 +1,8 @@
-"""Associating the sightings of an online filter's step, before it takes them in."""
+"""Associating the open sightings of an online filter's step, before it takes them in.
+
+An open sighting is one with a parent that is unknown, `pgm.unknown`; see
+`pgm.inference.associations`.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ from pgm.variables import Variable
 
 
 def leaves_open(readings: Mapping[Variable, Any]) -> bool:
-    """Whether some sightings have an unknown parent."""
+    """Whether some sightings have an unknown parent, so that they are to be associated."""
     for value in readings.values():
         if type(value) is Sightings and value.given:
             for each in value.given.values():
@@ -36,7 +40,11 @@ def associated(
     readings: Mapping[Variable, Any],
     gate: Asked | None,
 ) -> tuple[dict[Variable, Any], Found]:
-    """The readings with every open sighting associated, and the candidates chosen."""
+    """The readings with candidates chosen for unknown parents, and the `Associations` by sensor.
+
+    The belief is that of the step before its measurements; those that are not open are taken in
+    first, through the gate. Sightings that are taken for no candidate become NaN.
+    """
     bound = step_evidence.readings(graph.model, belief, readings)
     everything = BoundEvidence(0, bound.lead, (), ())
     plan = ChainPlan.make(graph, everything, lineariser, first=belief.step, prior=False)
@@ -53,6 +61,6 @@ def associated(
 
 
 def _by_run(rows: Any, lead: tuple[int, ...]) -> Any:
-    """Values (M, runs, d) with the user's axes first, (*runs, M, d)."""
+    """Values (M, runs or 1, d) of sightings with the user's axes of runs first, (*runs, M, d)."""
     wide = np.broadcast_to(rows, (len(rows), int(np.prod(lead)), rows.shape[-1])).swapaxes(0, 1)
     return wide.reshape(*lead, *wide.shape[1:])

@@ -1,4 +1,11 @@
-"""The belief of an online filter at a step, and what it carries from one step to the next."""
+"""The belief of an online filter at a step, and what it carries from one step to the next.
+
+Where float64 has too few digits, steps are made with moments in pairs of float64, *in twice the
+digits*; a belief has these as `careful`. Float64 loses digits where a covariance is nearly
+singular, where a variance falls far at once, or where a mean is very many standard deviations from
+zero; moments of which nothing is so are *moderate*. A compiled step leaves its results packed in a
+tuple, the *core*, from which the attributes of a belief are made when one is asked for.
+"""
 
 from __future__ import annotations
 
@@ -35,30 +42,37 @@ from pgm.kernels.arrays import Array, Integers, Mask, block, symmetric
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
-# The share of its variance below which a component counts as determined.
+# The least share of a variance that the components before it, or a step, leave of moderate moments.
 _REGULAR = 1.0 / certificate.MODERATE
 
 
-# The steps of its filter, its number, mean and covariance in rows (n + 1, n), log-evidence, kind
-# and status.
+# The core of a belief: the compiled steps of its filter, its step, its mean and covariance as one
+# array (n + 1, n), log-evidence, kind and status.
 Core = tuple["Steps", int, Array, float, Kind, Status]
 
 
 class Steps(Protocol):
-    """The compiled steps of a filter: its layout, and the only variable of a slice, if it is."""
+    """The compiled steps that a core comes from.
+
+    `layout` is that of the slices, and `only` the slice's hidden variable if there is just one.
+    """
 
     layout: SliceLayout
     only: Variable | None
 
 
 class _Later:
-    """An attribute of a belief, which is made when one is asked for, after a compiled step."""
+    """An attribute of a belief that is made from the core when it is first asked for."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
     def __get__(self, belief: OnlineBelief | None, owner: type) -> Any:
-        """Make a belief's attributes from its packed core when the first of them is read."""
+        """Make all attributes from the core, and return this one.
+
+        A belief without a core has the attribute itself or, being incomplete, raises an
+        `AttributeError`.
+        """
         core = None if belief is None else belief._core
         if belief is None or core is None:
             raise AttributeError(self.name)
@@ -74,7 +88,7 @@ _later: Any = _Later
 
 
 class _Kept:
-    """The parts of a belief that a compiled step makes."""
+    """The slot for the core of a compiled step; None where a belief has its attributes."""
 
     __slots__ = ("_core",)
 
@@ -90,12 +104,12 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
     log_evidence : ndarray
         (...): ln p of all measurements so far.
     status : Status
-        How the linearisations of the last update went; with the digits that are left, where
-        deviations lie too far apart for float64 and steps are made in twice the digits.
+        How the linearisations of the last update went; with the digits of the means, where
+        standard deviations lie too far apart for float64 and steps are made in twice the digits.
     kind : Kind
         Which measurements it knows: filtered after an update, predicted before.
     associations : mapping of Variable to Associations
-        By sensor, of the update's sightings that left open what was seen, with `unknown`.
+        By sensor, of the update's sightings with an `unknown` parent.
 
     Examples
     --------
@@ -191,7 +205,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
 
     def told(self, associations: Found, gate: Asked | None) -> OnlineBelief:
-        """The same belief with the candidates of its sightings; its watch reads them too."""
+        """The same belief with the associations of its sightings, which its watch counts, too."""
         found = copy(self)
         watch = None if self.watch is None else self.watch.told(associations, gate)
         found._set(associations=MappingProxyType(dict(associations)), watch=watch)
@@ -227,13 +241,16 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
 
     @property
     def lost_since(self) -> Integers:
-        """The step at which that probably began, (*runs); −1 where it is not lost."""
+        """The step at which being lost probably began, (*runs); −1 where the belief is not lost."""
         found = self._watched
         return np.where(found.lost, found.first, -1).reshape(self.lead)
 
     @property
     def _watched(self) -> PageTest:
-        """The test whether the belief is lost, of a filter that watches."""
+        """The state of the tests whether the belief is lost.
+
+        An `EvidenceError` says where the filter was made without ``watch=True``.
+        """
         if self.watch is None:
             raise EvidenceError(
                 f"{self._title} was not watched, whether it is lost: make the filter with "
@@ -276,7 +293,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return f"OnlineBelief({self.kind}, step {self.step}, over {list(self.layout.slice)})"
 
     def _summary(self) -> Summary:
-        """A step's moments in a few lines, after rejections and lost runs."""
+        """The belief's moments, after its rejections and how many runs are lost."""
         known = self.layout.slice if self.step else self.layout.states
         found = at_a_step(self._title, self, known, self.lead)
         told = [f"{v!r}: {those._title}" for v, those in self.rejected.items()]
@@ -299,7 +316,7 @@ def belief_of(
     behind: Trail | Sliding | None,
     careful: Belief | None = None,
 ) -> OnlineBelief:
-    """A belief with the runs as the user's axes."""
+    """A belief from moments with the batch last; its arrays have the user's axes of runs first."""
     lead, (mean, cov, _) = plan.lead, found
     if lead:
         mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)
@@ -316,7 +333,10 @@ def careful_belief(
     kind: Kind,
     behind: Trail | None,
 ) -> OnlineBelief:
-    """A belief in twice the digits, whose status tells how many it has."""
+    """A belief from moments in twice the digits, whose status tells how many digits means have.
+
+    Moments or a log-evidence that are not finite in float64 raise a `NumericalError`.
+    """
     mean, cov = found.moments
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
         refuse(step)
@@ -326,14 +346,14 @@ def careful_belief(
 
 
 def moments_of(belief: OnlineBelief, plan: ChainPlan) -> Moments:
-    """Moments for the runs of a plan."""
+    """The moments of a belief with the batch last, repeated for the runs of a plan."""
     if not plan.lead:
         return Moments(belief.mean, belief.cov)
     return Moments.of(plan, _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
 
 
 def in_digits(belief: OnlineBelief, plan: ChainPlan) -> Belief:
-    """A belief in twice the digits, for the runs of a plan."""
+    """A belief in twice the digits, repeated for the runs of a plan."""
     if belief.careful is None:
         return Belief.of(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
     found: Belief = over(belief.careful, belief.lead, plan.lead)
@@ -341,30 +361,40 @@ def in_digits(belief: OnlineBelief, plan: ChainPlan) -> Belief:
 
 
 def is_plain(belief: OnlineBelief) -> bool:
-    """Whether float64 can carry a belief."""
+    """Whether the next step from a belief may be made in float64.
+
+    It may where the belief has no moments in twice the digits, or where float64 can carry these.
+    """
     if belief.careful is None:
         return True
     return certificate.is_ordinary(belief.mean, belief.cov, certificate.SHARE)
 
 
 def is_moderate(found: Moments, before: Moments) -> bool:
-    """Whether float64 has digits enough for a belief, after an earlier one."""
+    """Whether float64 has digits enough for moments that a step has made of earlier ones.
+
+    Each variance has to be at least 5·10⁻⁸ of the earlier one, and its part that is left given the
+    components before it at least 5·10⁻⁸ of the variance; each mean has to be within 4.5·10¹⁰
+    standard deviations of zero. A component without a variance does not count if it had none
+    before.
+    """
     return gaussian.is_moderate(found.mean, found.cov, before.cov, _REGULAR, certificate.FAR)
 
 
 def told(
     status: Status, plan: ChainPlan, before: Moments, after: Moments, left: Array | None
 ) -> Status:
-    """The status of a step, with the digits that sigma points close together leave; see `error`.
+    """The status of a step, with the digits of means that sigma points close together leave.
 
-    `left` are those that the belief had before.
+    `before` and `after` are the moments, `left` (*runs) the digits that the belief had before, None
+    where none were lost. Without a loss the status stays as it is; see `close_points`.
     """
     lost = close_points.of_step(plan, before, after, left)
     return status if lost is None else status.with_digits(digits(lost, plan.lead), CLOSE_POINTS)
 
 
 def refuse(step: int) -> NoReturn:
-    """Refuse a belief that is not finite."""
+    """Refuse a belief that is not finite, by a `NumericalError`."""
     raise NumericalError(
         f"the belief at step {step} or its log-evidence is not finite: numbers of the model or the "
         "evidence are larger, or further apart, than float64 can hold; give them in other units",
@@ -373,13 +403,13 @@ def refuse(step: int) -> NoReturn:
 
 
 def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
-    """A belief's array for the runs of a plan, as one axis."""
+    """A belief's array (*lead, ...) for the runs of a plan, (runs, ...); `own` axes are its own."""
     rest = array.shape[-own:]
     return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)
 
 
 def nothing_to_iterate(lead: tuple[int, ...]) -> Status:
-    """The status of a step in which nothing was linearised."""
+    """The status of a step in which nothing was linearised: one iteration, all runs converged."""
     return Status(1, np.empty((0, *lead)), np.ones(lead, dtype=bool))
 
 
@@ -389,7 +419,10 @@ def require_own(
     schedule: Filtering | FixedLag,
     behind: Trail | Sliding | None,
 ) -> None:
-    """Refuse to go on from a belief of another model, of another schedule, or that lags behind."""
+    """Refuse to go on from a belief of another model or schedule, or one that is lagged.
+
+    `behind` is how this filter keeps the steps behind a belief. The error is a `ModelError`.
+    """
     if not isinstance(belief, OnlineBelief) or belief.layout.model is not model:
         raise ModelError(
             f"{titled(belief)} is no belief of this filter's model; begin with initial()"

@@ -1,4 +1,10 @@
-"""Online steps of one robot in machine code. Steps that it cannot do take the general way."""
+"""Online steps of one robot in machine code.
+
+A step that the machine code cannot make is made by NumPy, in the filter's *general way*. A *kind*
+of step is told by the variables that are given and the shapes of their arrays; each kind has a
+`Layout`, a table that machine code reads, which is made at the first step of that kind. The first
+steps of a kind are made in both ways, and compared.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +28,7 @@ Make = Callable[[OnlineBelief, Any], ChainPlan]
 General = Callable[[OnlineBelief, Any], OnlineBelief]
 
 _NO_ROWS = np.empty((0, 0))
-# Beliefs of both ways are the same to so many deviations.
+# Beliefs of both ways are the same to so many standard deviations.
 _CLOSE = 1e-6
 # After the name of a sensor with sightings, before those of the parents given with them.
 _SIGHTED = object()
@@ -38,10 +44,12 @@ _FAR = "numbers are too far apart, or a reading is too sharp"
 class CompiledSteps:
     """Machine code for the steps of an online filter of one run, without gates or windows.
 
-    All that is not plain goes the general way, by `moved` and `taken`: beliefs of many runs, in
-    twice the digits, or of another filter; odd values; numbers that are not moderate. `ahead` and
-    `seen` make plans of predictions and updates; `done` and `linearised` are the statuses after
-    them.
+    `ahead` and `seen` make the plan of a prediction and of an update from a belief and the values
+    given; `moved` and `taken` make the steps in the general way. `done` is the status after
+    predictions and updates by linear sensors, `linearised` after others. The general way is taken
+    for beliefs of many runs, in twice the digits or of another filter, for values in other forms
+    than numbers or sightings without steps, for updates at step 0, and where numbers are too far
+    apart for float64. `left` counts such steps by reason.
     """
 
     def __init__(
@@ -62,14 +70,18 @@ class CompiledSteps:
         self._predict, self._update = _entry(online.predict), _entry(online.update)
         self._ways = (seen, taken, self._update), (ahead, moved, self._predict)
         self._statuses = linearised, done
-        # The last kinds of updates and of predictions, which are looked at first; all kinds.
+        # The layouts of the last update and the last prediction, which are looked at first; of all.
         self._last: list[Layout | None] = [None, None]
         self._known: dict[Any, Layout] = {}
         # Why steps were made the general way, and how many of them.
         self.left: Counter[str] = Counter()
 
     def predict(self, belief: OnlineBelief, inputs: Values | None = None) -> OnlineBelief:
-        """One prediction in machine code; see `OnlineFilter.predict`."""
+        """Predict one step in machine code if that can be, else in the general way.
+
+        The usual case of one input, of the kind of the last prediction, is found here, the rest by
+        `_any`.
+        """
         core, kind = belief._core if type(belief) is OnlineBelief else None, self._last[1]
         if core and core[0] is self and kind and type(inputs) is dict and len(inputs) == 1:
             ((variable, row),) = inputs.items()
@@ -89,7 +101,11 @@ class CompiledSteps:
         return self._any(belief, {} if inputs is None else inputs, moves=True)
 
     def update(self, belief: OnlineBelief, readings: Values) -> OnlineBelief:
-        """One update in machine code; see `OnlineFilter.update`."""
+        """Update in machine code if that can be, else in the general way.
+
+        The usual case of sightings of one sensor with one parent given, of the kind of the last
+        update, is found here, the rest by `_any`.
+        """
         core, kind = belief._core if type(belief) is OnlineBelief else None, self._last[0]
         if core and core[0] is self and kind and type(readings) is dict and len(readings) == 1:
             _, step, known, log_evidence, _, _ = core
@@ -117,7 +133,7 @@ class CompiledSteps:
         return self._any(belief, readings, moves=False)
 
     def adopted(self, belief: OnlineBelief) -> OnlineBelief:
-        """A belief made the general way, from which steps may go on here."""
+        """The same belief, with a core if float64 can carry it, so that steps go on from it."""
         if not belief.lead and is_plain(belief):
             both = np.vstack([belief.mean, belief.cov])
             told = belief.log_evidence.item(), belief.kind, belief.status
@@ -125,7 +141,11 @@ class CompiledSteps:
         return belief
 
     def _any(self, belief: OnlineBelief, values: Values, *, moves: bool) -> OnlineBelief:
-        """A step with any kind of values."""
+        """A step with values of any kind: a prediction if it `moves`, else an update.
+
+        Its kind is found, or laid out. While the kind has trials left, the step is made in the
+        general way, too, and that belief is returned where the two differ.
+        """
         core = belief._core if type(belief) is OnlineBelief else None
         make, general, kernel = self._ways[moves]
         given, why = None, _OTHER
@@ -166,9 +186,10 @@ class CompiledSteps:
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _laid(self, make: Make, belief: OnlineBelief, values: Values, rows: list[Array]) -> Layout:
-        """A layout for one step in machine code, or the reason why there is none.
+        """The layout of a kind of step, without a table where machine code cannot make the step.
 
-        Its traces are judged at the belief; a wrong one is made anew, once.
+        `rows` are the arrays of the values given. Traces of functions are compared with their
+        functions at the belief; a wrong one is made anew, once.
         """
         for _ in range(2):  # a trace that is wrong is made anew
             plan = make(belief, values)
@@ -188,7 +209,11 @@ class CompiledSteps:
 
 
 def _tried(kind: Layout, found: Array, due: OnlineBelief) -> bool:
-    """Whether machine code gives the same mean and covariance as NumPy."""
+    """Whether machine code and NumPy give the same belief, to 10⁻⁶ standard deviations.
+
+    `found` (n + 1, n) is the mean and the covariance by machine code. One trial of the kind is used
+    up; if they differ, the kind has no machine code any more.
+    """
     std = np.sqrt(np.maximum(due.cov.diagonal(), 0.0))
     close = np.abs(found[0] - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
     alike = np.abs(found[1:] - due.cov) <= _CLOSE * np.outer(std, std)
@@ -200,7 +225,11 @@ def _tried(kind: Layout, found: Array, due: OnlineBelief) -> bool:
 
 
 def _given(values: Values) -> tuple[list[Any], list[Array]] | None:
-    """The variables that values are of, and their arrays; None where some are odd."""
+    """The variables of the values given, and their arrays; None where a value is odd.
+
+    A value is an array (d,), or sightings without steps, whose arrays are (M, d), those of the
+    parents after that of the sensor.
+    """
     if type(values) is not dict:
         return None
     names: list[Any] = []
@@ -219,6 +248,6 @@ def _given(values: Values) -> tuple[list[Any], list[Array]] | None:
 
 
 def _entry(kernel: Any) -> Any:
-    """The compiled function itself: without Numba's look at the types of arguments, so as given."""
+    """The entry point of a compiled kernel, which looks at no types: arguments have to fit."""
     (made,) = kernel.overloads.values()
     return made.entry_point

@@ -1,4 +1,9 @@
-"""Filtering in a robot's loop: the same rounds as a forward sweep, one at a time."""
+"""Filtering in a robot's loop: a forward pass, one step at a time.
+
+Steps are made in float64, in machine code where that was asked for, and in pairs of float64, *twice
+the digits*, where float64 would lose too many (`beliefs`). With a lag the steps *behind* a belief
+are kept, too (`window`).
+"""
 
 from __future__ import annotations
 
@@ -57,7 +62,7 @@ from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
-# Of one robot: nothing was to iterate, and linearised once.
+# The statuses of one robot's steps in which nothing was to iterate, or CPDs were linearised once.
 _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged in (True, False))
 # Numbers too large for float64 are refused where they end up, so that NumPy need not warn. A
 # decorator takes half as long as a block.
@@ -102,7 +107,7 @@ class OnlineFilter(InCode, Immutable):
     Raises
     ------
     ModelError
-        If one is of a wrong kind, two of them exclude each other, or a prior is improper.
+        If an argument is of a wrong kind, two of them exclude each other, or a prior is improper.
     ImportError
         If steps are to be compiled where Numba is missing.
 
@@ -155,7 +160,7 @@ class OnlineFilter(InCode, Immutable):
         belief: PointMasses | None = None,
         compiled: Choice = None,
     ) -> Any:
-        """The filter itself; of point masses, or of tables, one of its own kind."""
+        """The filter; of point masses, or of tables, one of its own kind."""
         discrete = isinstance(model, DynamicBayesianNetwork) and model.discrete
         if belief is not None or discrete:
             own = getattr(schedule, "gate", None)
@@ -177,12 +182,12 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _graph(self) -> Any:
-        """The cluster graph of one step."""
+        """The cluster graph of one transition, from which plans are made."""
         return compile(self.model, 1)
 
     @cached_property
     def _filtering(self) -> Filtering:
-        """The schedule of one update: a fixed lag's filter, or the schedule itself."""
+        """The schedule of one update: the filter's own, or the filter of a fixed lag."""
         schedule = self.schedule
         if isinstance(schedule, FixedLag):
             return schedule.first if schedule.lag else schedule.filtering
@@ -190,10 +195,7 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _behind(self) -> Trail | Sliding | None:
-        """The steps kept behind the belief: a trail of linear passes, or a sliding window.
-
-        None without lag.
-        """
+        """The steps behind the prior: an empty `Trail` or `Sliding` window, None without a lag."""
         schedule = self.schedule
         if not isinstance(schedule, FixedLag):
             return None
@@ -203,12 +205,12 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _motions(self) -> Layouts:
-        """Plans of predictions, kept by shape and filled with new inputs."""
+        """The layouts of predictions, kept by shape and filled with new inputs."""
         return Layouts(self._ahead, ONCE)
 
     @cached_property
     def _sensors(self) -> Layouts:
-        """Plans of updates, kept by shape and filled with new readings."""
+        """The layouts of updates, kept by shape and filled with new readings."""
         return Layouts(self._seen, self._filtering)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -221,7 +223,11 @@ class OnlineFilter(InCode, Immutable):
         return f"OnlineFilter(over {states}, {self.lineariser!r}, {self.schedule!r})"
 
     def _compile(self) -> None:
-        """Prepare machine code for the steps."""
+        """Replace `predict` and `update` by compiled ones, where the settings allow it.
+
+        The schedule has to be a `Filtering` of one linearisation without a gate, and there is no
+        watch.
+        """
         schedule = self.schedule
         single = isinstance(schedule, Filtering) and schedule.iterations == 1
         if single and schedule.gate is None and not self.watch:
@@ -231,9 +237,9 @@ class OnlineFilter(InCode, Immutable):
 
     @property
     def compilation(self) -> str:
-        """Whether steps are made in machine code, or why not, as of ``status.compilation``.
+        """Whether steps are made in machine code, or why not, in words.
 
-        For a compiled filter it tells of the steps so far: how many NumPy made, and why.
+        For a compiled filter it tells how many of the steps so far NumPy made, and why.
         """
         if not self.compiled:
             return "by NumPy: compiled=False"
@@ -275,21 +281,18 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _first(self) -> OnlineBelief:
-        """The prior in the compiled steps' packed form."""
+        """The prior, packed as compiled steps take it."""
         assert self._steps is not None
         return self._steps.adopted(self._initial())
 
     @_quiet
     def _initial(self) -> OnlineBelief:
-        """The prior belief; watched filters begin their test of being lost here."""
+        """The prior belief; of a filter that watches with the test of being lost at its start."""
         found = self._prior()
         return found if not self.watch else found.judged((), Watch.start(found.lead))
 
     def _prior(self) -> OnlineBelief:
-        """The prior at step 0.
-
-        It is carried in pairs of float64 where float64 has too few digits.
-        """
+        """The prior at step 0, in twice the digits where float64 has too few."""
         lead = self.model.lead
         if isinstance(self._behind, Sliding):
             return slid(self._windows, 0, self._behind, np.zeros(lead))
@@ -324,16 +327,17 @@ class OnlineFilter(InCode, Immutable):
         ModelError
             If the belief is not this filter's, or a function returns a wrong shape.
         LinearisationError, NumericalError
-            If a number that is needed does not exist.
+            If a linearisation, or the belief, has no finite value.
         """
         later = self._later(belief, inputs)
         return later if belief.watch is None else later.judged((), belief.watch.on(belief.step))
 
     def _later(self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None) -> OnlineBelief:
-        """The belief predicted one step ahead, in float64 where it has digits enough.
+        """The belief predicted one step ahead.
 
-        Otherwise pairs of float64 carry it; a sliding window takes the step in as one more of its
-        own.
+        It is predicted in float64, or in twice the digits where that would lose too many. A sliding
+        window takes the step in as its newest; if nothing was read at the step before, that is
+        settled now.
         """
         require_own(belief, self.model, self.schedule, self._behind)
         if type(inputs) is not dict:
@@ -363,7 +367,10 @@ class OnlineFilter(InCode, Immutable):
     def _predicted(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
-        """Predict in float64, m ← F m + b, P ← F P Fᵀ + Q; None where that loses digits."""
+        """Predict in float64, m ← F m + b, P ← F P Fᵀ + Q; None where that would lose digits.
+
+        A prediction that is not finite raises a `LinearisationError` or `NumericalError`.
+        """
         step, behind = belief.step + 1, belief.behind
         laid = None if belief.lead else self._motions.motion(belief, inputs)
         if laid is None:
@@ -394,7 +401,7 @@ class OnlineFilter(InCode, Immutable):
         return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
-        """The plan of one transition with its inputs."""
+        """The plan of one prediction, with its inputs."""
         return self._plan(step_evidence.inputs(self.model, belief, inputs), belief.step)
 
     @_quiet
@@ -419,7 +426,7 @@ class OnlineFilter(InCode, Immutable):
         ModelError, LinearisationError
             See `predict`.
         NumericalError
-            If a measurement contradicts an exact model, or a number does not exist.
+            If a measurement contradicts an exact model, or the belief has no finite value.
 
         Warns
         -----
@@ -458,9 +465,9 @@ class OnlineFilter(InCode, Immutable):
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
-        """Update in float64 with a step's readings; None where that loses digits.
+        """Update in float64 with a step's readings; None where that would lose digits.
 
-        The log-evidence grows by ln p(z_t | earlier measurements).
+        The log-evidence grows by ln p(readings | earlier measurements), in nats.
         """
         laid = None if belief.lead else self._sensors.sensors(belief, readings)
         if laid is None:
@@ -492,13 +499,13 @@ class OnlineFilter(InCode, Immutable):
         return made.judged(*of_update(belief.watch, parts, known)) if judges else made
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
-        """The plan of one step's measurements."""
+        """The plan of one update, with its measurements."""
         plan = self._plan(step_evidence.readings(self.model, belief, readings), belief.step)
         require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
         return plan
 
     def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
-        """The plan of a window's steps, from step `first` on."""
+        """The plan of a window, whose first step is number `first`, with the prior or without."""
         plan = self._plan(bound, first, prior=prior)
         assert isinstance(self.schedule, FixedLag)
         require_cost(self.schedule.smoothing, plan.families)
@@ -506,5 +513,5 @@ class OnlineFilter(InCode, Immutable):
         return plan
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
-        """A chain's plan for bound evidence, whose rows begin at a step."""
+        """The plan of a chain with this evidence, whose first step is number `step`."""
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)

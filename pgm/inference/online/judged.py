@@ -1,4 +1,9 @@
-"""Decisions of gates at an update of an online filter; the test whether its belief is lost."""
+"""Decisions of gates at an update of an online filter; the test whether its belief is lost.
+
+A *watch* is the state of that test (`pgm.inference.lost`) between steps, with the numbers that the
+present step has read. A *judged* sighting is one about which a gate, or robust noise that leaves
+outliers out, has decided.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +31,10 @@ Decided = tuple[Variable, GateRecord, Integers]
 
 
 class Watch(NamedTuple):
-    """The test whether a belief is lost, after the step before, and what its step has read.
+    """The test whether a belief is lost, as it stood before a step, and what the step has read.
 
-    Sightings with candidates are counted apart, since a window reads all of its step again.
+    `read` has the numbers of the step's updates so far, None before the first. `opened` has those
+    of sightings with candidates, apart, since a window reads all of its newest step again.
     """
 
     before: PageTest
@@ -37,11 +43,11 @@ class Watch(NamedTuple):
 
     @classmethod
     def start(cls, lead: tuple[int, ...]) -> Watch:
-        """The watch at the prior, before any measurement."""
+        """The watch at the prior, before any measurement; `lead` are the axes of runs."""
         return cls(PageTest.start(math.prod(lead)))
 
     def test(self, step: int) -> PageTest:
-        """The test after the step of this number."""
+        """The state of the test after the step, whose number is `step`, as far as it was read."""
         parts = [each for each in (self.read, self.opened) if each is not None]
         if not parts:
             return self.before
@@ -49,15 +55,19 @@ class Watch(NamedTuple):
         return self.before.over(len(read.nis)).on(step, read.weights)
 
     def on(self, step: int) -> Watch:
-        """After the step of this number, at the next one."""
+        """The watch at the next step, `step` being the number of this one."""
         return Watch(self.test(step))
 
     def and_(self, read: Read) -> Watch:
-        """After another update of the step."""
+        """The watch after a further update of the step has read these numbers."""
         return self._replace(read=read if self.read is None else self.read.and_(read))
 
     def told(self, associations: Found, gate: Asked | None) -> Watch:
-        """After sightings of the step were associated."""
+        """The watch after counting how sightings of the step were associated, by sensor.
+
+        Of a sensor with a `gate` only sightings taken for no candidate count here: the gate counts
+        the others.
+        """
         found = self.opened
         for variable, each in associations.items():
             strange, opened = each.judged(gated=gate_of(gate, variable) is not None)
@@ -69,7 +79,11 @@ class Watch(NamedTuple):
 def of_update(
     watch: Watch | None, parts: Sequence[Reading], known: Moments
 ) -> tuple[tuple[Decided, ...], Watch | None]:
-    """The gates' decisions at an update, and the watch after it."""
+    """The gates' decisions about the readings `parts` of an update, and the watch after it.
+
+    `known` are the moments before the update. The NIS is that of all components that were taken,
+    together, at this mean, as they were linearised last.
+    """
     gated = tuple(_decided(part) for part in parts if part.gated is not None)
     if watch is None or not parts:
         return gated, watch
@@ -93,12 +107,16 @@ def of_update(
     return gated, watch.and_(_read(nis, dof, judged))
 
 
-# First along the covariance, then along the rows.
+# The order of the products: first H P, then the result times Hᵀ.
 _PATH = ["einsum_path", (0, 1), (0, 1)]
 
 
 def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...], Watch | None]:
-    """The decisions at the newest step of a window, with all of its measurements."""
+    """The decisions of gates at the newest step of a settled window, and the watch after it.
+
+    The window has all measurements of the step, so that their numbers replace those of earlier
+    updates.
+    """
     plan, found, judged = window.plan, list[Decided](), list[tuple[Mask, Mask] | None]()
     for sensor in plan.sensors:
         rows = sensor.rows(plan.steps)
@@ -118,7 +136,12 @@ def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...],
 
 
 def _read(nis: Array, dof: Integers, each: Sequence[tuple[Mask, Mask] | None]) -> Read:
-    """The squares of innovations at a step, and the counts of sightings rejected and judged."""
+    """The numbers of a step for the test whether the belief is lost.
+
+    `nis` (runs,) is the normalised innovation squared νᵀS⁻¹ν and `dof` (runs,) the number of its
+    components. `each` has a pair of masks (k, runs) for each sensor: which of its k sightings were
+    rejected, and which were judged; or None where none could be. Both are counted over all sensors.
+    """
     rejected, judged = np.zeros_like(dof), np.zeros_like(dof)
     for found in each:
         if found is not None:
@@ -128,7 +151,10 @@ def _read(nis: Array, dof: Integers, each: Sequence[tuple[Mask, Mask] | None]) -
 
 
 def _decided(part: Reading) -> Decided:
-    """The decisions of a gate about a sensor's sightings, with the variable and their order."""
+    """A sensor, its gate's decisions (M, runs) at an update, and the order of its sightings.
+
+    Row k of the decisions is sighting ``order[k]`` of the evidence.
+    """
     assert part.gated is not None
     rejected, square = (each.reshape(len(each), -1) for each in part.gated)
     nothing = np.ones((0, 0, 0), dtype=bool)

@@ -1,4 +1,9 @@
-"""A step of an online filter as a table of integers, whose inputs go where its chain reads them."""
+"""A step of an online filter as a table of integers, by which machine code knows its arrays.
+
+A *layout* is a plan of one step whose values stand in arrays of fixed shapes. The *table* has the
+addresses and shapes of these arrays, as described in `pgm.kernels.compiled.online`; at each step of
+the same kind machine code copies what is given into them.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +32,13 @@ TRIALS = 5
 class Layout:
     """A plan of one step, its values in arrays of fixed shapes that later steps fill anew.
 
-    `step` is its table, which holds while the layout is kept; None where it is not for a kernel,
-    and `why`.
-    `first` and `second` are the variables whose arrays a kernel takes as they come: an input alone,
-    or a sensor and the parent given with its sightings; others come in one row. `status` is that
-    of a belief after the step. The `judge` is of the functions' traces; `trials` is how many more
-    steps are made in the general way, too, before machine code is trusted.
+    `values` are those given at the first step of the kind, and `shapes` those of their arrays.
+    `step` is the table, valid while the layout is kept; None where machine code cannot make the
+    step, for the reason `why`. `first` and `second` are the variables whose arrays a kernel takes
+    as they come: an input alone, or a sensor and the parent given with its sightings; None where
+    all values come in one row, one after another. `status` is that of a belief after the step. The
+    `judge` compares the functions' traces with the functions; `trials` is how many more steps are
+    made in the general way, too, before machine code is trusted.
     """
 
     step: Integers64 | None = None
@@ -63,7 +69,10 @@ class Layout:
             self.why = str(error)
 
     def _table(self, plan: ChainPlan) -> Integers64:
-        """Addresses and shapes of the step's arrays, as integers that machine code reads."""
+        """The table: addresses and shapes of the step's arrays, as integers.
+
+        `Uncompiled` says why there is none.
+        """
         from pgm.kernels.compiled import sweeps as s
 
         if largest(families(plan)):
@@ -89,7 +98,11 @@ class Layout:
         return np.array(step, dtype=np.int64)
 
     def _inputs(self, family: Family, row: Integers64, count: int, sensor: Variable | None) -> None:
-        """Where a CPD reads its inputs and measurements, in arrays of its own."""
+        """Have a CPD of `count` sightings read its inputs and measurements from own arrays.
+
+        `row` is its part of the table, `sensor` the CPD's child; None of a transition. Of an affine
+        CPD the offset is computed from the inputs at each step.
+        """
         if family.noisy:
             raise Uncompiled(f"{family.cpd!r} has a noise that depends on inputs")
         cpd, end = family.cpd, 0
@@ -113,7 +126,11 @@ class Layout:
             self._part(self._where[None, sensor], values, shared=False, missing=True)
 
     def _part(self, place: int, target: Array, *, shared: bool, missing: bool = False) -> None:
-        """One given array, and the rows of the layout that it fills."""
+        """Note that the array given at a place is copied to the rows of `target`, (count, d).
+
+        If it is `shared`, its only row goes to all of them; with `missing` its components may be
+        NaN.
+        """
         count, width = target.shape
         rows = 1 if shared else count
         told = self._rows.at(target), target.strides[0] // 8, count, missing
@@ -123,7 +140,8 @@ class Layout:
 def _require_followed(family: Family) -> None:
     """Refuse a function that calls float() on its input: its branches may change later.
 
-    Jacobians may, which mostly write them into np.zeros and return it.
+    A trace has the branches that were taken when it was made. Jacobians may call float(): most do
+    so by writing into np.zeros, which they return.
     """
     assert family.template is not None
     assert family.template.tracer is not None

@@ -14,7 +14,7 @@ from pgm.networks import DynamicBayesianNetwork
 
 
 def require_neither(gate: object, watch: object, compiled: object) -> None:
-    """Refuse settings that only Gaussian beliefs have a use for."""
+    """Refuse a gate, a watch or compiled steps, of which only Gaussian beliefs have a use."""
     for name, value in (("gate", gate), ("watch", watch or None), ("compiled", compiled or None)):
         if value is not None:
             own = "innovations have a covariance" if name != "compiled" else "steps are its kernels"
@@ -24,7 +24,13 @@ def require_neither(gate: object, watch: object, compiled: object) -> None:
 def require_settings(
     model: Any, lineariser: Any, schedule: Any, lag: int | None, gate: Gate = None
 ) -> Filtering | FixedLag:
-    """The schedule of a filter, whose settings are refused if they are none, or do not fit."""
+    """The schedule of an online filter of Gaussian beliefs, from its settings, which are checked.
+
+    Without a schedule it is a `FixedLag` of the lag, or a `Filtering`, with the gate. A
+    `ModelError` refuses settings of a wrong kind or that exclude each other, and models with CPDs
+    that are not Gaussian, robust noise in the transition, or an infinite variance in the prior; an
+    `EvidenceError` a gate of what is no sensor.
+    """
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
     require_lineariser(lineariser)

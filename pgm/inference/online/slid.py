@@ -13,7 +13,11 @@ from pgm.kernels.arrays import Array
 
 
 def slid(make: Make, step: int, behind: Sliding, log_evidence: Array) -> OnlineBelief:
-    """The belief at the newest step of a window, or before anything was read there."""
+    """The belief at the newest step of a window: filtered, or predicted if nothing was read there.
+
+    `make` makes plans of evidence; `step` is the number of the newest step, and `log_evidence`
+    (*runs) that of all steps before, used if nothing was read.
+    """
     lead, window = behind.lead, behind.window
     if window is None:
         alone = behind.ahead(make, step)

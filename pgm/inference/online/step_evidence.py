@@ -1,7 +1,9 @@
 """The evidence of one online step: its values checked and bound to the model's CPDs.
 
-For one robot a layout, a plan of the step, is made once for each kind of input. Batches of robots,
-missing measurements and values of odd shapes have none: their plans are made anew at each step.
+For one robot a *layout*, a plan of the step, is made once for each *kind* of values: the variables
+that are given, and the shapes of their arrays. Batches of robots, missing measurements and values
+of odd types or shapes have none: their plans are made anew at each step, in the *general way*. The
+*place* of an array is its position among all that are given at a step.
 """
 
 from __future__ import annotations
@@ -35,26 +37,26 @@ from pgm.variables import Discrete, Variable
 
 
 class Place(Protocol):
-    """The place of a belief of any family: its step, its runs, and the window behind it."""
+    """Where a belief of any kind stands: its step, its runs, and the window behind it."""
 
     @property
     def step(self) -> int:
-        """The time step of the evidence."""
+        """The number of its step."""
         ...
 
     @property
     def lead(self) -> tuple[int, ...]:
-        """The axes of runs."""
+        """The user's axes of runs."""
         ...
 
     @property
     def behind(self) -> object:
-        """The steps behind it."""
+        """The steps kept behind the belief; a `Sliding` window fixes the number of runs."""
         ...
 
 
 def mapping(value: Any, method: str, what: str) -> Mapping[Variable, Any]:
-    """Refuse a value that is no mapping."""
+    """The same value; an `EvidenceError` if it is no mapping of `what` the method takes."""
     if not isinstance(value, Mapping):
         raise EvidenceError(f"{method} takes a mapping of {what}, not {type(value).__name__}")
     return value
@@ -63,7 +65,10 @@ def mapping(value: Any, method: str, what: str) -> Mapping[Variable, Any]:
 def inputs(
     model: DynamicBayesianNetwork, belief: Place, values: Mapping[Variable, Any]
 ) -> BoundEvidence:
-    """The inputs of a prediction."""
+    """The inputs of a prediction as bound evidence of one transition.
+
+    A variable that is no input of the transition raises an `EvidenceError`.
+    """
     needed = {v for cpd in model.transition for v in cpd.parents}
     for variable in values:
         if variable not in needed or variable not in model.inputs:
@@ -80,14 +85,17 @@ def inputs(
 def readings(
     model: DynamicBayesianNetwork, belief: Place, values: Mapping[Variable, Any]
 ) -> BoundEvidence:
-    """The measurements of an update."""
+    """The measurements of an update, and inputs of its sensors, as bound evidence of step 0."""
     evidence = {v: _reading(model, v, value) for v, value in values.items()}
     parts = model.transition, model.observation, evidence, 0, belief.lead
     return _same_runs(belief, bind(*parts, transition_inputs=False, identities=True))
 
 
 def _same_runs(belief: Place, bound: BoundEvidence) -> BoundEvidence:
-    """Refuse a change of the number of runs within a window, but from one run to many."""
+    """The same evidence, refused if its axes of runs differ from those of the window behind.
+
+    A belief of one run may become one of many.
+    """
     lead = belief.lead
     if isinstance(belief.behind, Sliding) and lead and lead != bound.lead:
         raise EvidenceError(
@@ -100,12 +108,12 @@ def _same_runs(belief: Place, bound: BoundEvidence) -> BoundEvidence:
 
 
 def _constant(value: Any) -> Constant:
-    """A value as a constant of the step."""
+    """The value of an input, wrapped as a constant if it is not one."""
     return value if isinstance(value, Constant) else constant(value)
 
 
 def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> Any:
-    """A sensor's value as sightings, whose step is the belief's; an input's as a constant."""
+    """The value of a sensor as sightings at step 0, that of an input as a constant."""
     if variable not in model.sensors:
         return _constant(value)
     if not isinstance(value, Sightings):
@@ -122,7 +130,7 @@ def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> A
 
 
 def _single(variable: Variable, value: Any) -> Any:
-    """One measurement, as the only row of several."""
+    """One measurement, with an axis of sightings of length one added."""
     if not isinstance(variable, Discrete):
         return as_rows(variable, value, None)[..., None, :]
     if isinstance(value, Soft):
@@ -132,16 +140,16 @@ def _single(variable: Variable, value: Any) -> Any:
 
 ARRAY, FLOAT = np.ndarray, np.dtype(np.float64)
 _SIGHTED, _GIVEN = -1, -2
-# What tells values of one kind from those of another: of what, how many rows, how wide. Variables
-# are told by identity, which is quicker than by value; whoever keeps a key has to keep them.
+# The kind of the values given: by variable how many rows and how wide. A variable is its identity,
+# which is quicker than its value; whoever keeps a key has to keep the variables alive.
 Key = tuple[Any, ...]
 
 
 def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
-    """The kind of the values given, and their rows: (d,), or (M, d) of sightings, read-only.
+    """The kind of the values given, a key for layouts, and their arrays, read-only.
 
-    A sensor's rows come before those of its parents. None where values are missing, odd, or of many
-    robots.
+    An array is (d,), or (M, d) of sightings, (d,) if M is 1; a sensor's comes before those of its
+    parents. None where values are missing, infinite, odd, or of many robots.
     """
     key: list[Any] = []
     rows: list[Array] = []
@@ -168,12 +176,15 @@ def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
 
 
 def _is_finite(row: Array) -> bool:
-    """Whether the sum of a row is finite; if that overflows, the general way takes over."""
+    """Whether the sum of an array is finite; one that overflows goes the general way, too."""
     return isfinite(sum((row if row.ndim == 1 else row.ravel()).tolist()))
 
 
 def _view(value: Any, axes: int) -> Array | None:
-    """A view that functions of users may see, (d,) or (M, d)."""
+    """A read-only view (d,) or (M, d), as users' functions see it; (d,) of a single sighting.
+
+    None where the value has not so many axes, or is odd.
+    """
     value = numbers(value, axes)
     if value is None:
         return None
@@ -183,14 +194,14 @@ def _view(value: Any, axes: int) -> Array | None:
 
 
 def numbers(value: Any, axes: int) -> Array | None:
-    """Values as an array with a number of axes; None if they need a closer look."""
+    """A value as an array of floats with so many axes; None where it is anything else."""
     if type(value) is not ARRAY or value.dtype is not FLOAT:
         value = _numbers(value) if isinstance(value, ARRAY | list | tuple) else None
     return None if value is None or value.ndim != axes else value
 
 
 def _numbers(value: Any) -> Array | None:
-    """The value as floats; None where it is refused, which the general way words."""
+    """The value as floats; None where it is refused, with an error of the general way."""
     try:
         return as_floats(value, "a value", EvidenceError)
     except EvidenceError:  # which the general way words
@@ -198,7 +209,10 @@ def _numbers(value: Any) -> Array | None:
 
 
 def places(values: Mapping[Variable, Any]) -> dict[tuple[Variable | None, Variable], int]:
-    """The place of each variable's row, by the sensor with whose sightings it was given, if any."""
+    """The place of each array among all that are given at a step, by sensor and variable.
+
+    The sensor is the one with whose sightings the variable was given, or None.
+    """
     found: dict[tuple[Variable | None, Variable], int] = {}
     for variable, value in values.items():
         found[None, variable] = len(found)
@@ -214,7 +228,11 @@ Values = Mapping[Variable, Any]
 
 
 class _Local:
-    """A CPD, and which of the rows given at a step are its inputs, (place, shared by sightings)."""
+    """A CPD of a layout, and at which places its inputs are.
+
+    `inputs` are pairs: the place of an input, and whether all sightings share its only row. There
+    are so many `sightings`, and `reading` is the place of their values, −1 of a transition.
+    """
 
     def __init__(
         self, family: Family, inputs: list[tuple[int, bool]], sightings: int, reading: int
@@ -227,7 +245,7 @@ class _Local:
             self.at_first = family.given(0, [np.zeros(0)] * len(inputs), sightings)
 
     def at(self, step: int, rows: list[Array]) -> At | None:
-        """The CPD at rows; None where its noise there is singular."""
+        """The CPD at the arrays given at a step; None where its noise there is singular."""
         if self.places is not None:
             known = [None if k is None else rows[k] for k in self.places]
             return self.at_first.bound(step, known)
@@ -242,7 +260,7 @@ class _Local:
 class _Layout(NamedTuple):
     """A plan and its chain, its CPDs, and the values from which it was made.
 
-    These keep alive the variables that a kind of input tells by identity.
+    The values keep variables alive, which a key tells by identity.
     """
 
     plan: ChainPlan
@@ -252,7 +270,10 @@ class _Layout(NamedTuple):
 
 
 class Layouts:
-    """Layouts of a step, cached by the shapes of its evidence."""
+    """The layouts of predictions or of updates, kept by the kind of the values given.
+
+    `make` makes the plan of a step from a belief and values. At most 64 layouts are kept.
+    """
 
     def __init__(
         self, make: Callable[[OnlineBelief, Values], ChainPlan], schedule: Filtering
@@ -261,7 +282,11 @@ class Layouts:
         self._known: dict[Key, _Layout] = {}
 
     def motion(self, belief: OnlineBelief, inputs: Values) -> tuple[MomentChain, list[At]] | None:
-        """The chain of a prediction, and its CPDs."""
+        """The chain of a prediction, and its transition CPDs bound to the inputs.
+
+        None where the general way is to be taken: values are not `ordinary`, or a noise is
+        singular.
+        """
         given = ordinary(inputs)
         if given is None:
             return None
@@ -275,7 +300,11 @@ class Layouts:
     def sensors(
         self, belief: OnlineBelief, readings: Values
     ) -> tuple[MomentChain, list[Reading]] | None:
-        """The chain of an update, and its measurements."""
+        """The chain of an update, and its measurements, bound to the readings.
+
+        None where the general way is to be taken: values are not `ordinary`, or a noise is
+        singular.
+        """
         given = ordinary(readings)
         if given is None:
             return None
@@ -300,7 +329,7 @@ class Layouts:
         return chain, parts
 
     def _add(self, key: Key, belief: OnlineBelief, values: Values) -> _Layout:
-        """The layout of a kind of evidence, made of the first of its kind and kept."""
+        """Make a layout from the first values of a kind, and keep it."""
         plan, where = self._make(belief, values), places(values)
         locals_ = [_local(link.family, None, 1, where) for link in plan.transition]
         if plan.sensors:
@@ -321,7 +350,10 @@ def _local(
     count: int,
     where: Mapping[tuple[Variable | None, Variable], int],
 ) -> _Local:
-    """The places of a CPD's inputs in the values of a step."""
+    """A CPD with the places of its inputs; `where` has the places by sensor and variable.
+
+    `sensor` is the CPD's child and `count` its sightings; None and 1 for a transition.
+    """
     inputs = []
     for parent in family.inputs:
         own = sensor is not None and (sensor, parent) in where

@@ -1,7 +1,8 @@
 """The steps behind the belief of an online filter with a lag.
 
-With one linearisation a trail of predictions is gone back over; with more, windows are smoothed as
-along a recorded chain.
+With one linearisation there is a *trail*: the transitions of the last steps, over which a lagged
+belief is smoothed backwards when it is asked for. With more there is a sliding *window*: its steps
+are linearised and smoothed at each update until they settle, as along a recorded chain.
 """
 
 from __future__ import annotations
@@ -32,12 +33,16 @@ from pgm.kernels.arrays import Array, Kind, sandwich
 from pgm.kernels.moments import Conditional
 from pgm.networks import DynamicBayesianNetwork
 
-# Lays out the evidence of steps, the first of which has this number, with the prior or without.
+# Makes the plan of the evidence of steps, whose first has the number given, with the prior or not.
 Make = Callable[[BoundEvidence, int, bool], ChainPlan]
 
 
 class Entry(NamedTuple):
-    """The evidence of a step: each CPD's inputs of the transition to it, and readings."""
+    """The evidence of a step of a window.
+
+    `motion` has, for each CPD of the transition to the step, its inputs; `readings` the
+    measurements.
+    """
 
     motion: tuple[Inputs, ...]
     readings: tuple[Reading, ...] = ()
@@ -47,9 +52,9 @@ class Entry(NamedTuple):
 class Sliding:
     """The window of a belief's step, and all that it is found from.
 
-    `entries` are of the steps whose CPDs are in it; `before` is that of the step before, None at
-    step 0; `window` is None while nothing has been read at the step; `left` (runs,) is the
-    log-evidence left behind.
+    `entries` are the evidence of the steps whose CPDs are in it. `window` is the settled window,
+    None while nothing has been read at its newest step; `before` is that of the step before, None
+    at step 0. `left` (runs,) is the log-evidence of the steps that have left the window, in nats.
     """
 
     schedule: FixedLag
@@ -69,7 +74,11 @@ class Sliding:
         return cls(schedule, model.lead, (Entry(motion),), None, None, np.zeros(1))
 
     def on(self, make: Make, motion: tuple[Inputs, ...], lead: tuple[int, ...]) -> Sliding:
-        """A step later, of which nothing has been read."""
+        """The window one step later, of which nothing has been read; `motion` has the inputs.
+
+        The present window is settled first. If it spans the lag, its oldest step is left behind
+        with the linearisations that it has.
+        """
         window, kept, left = self.settled(make), self.entries, self.left
         if window.plan.steps == self.schedule.lag:
             # The step after the beginning is left behind, as it was linearised last.
@@ -78,41 +87,42 @@ class Sliding:
         return Sliding(self.schedule, lead, (*kept, Entry(motion)), window, None, left)
 
     def read(self, make: Make, readings: tuple[Reading, ...], lead: tuple[int, ...]) -> Sliding:
-        """The window with further measurements of its step, taken in together with earlier ones."""
+        """The window settled again with further measurements of its newest step."""
         *others, last = self.entries
         last = last._replace(readings=(*last.readings, *readings))
         found = replace(self, lead=lead, entries=(*others, last), window=None)
         return replace(found, window=found.settled(make))
 
     def settled(self, make: Make) -> Window:
-        """The window of the step."""
+        """The settled window; it is iterated on if it has not been yet."""
         if self.window is not None:
             return self.window
         plan, begin = self._laid(make)
         return iterate_window(plan, 0, plan.steps, begin, self.schedule)
 
     def ahead(self, make: Make, step: int) -> SingleStep:
-        """The belief's step alone, of which nothing has been read."""
+        """The newest step, number `step`, predicted alone, as nothing has been read there."""
         begun = self.before is not None
         plan = make(_joined(self.entries[-1:], self.lead, begun=begun), step - begun, not begun)
         return filter_step(plan, plan.steps, self._newest)
 
     @property
     def _newest(self) -> Beginning | None:
-        """The belief at the step before the newest."""
+        """The belief at the step before the newest, from that step's window; None at step 0."""
         return None if self.before is None else self.before.at(-1)
 
     @property
     def log_evidence(self) -> Array:
-        """The log-evidence of all measurements so far, (runs,), once the window is settled."""
+        """The log-evidence so far, (runs,), in nats; the window has to be settled."""
         assert self.window is not None
         total: Array = self.left + self.window.ahead.log_density.sum(axis=0)
         return total
 
     def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
-        """The first step of the window of a belief's step, and its moments, (*lead, ...).
+        """The step a lag before `step`, 0 at the least, and the smoothed mean and covariance there.
 
-        Before anything has been read, those that the window of the step before has left.
+        Before anything has been read at `step`, they are those of the window of the step before;
+        with no window at all, the given `step`, `mean` and `cov`. Arrays are (*lead, ...).
         """
         window = self.window or self.before
         if window is None:
@@ -128,7 +138,11 @@ class Sliding:
         return first, mean, cov
 
     def _laid(self, make: Make) -> tuple[ChainPlan, Beginning | None]:
-        """The plan of the window, its newest step linearised as a filter does; its beginning."""
+        """The plan of the window, ready to be iterated on, and the belief at its first step.
+
+        CPDs are linearised as the window before left them, and those of the newest step as a filter
+        does. The belief is None where the window begins with the prior.
+        """
         before, begin, first = self.before, None, 0
         part = None if before is None else before.plan
         if before is not None and before.plan.steps == self.schedule.lag:
@@ -144,9 +158,9 @@ class Sliding:
 
 
 def _joined(entries: Sequence[Entry], lead: tuple[int, ...], *, begun: bool) -> BoundEvidence:
-    """The evidence of several online steps as one chain's.
+    """The evidence of several online steps as that of one chain, whose steps count from 0.
 
-    If the chain is begun, its first step carries none.
+    If the window has `begun`, step 0 is that of the belief that it begins with, without evidence.
     """
     motions = [entry.motion for entry in entries]
     transition = tuple(
@@ -171,7 +185,7 @@ def _joined(entries: Sequence[Entry], lead: tuple[int, ...], *, begun: bool) -> 
 
 
 def _rows(parts: Sequence[npt.NDArray[Kind]]) -> npt.NDArray[Kind]:
-    """Arrays (rows, runs or 1, d) stacked to one, read-only, as users' functions see it."""
+    """Arrays (rows, runs or 1, d) one below another, read-only, as users' functions see them."""
     runs = max(part.shape[1] for part in parts)
     whole = np.concatenate([np.broadcast_to(p, (len(p), runs, p.shape[2])) for p in parts])
     whole.flags.writeable = False
@@ -179,7 +193,10 @@ def _rows(parts: Sequence[npt.NDArray[Kind]]) -> npt.NDArray[Kind]:
 
 
 class _Ends(NamedTuple):
-    """A transition's belief before and its prediction, stacked: (2, runs, ...) each."""
+    """The beliefs at both ends of a transition, (2, runs, ...), as `Reverse.make` takes them.
+
+    Rows are the belief before and its prediction; the predicted moments are the same ones.
+    """
 
     mean: Array
     cov: Array
@@ -190,7 +207,8 @@ class _Ends(NamedTuple):
 class Passed:
     """A transition behind the belief, made in float64, with its reverse for lagged beliefs.
 
-    The plan is of one step; `before` and `after` are the belief before it, and what it predicts.
+    The plan is of this one step; `before` are the moments before it, `after` those predicted. The
+    reverse is found when it is asked for, since most beliefs are never lagged.
     """
 
     def __init__(self, plan: ChainPlan, before: Moments, after: Moments) -> None:
@@ -198,7 +216,10 @@ class Passed:
 
     @cached_property
     def back(self) -> Conditional:
-        """The slice before given the slice after, (*lead, ...); found when it is asked for."""
+        """The slice before given the slice after and earlier measurements, as an affine Gaussian.
+
+        Its arrays are (*lead, ...).
+        """
         plan, *ends = self._made
         (mean, cov), (later, spread) = (each.by_run for each in ends)
         both = np.stack([mean, later]), np.stack([cov, spread])
@@ -207,14 +228,18 @@ class Passed:
 
     @cached_property
     def variances(self) -> Array:
-        """Variances of the slice before, given the measurements up to that slice, (*lead, n)."""
+        """Variances of the slice before, given the measurements up to its step, (*lead, n)."""
         cov = self._made[1].by_run[1]
         found: Array = np.einsum("...ii->...i", cov).reshape(*self._lead, cov.shape[-1])
         return found
 
     @cached_property
     def moments(self) -> tuple[Array, Array, Array, Array]:
-        """The transition A, its noise, P_y and P, (*lead, n, n), to bound the rounding by."""
+        """The matrices A, Q, P_y and P of the transition, (*lead, n, n), to bound rounding by.
+
+        The transition is y = A x + c + n, n ~ N(0, Q), P the covariance of x and P_y that of y; see
+        `reversal_rounding`.
+        """
         plan, *ends = self._made
         known, predicted = (each.by_run[1] for each in ends)
         moves = between_slices(plan)
@@ -227,7 +252,7 @@ class Passed:
 
     @cached_property
     def added(self) -> Array:
-        """The part of P that rounding of the reversal is at most, (*lead,)."""
+        """The largest part of P that rounding of the reversed transition may be, (*lead,)."""
         predicted = self._made[2].by_run[1]
         found: Array = accumulated(np.stack([predicted, predicted]))
         return found.reshape(self._lead)
@@ -239,7 +264,10 @@ class Passed:
 
 
 def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
-    """A chain of one step in a plan of its own, which keeps its CPDs' linearisations."""
+    """A chain of one step with a plan of its own, which keeps the linearisations of `ats`.
+
+    `ats` are the transition's CPDs bound to the step's inputs.
+    """
     own = plan.window(0, 1)
     for link, at in zip(own.transition, ats, strict=True):
         if link.family.noisy and not plan.batch:  # laid out for other rows, maybe
@@ -248,10 +276,10 @@ def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
 
 
 class Trail(NamedTuple):
-    """The transitions behind a belief, as many as the lag has steps.
+    """The transitions behind a belief, as many as the lag has steps; the last ends at its step.
 
-    The last of them ends at the belief's step; they are None where a step took twice the digits,
-    `imprecise` where the measurements of the belief's step did.
+    One is None where the step was made in twice the digits; `imprecise` says that the measurements
+    of the belief's step were taken in so.
     """
 
     lag: int
@@ -259,12 +287,17 @@ class Trail(NamedTuple):
     imprecise: bool = False
 
     def on(self, passed: Passed | None) -> Trail:
-        """A step later."""
+        """The trail one step later, over the transition `passed`."""
         kept = (*self.passed, None if self.imprecise else passed)
         return Trail(self.lag, kept[-self.lag :] if self.lag else ())
 
     def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
-        """The trail's first step and its smoothed moments, from the moments at the last step."""
+        """The first step of the trail and the smoothed mean and covariance there.
+
+        `mean` and `cov` (*lead, ...) are those of the belief, at `step`. A `NumericalError` is
+        raised where a step was made in twice the digits, a variance falls too far, or rounding may
+        be more than 10⁻⁷ of a smoothed variance.
+        """
         first, before = step - len(self.passed), step
         later, added = [cov], np.zeros(cov.shape[:-2])
         for passed in reversed(self.passed):
@@ -282,7 +315,11 @@ class Trail(NamedTuple):
         return first, mean, cov
 
     def _share(self, later: list[Array]) -> float:
-        """The largest share of the last of these variances that rounding may be, going back."""
+        """The largest part of a smoothed variance at the trail's start that rounding may be.
+
+        `later` are the smoothed covariances from the last step back. For the bound see
+        `reversal_rounding`; it is infinite where a covariance is singular in float64.
+        """
         error = np.zeros(later[0].shape)
         for passed, cov in zip(reversed(self.passed), later[:-1], strict=False):
             assert passed is not None
@@ -297,7 +334,10 @@ class Trail(NamedTuple):
         return float(part.max(initial=0.0))
 
     def _refuse(self, first: int, before: int, step: int) -> NoReturn:
-        """Refuse a lagged belief whose deviations lie too far apart for float64."""
+        """Refuse a lagged belief at step `first`, of whose digits float64 loses too many.
+
+        They are lost at step `before` or the next.
+        """
         raise NumericalError(
             f"float64 loses the belief at step {first} given the measurements up to step {step}: "
             f"at step {before} or the next, deviations lie too far apart. That at step {step} is "
@@ -308,7 +348,10 @@ class Trail(NamedTuple):
 
 
 def is_like(behind: Trail | Sliding | None, own: Trail | Sliding | None) -> bool:
-    """Whether the steps behind a belief are kept as a filter keeps its own."""
+    """Whether a belief keeps the steps behind it as a filter does, with the same lag.
+
+    A window is to be of the same schedule.
+    """
     if isinstance(behind, Trail) and isinstance(own, Trail):
         return behind.lag == own.lag
     if isinstance(behind, Sliding) and isinstance(own, Sliding):
@@ -317,5 +360,5 @@ def is_like(behind: Trail | Sliding | None, own: Trail | Sliding | None) -> bool
 
 
 def look_again(plan: ChainPlan, ats: Sequence[At], step: int, known: Moments) -> None:
-    """Predict again with a look at every number, to name the CPD that has one not finite."""
+    """Predict again and look at every number, so that an error names the CPD that is not finite."""
     MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)

@@ -29,7 +29,10 @@ def joined(
     status: Status,
     found: Sequence[ChainPosterior],
 ) -> ChainPosterior:
-    """The posterior of all runs, equal to one call for all of them."""
+    """The posterior of all runs from those of its parts, in the order of the runs.
+
+    It equals that of one call for all runs. `bound` and `status` are of all runs.
+    """
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     return type(found[0])(
         graph,
@@ -51,7 +54,12 @@ def swept_once(
     status: Status,
     beliefs: Sequence[Array],
 ) -> ChainPosterior:
-    """The posterior of a schedule that linearised once, of its beliefs; a sweep finds the rest."""
+    """The posterior of a schedule that linearised once, from its beliefs of all runs.
+
+    `beliefs` are the filtered mean, covariance and log-density of each step, (T+1, runs, ...), then
+    of a smoother its mean and covariance. What else is asked of the posterior is found by another
+    sweep.
+    """
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     mean, cov, log_density, *smoothed = beliefs
     swept, kind = Filtered(plan, mean, cov, log_density), SMOOTHED if smoothed else FILTERED
@@ -60,7 +68,7 @@ def swept_once(
 
 
 def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
-    """The forward sweeps of the parts as one; the plan is linearised as they were."""
+    """The forward passes of the parts as one; `plan` takes over their linearisations."""
     plans = [each._plan for each in found]
     for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
         _family(family, families)
@@ -71,7 +79,11 @@ def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
 
 
 def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
-    """One status of all runs; a part that was done earlier keeps its last residuals."""
+    """One status of all runs, with `lead` as the user's axes of runs.
+
+    Residuals of a part with fewer iterations are continued with its last one. The texts about
+    machine code are joined, and digits that were not measured count as all that float64 has.
+    """
     every = tuple(statuses)
     longest = max(len(status.residuals) for status in every)
     records = []
@@ -90,14 +102,14 @@ def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
 
 
 def _digits(status: Status) -> Array:
-    """The digits of runs; all that float64 has, where they were not measured."""
+    """The digits of runs, (runs,); where they were not measured all that float64 has, 15.7."""
     if status.digits is None:
         return np.full(status.converged.size, -np.log10(np.finfo(np.float64).eps))
     return status.digits.reshape(-1)
 
 
 def _family(whole: Family, parts: list[Family]) -> None:
-    """Concatenate the parts' linearisations of one CPD along the runs: F, b and Q."""
+    """Concatenate the parts' linearisations F, b and Q of one CPD along the runs, in `whole`."""
     if not whole.exact:
         whole.matrix = np.concatenate([part.matrix for part in parts], axis=1)
         whole.offset = np.concatenate([part.offset for part in parts], axis=1)
@@ -107,7 +119,11 @@ def _family(whole: Family, parts: list[Family]) -> None:
 
 
 def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
-    """Concatenate the parts' weights, gate decisions and cross-covariances of one sensor."""
+    """Concatenate the parts' records of one sensor along the runs, in `whole`.
+
+    They are its measurements with angles moved, weights of robust noise, gate decisions, and the
+    covariances between errors of sightings linearised together (`cross`).
+    """
     whole.moved = np.concatenate([part.moved for part in parts], axis=1)
     if whole.robust:
         for name in ("weight", "square"):
@@ -129,7 +145,11 @@ def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
 
 
 def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
-    """Arrays concatenated along the runs, their second axis; nested values by their fields."""
+    """Results of parts as one: arrays concatenated along their second axis, that of runs.
+
+    Tuples and dataclasses, of which `kind` is the type, are joined field by field; of flags and
+    numbers the least is taken. None, in the first part, stays None.
+    """
     if parts[0] is None:
         return None
     if kind in (bool, float):  # of all, or the least
@@ -144,5 +164,5 @@ def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
 
 
 def _each(parts: Sequence[Any], name: str) -> list[Any]:
-    """One attribute of every part."""
+    """An attribute of every part, as a list."""
     return [getattr(part, name) for part in parts]

@@ -1,8 +1,9 @@
 """Values on their way to other processes: pickles, from which large arrays travel apart.
 
-A pipe moves numbers more slowly than a filter makes them. Large arrays travel apart from the
-pickle, as they lie in memory, runs fastest, and what is broadcast once; of those in a block that
-both processes see (`shared_memory`) only the places do.
+A pipe moves numbers more slowly than a filter makes them. A *parcel* is one or more pickles and the
+large arrays of all of them, which it puts in one block of memory: as they lie in memory, runs
+fastest, and what is broadcast once. In the pickle there is only the *place* of such an array. An
+array in a block that both processes see (`shared_memory`) stays there.
 """
 
 from __future__ import annotations
@@ -28,7 +29,11 @@ AnyArray = npt.NDArray[Any]
 
 
 class _Place(NamedTuple):
-    """An array: its memory (itself, a block, or None, the parcel's own), and how it is seen."""
+    """Where an array is, as it stands in a pickle in place of the array.
+
+    `memory` is the array's numbers themselves, the name of a shared block, or None for the parcel's
+    own block; `offset` is in bytes from its beginning. The rest is how the array views that memory.
+    """
 
     memory: AnyArray | Name | None
     offset: int
@@ -39,23 +44,26 @@ class _Place(NamedTuple):
 
 
 class Pickle(NamedTuple):
-    """A pickled value and its large arrays, unless an earlier pickle has sent them."""
+    """A pickled value, and the large arrays that it is the first in its parcel to refer to.
+
+    Each has its offset in the parcel's block, in bytes.
+    """
 
     data: bytes
     arrays: list[tuple[int, AnyArray]]
 
     def fill(self, memory: mmap.mmap) -> None:
-        """Put the arrays in memory of the parcel's size."""
+        """Copy the arrays to their offsets in `memory`, which has at least the parcel's `size`."""
         for offset, array in self.arrays:
             np.ndarray(array.shape, array.dtype, memory, offset)[...] = array
 
 
 class Parcel:
-    """A pickle whose large arrays travel apart from it, in one block of memory.
+    """Pickles whose large arrays travel apart from them, in one block of memory.
 
-    With `apart` there is a block to put arrays in. With `shared` several processes read that block,
-    so writeable arrays stay in the pickle. An array that already lies in the shared `room` travels
-    as its place alone.
+    With `apart` there is such a block; its `size` in bytes grows with each pickle. With `shared`
+    several processes read it, so that writeable arrays stay in the pickle. An array that already
+    lies in the `room`, a shared block, is pickled as its place.
     """
 
     def __init__(self, *, apart: bool, shared: bool = False, room: Room | None = None) -> None:
@@ -66,14 +74,20 @@ class Parcel:
         self._put: dict[Any, tuple[int, AnyArray]] = {}
 
     def dumps(self, value: Any) -> Pickle:
-        """The pickle of a value."""
+        """Pickle a value, and place its large arrays in the parcel."""
         file = io.BytesIO()
         before = len(self._put)
         _Pickler(self, file).dump(value)
         return Pickle(file.getvalue(), list(itertools.islice(self._put.values(), before, None)))
 
     def place(self, array: AnyArray) -> _Place | None:
-        """The place of an array in the parcel; None if it is pickled as any object."""
+        """The place of an array; None if it is to be pickled as usual.
+
+        An array in the room keeps its place there. A large one is put in the parcel's block, once
+        however often it is pickled. Any other that is not contiguous in C order is its own memory,
+        in the order in which it lies. The rest, and arrays of objects and of subclasses, are
+        pickled as usual.
+        """
         seen = (array.dtype, array.strides, array.shape, array.flags.writeable)
         if self.room is not None and (offset := self.room.offset(array)) is not None:
             return _Place(self.room.block.name, offset, *seen)
@@ -102,7 +116,7 @@ class Parcel:
 
 
 class _Pickler(pickle.Pickler):
-    """A pickler that puts large arrays in the parcel's memory, and their places in the pickle."""
+    """A pickler that writes the places of arrays in their stead."""
 
     def __init__(self, parcel: Parcel, file: io.BytesIO) -> None:
         super().__init__(file, protocol=5)
@@ -113,7 +127,10 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """An unpickler that finds large arrays at their places in memory, without a copy."""
+    """An unpickler that makes arrays at their places in memory, without a copy.
+
+    `own` is the parcel's block.
+    """
 
     def __init__(self, file: io.BytesIO, own: mmap.mmap | None) -> None:
         super().__init__(file)
@@ -130,12 +147,15 @@ class _Unpickler(pickle.Unpickler):
 
 
 def loads(data: bytes, own: mmap.mmap | None) -> Any:
-    """The value of a pickle, whose parcel filled that memory."""
+    """The value of a pickle whose parcel's block is `own`, None if it has none."""
     return _Unpickler(io.BytesIO(data), own).load()
 
 
 def refuse(named: Sequence[Any], error: Exception) -> ModelError:
-    """The error that says which of some objects cannot be pickled, and which part of it."""
+    """A `ModelError` that says which of some objects cannot be pickled, which part of it, and why.
+
+    If all of them can, it has the words of `error`, which pickling has raised.
+    """
     for each in named:
         fault = _fault(each)
         if fault is None:

@@ -1,4 +1,7 @@
-"""Running a schedule on a chain: all runs at once, or in parts, of which little may be kept."""
+"""Running a schedule on a chain: all runs at once, or in parts, of which little may be kept.
+
+The words part, job, share and room are those of `pgm.inference.parts`.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,12 @@ def run(
     keep: Keep | None,
     executor: Executor | None,
 ) -> ChainPosterior | KeptPosterior:
-    """Send the messages of a schedule; of all but `keep` nothing is held, which bounds memory."""
+    """The posterior of a schedule on a chain with Gaussian beliefs, for the arguments of `infer`.
+
+    With `keep` or an `executor` runs are worked through in parts; with `keep` nothing is held but
+    the marginals of its variables, which bounds memory. Sightings of unknown identity are
+    associated first.
+    """
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     if is_open(bound):
@@ -99,7 +107,11 @@ def _results(
     share: Share,
     room: Sequence[Array],
 ) -> list[Result]:
-    """The results of all parts, with arrays in the room; stops at a careful one."""
+    """The results of all parts, in order, whose arrays have been written to the room.
+
+    It stops after a part that needed twice the digits, unless variables are kept. An error of a
+    worker is looked for again in this process.
+    """
     jobs = [
         Job(part, schedule, lineariser, share, _of(room, part) if workers.shares else None)
         for part in parts
@@ -122,9 +134,10 @@ def _results(
 def _fail_alone(
     whole: Part, failed: Part, schedule: Schedule | None, lineariser: Lineariser, share: Share
 ) -> None:
-    """Raise a worker's error as if the runs had been solved in one process.
+    """Raise a worker's error as one process would raise it, if it does.
 
-    The first error there may stand in other runs.
+    All runs are solved again here; or, if variables are kept, those parts, cut as for one worker,
+    that have runs in common with the `failed` one. The first error may be of other runs.
     """
     for part in [whole] if share.kept is None else split(whole, lineariser, 1):
         if part.runs.stop > failed.runs.start and part.runs.start < failed.runs.stop:
@@ -132,14 +145,18 @@ def _fail_alone(
 
 
 def _of(room: Sequence[Array], part: Part) -> list[Array]:
-    """One part's views of arrays (steps, runs, ...)."""
+    """Views of a part's runs in arrays (steps, runs, ...)."""
     return [array[:, part.runs] for array in room]
 
 
 def _require_memory(
     layout: SliceLayout, bound: BoundEvidence, schedule: Schedule | None, kept: Scope | None
 ) -> None:
-    """Refuse beliefs that would not fit: a smoother has the filter's and predicted ones too."""
+    """Refuse beliefs that would not fit in memory, by a `GraphError`.
+
+    With `kept` variables the means and covariances of these at all steps count; without, those of
+    the slices, four times for a smoother, which keeps the moments of its passes.
+    """
     sizes = [layout.slice_size] if kept is None else [v.dimension for v in kept]
     sets = 4 if kept is None and not isinstance(schedule, Filtering) else 1
     require_memory(
@@ -152,7 +169,7 @@ def _require_memory(
 
 
 def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
-    """The variables that `keep` names; each must be hidden."""
+    """The variables that `keep` names; one that is not hidden raises an `EvidenceError`."""
     kept = as_scope(keep, "keep", ordered=False)
     for variable in kept:
         if variable not in layout.slice:
@@ -169,7 +186,8 @@ def _gaussians(
 ) -> dict[Variable, Gaussian]:
     """Kept marginals from arrays (steps, runs, ...), as Gaussians (*lead, steps, ...).
 
-    A hidden control has no step 0, hence its step labels begin at 1.
+    The arrays of the `room` are the mean and the covariance of each variable in turn. A hidden
+    control has no step 0, hence its step labels begin at 1.
     """
     found = {}
     for variable, mean, cov in zip(kept, room[::2], room[1::2], strict=False):
@@ -184,7 +202,12 @@ def _gaussians(
 
 @dataclass(frozen=True)
 class Share:
-    """The part of a posterior that a worker sends back: `kept` marginals, all beliefs, or all."""
+    """What a worker sends back of its part's posterior.
+
+    It is the marginals of the variables `kept`; or, with `beliefs`, the filtered moments and
+    log-densities of all steps, and the `smoothed` moments of a smoother; or else the posterior
+    itself.
+    """
 
     kept: Scope | None
     beliefs: bool
@@ -194,7 +217,13 @@ class Share:
     def of(
         cls, graph: DynamicGraph, schedule: Schedule | None, start: Start | None, kept: Scope | None
     ) -> Share:
-        """A posterior of one linearisation is rebuilt from its beliefs; any other travels whole."""
+        """The share for a call: kept marginals, beliefs alone, or the whole posterior.
+
+        Marginals are sent if there are `kept` variables. Beliefs suffice if every CPD was
+        linearised once, along the filter: the schedule has one iteration and is no fixed lag, there
+        is no start, no balanced tree and no gate. Another sweep then finds all else. A posterior of
+        any other call is sent whole.
+        """
         once = schedule is None or (
             isinstance(schedule, Filtering | Calibration) and schedule.iterations == 1
         )
@@ -204,7 +233,10 @@ class Share:
         return cls(kept, kept is None and once and plain, not isinstance(schedule, Filtering))
 
     def shapes(self, graph: DynamicGraph, bound: BoundEvidence) -> list[Shape]:
-        """The shapes of the arrays asked for, for all runs."""
+        """The shapes of the arrays sent back, for all runs: pairs of leading and own axes.
+
+        Leading axes are steps and runs.
+        """
         layout, everywhere = graph.layout, (bound.steps + 1, bound.runs)
         found: list[Shape] = []
         if self.kept is not None:
@@ -218,7 +250,10 @@ class Share:
         return []
 
     def arrays(self, found: ChainPosterior, runs: int) -> list[Array]:
-        """The arrays of a part's posterior that are sent back."""
+        """The arrays of a part's posterior that are sent back, in the order of `shapes`.
+
+        A posterior that is sent whole has none.
+        """
         if self.kept is None:
             swept, smoothed = found._swept, found._smoothed
             last = [] if smoothed is None else [smoothed.mean, smoothed.cov]
@@ -235,7 +270,10 @@ class Share:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """The work on a part of the runs, whose arrays go into the room or else the result."""
+    """The work on a part of the runs.
+
+    Its arrays go into `room`, the part's views of the room, or if that is None into the result.
+    """
 
     part: Part
     schedule: Schedule | None
@@ -245,7 +283,12 @@ class Job:
 
 
 class Result(NamedTuple):
-    """The result of a part of the runs; a `careful` one is empty, unless variables are kept."""
+    """The result of a part of the runs.
+
+    It is `careful` if it took twice the digits; then, unless variables are kept, it has nothing
+    else, since all runs are to be solved again together. `arrays` are those that have not been
+    written to a room, `found` is a posterior sent whole.
+    """
 
     status: Status
     kind: Kind
@@ -256,7 +299,7 @@ class Result(NamedTuple):
 
 
 def run_job(job: Job) -> Result:
-    """Send the messages of the runs of a job."""
+    """Do a job: send the messages of a part's runs, and return its share."""
     part, share = job.part, job.share
     slice_, room = part.graph.layout.slice, None
     if job.room and (share.kept is None or share.kept == slice_):
@@ -276,7 +319,7 @@ def run_job(job: Job) -> Result:
 
 
 def write(room: Sequence[Array], arrays: Sequence[Array]) -> None:
-    """Put arrays in their room."""
+    """Copy arrays to those of a room, but for arrays that were made there."""
     for place, array in zip(room, arrays, strict=True):
         if address(place) != address(array):  # it has not been made there
             np.copyto(place, array)

@@ -1,8 +1,8 @@
 """Shared memory between processes of one machine, where the system has it (Linux).
 
-A block is a file without a name or a disk, gone when no process has it any more; since the first
+A *block* is a file without a name or a disk, gone when no process has it any more; since the first
 use of fresh memory costs as much as a filter, blocks are kept for the next call with the same
-executor.
+executor. A *room* is a block with arrays for the results of workers.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 
-# Blocks of an executor that wait for its next call.
+# The most blocks of an executor that wait for its next call.
 _IDLE = 3
-# Blocks that a worker keeps in sight.
+# The most blocks that a worker keeps mapped.
 _SEEN = 4
 # Arrays in a block begin at lines of the processor's cache.
 LINE = 64
 
-# Leading axes, the last of runs, and own ones.
+# Of an array: its leading axes, the last of them runs, and its own ones.
 Shape = tuple[tuple[int, ...], tuple[int, ...]]
 
 _NUMBERS = itertools.count()
@@ -40,7 +40,10 @@ _idle: weakref.WeakKeyDictionary[Executor, list[Block]] = weakref.WeakKeyDiction
 
 
 class Name(NamedTuple):
-    """The name of a block in other processes: its maker, number, file and size."""
+    """The name of a block in other processes: its maker's process, its number, file and size.
+
+    The number tells apart blocks that had the same file descriptor one after another.
+    """
 
     process: int
     number: int
@@ -48,7 +51,7 @@ class Name(NamedTuple):
     size: int
 
     def open(self, size: int | None = None) -> mmap.mmap:
-        """The memory, made larger before if a size is given."""
+        """Map the block; with a `size` it is first made so large, in bytes."""
         file = os.open(f"/proc/{self.process}/fd/{self.file}", os.O_RDWR)
         try:
             if size is not None:
@@ -60,7 +63,7 @@ class Name(NamedTuple):
 
 @lru_cache(_SEEN)
 def seen(name: Name) -> mmap.mmap:
-    """A shared block mapped in a worker, kept mapped: pages used once cost nothing again."""
+    """A block of this name mapped in a worker, and kept so: pages used once cost nothing again."""
     return name.open()
 
 
@@ -76,11 +79,14 @@ class Block:
 
     @property
     def name(self) -> Name:
-        """The block's present name, by which another process opens it."""
+        """The present name of the block, by which other processes open it."""
         return Name(os.getpid(), self.number, self.file, self.size)
 
     def hold(self, size: int, *, anew: bool = False) -> mmap.mmap:
-        """The mapped memory, of `size` bytes at least; with `anew` in a new mapping."""
+        """The block mapped, first enlarged to `size` bytes if it has fewer.
+
+        With `anew` in a mapping of its own.
+        """
         if size > self.size or not self.size:
             self.size, self._memory = max(size, 1), None
             os.ftruncate(self.file, self.size)
@@ -93,7 +99,11 @@ class Block:
 
 
 class Room:
-    """Uninitialised arrays in one shared block, which workers fill in; kept once it is `done`."""
+    """Uninitialised arrays in one shared block, which workers fill in.
+
+    `arrays` has one for each of `shapes`: leading axes, the last of them runs, and own axes; in
+    memory runs are fastest. The block is one of `idle`, or new.
+    """
 
     def __init__(self, idle: list[Block], shapes: Sequence[Shape]) -> None:
         sizes = [lines(8 * math.prod(lead) * math.prod(own)) for lead, own in shapes]
@@ -107,17 +117,20 @@ class Room:
             self.arrays.append(np.moveaxis(array, -1, len(before)))
 
     def offset(self, array: npt.NDArray[Any]) -> int | None:
-        """The offset of an array; None, if it is of other memory."""
+        """The offset of an array in the block, in bytes; None if it lies elsewhere."""
         found = address(array) - self._start
         return found if 0 <= found < self.block.size else None
 
     def done(self, idle: list[Block]) -> None:
-        """Keep the block, once nobody looks at it any more."""
+        """Give the block back to `idle` when no array refers to it any more."""
         weakref.finalize(self._memory, keep, idle, self.block)
 
 
 def idle_blocks(executor: Executor) -> list[Block] | None:
-    """The blocks that wait for an executor's next call; None, if it shares no memory with us."""
+    """The blocks that wait for an executor's next call; None if it cannot share memory.
+
+    Only a `ProcessPoolExecutor` on Linux can.
+    """
     from concurrent.futures import ProcessPoolExecutor  # here, since few need it
 
     if not isinstance(executor, ProcessPoolExecutor):
@@ -128,7 +141,7 @@ def idle_blocks(executor: Executor) -> list[Block] | None:
 
 
 def borrow(idle: list[Block], size: int) -> Block:
-    """The idle block that fits best, or a new one."""
+    """Take the idle block that fits a size best, the least that is large enough; or make one."""
     fitting = sorted(idle, key=lambda block: (block.size < size, abs(block.size - size)))
     for block in fitting:
         try:
@@ -140,13 +153,13 @@ def borrow(idle: list[Block], size: int) -> Block:
 
 
 def keep(idle: list[Block], block: Block) -> None:
-    """Keep an idle block for another call."""
+    """Give a block back to be used again, unless three wait already."""
     if len(idle) < _IDLE:
         idle.append(block)
 
 
 def lines(size: int) -> int:
-    """Bytes rounded up to whole cache lines."""
+    """A number of bytes rounded up to whole cache lines."""
     return -(-size // LINE) * LINE
 
 

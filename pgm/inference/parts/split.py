@@ -1,4 +1,7 @@
-"""Parts of many runs, cut out with their share of the evidence."""
+"""Parts of many runs, cut out with their share of the evidence.
+
+`lead` are the user's axes of runs, which are flattened to one.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ MOST = 5000
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A slice of the runs, with graph, evidence and start as if it were all runs."""
+    """A slice of the runs, with a graph, evidence and start that have these runs alone."""
 
     runs: slice
     graph: DynamicGraph
@@ -37,7 +40,10 @@ class Part:
 
 
 def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
-    """The parts in turn, none larger than the room for it, as many for each of the workers."""
+    """The parts of all runs, in order: equal in size but for the last, as many for each worker.
+
+    They are as large as memory allows, with at most 5,000 runs.
+    """
     graph, bound, start = whole.graph, whole.bound, whole.start
     size = _size(graph, bound, lineariser, workers)
     if size >= bound.runs:
@@ -53,10 +59,11 @@ def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
 
 
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
-    """The number of runs in a part, bounded by memory; at least one part a worker.
+    """The number of runs in a part: at least one part a worker, bounded by memory.
 
     A step needs about 5 (n + s) (n + 1) floats for a slice of n components, s of them states; a
-    measurement 5 d (d + 1).
+    measurement of d components 5 d (d + 1). It is all runs where a lineariser draws its points
+    afresh for each run.
     """
     model = graph.model
     rules = [lineariser]
@@ -77,7 +84,7 @@ def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, wor
 
 
 def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGraph:
-    """The graph with the CPDs of a part of the runs; itself if no CPD differs by run."""
+    """The graph with the CPDs of a part of the runs; the same if no CPD differs by run."""
     model = graph.model
     changed = {
         name: tuple(_cpd(cpd, lead, runs) for cpd in getattr(model, name))
@@ -91,7 +98,10 @@ def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGr
 
 
 def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> ConditionalGaussian:
-    """A CPD with the offsets and covariances of a part of the runs."""
+    """A CPD with the offsets and covariances of a part of the runs.
+
+    It is the same CPD if all runs have one offset and one covariance.
+    """
     changed: dict[str, Any] = {}
     for name, own in (("offset", 1), ("cov", 2)):
         value = getattr(cpd, name, None)
@@ -105,7 +115,7 @@ def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> Condit
 
 
 def _evidence(bound: BoundEvidence, runs: slice) -> BoundEvidence:
-    """The evidence of a part of the runs; `first_run` keys the random numbers of its first."""
+    """The evidence of a part of the runs, with the number of its first as `first_run`."""
 
     def inputs(values: Mapping[Any, Array]) -> dict[Any, Array]:
         return {variable: cut(array, runs) for variable, array in values.items()}

@@ -1,4 +1,4 @@
-"""A worker's result, with its warnings, its error and the time it took."""
+"""What a worker sends back: a result or an error, with the warnings that it gave."""
 
 from __future__ import annotations
 
@@ -20,11 +20,14 @@ _REGISTRIES: dict[str, dict[Any, Any]] = {}
 
 
 class RemoteTraceback(Exception):
-    """The traceback of an error of another process, as the cause of the error here."""
+    """The traceback of another process's error, as text; the cause of the error raised here."""
 
 
 class Done(NamedTuple):
-    """The answer of a worker, with the warnings there: message, category, file, line."""
+    """The answer of a worker: a value, or an error with its traceback as text.
+
+    `warned` has the warnings that were given there: message, category, file and line.
+    """
 
     value: Any
     error: Exception | None = None
@@ -32,7 +35,7 @@ class Done(NamedTuple):
     warned: Sequence[tuple[str, type[Warning], str, int]] = ()
 
     def result(self) -> Any:
-        """The value; or the error is raised."""
+        """The value; an error is raised. The worker's warnings are given again first."""
         for message, category, file, line in self.warned:
             registry = _REGISTRIES.setdefault(file, {})  # so that a filter may show it once
             warnings.warn_explicit(message, category, file, line, registry=registry)
@@ -43,7 +46,7 @@ class Done(NamedTuple):
 
 
 def here(work: Callable[[Any], Any], job: Any) -> Done:
-    """Work done in this process, by a thread."""
+    """Do some work in this process, perhaps in a thread; an exception is returned, not raised."""
     try:
         return Done(work(job))
     except Exception as error:
@@ -51,7 +54,11 @@ def here(work: Callable[[Any], Any], job: Any) -> Done:
 
 
 def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
-    """Work done in another process: a `Done`, pickled, and the bytes of its large arrays."""
+    """Do some work in another process: the `Done` pickled, and the bytes of its large arrays.
+
+    `data` is the pickle of a function and its argument; `own` names the block of its parcel. Large
+    arrays of the answer go to the block `answer`; without one they stay in the pickle.
+    """
     try:
         work, job = loads(data, None if own is None else seen(own))
     except Exception as error:
@@ -70,7 +77,10 @@ def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, in
 
 
 def _watched(work: Callable[[Any], Any], job: Any) -> Done:
-    """Do some work and collect its warnings, which the caller's process gives again."""
+    """Do some work and record its warnings, but for each `PrecisionWarning`.
+
+    The caller's process gives them again; a status tells it of lost digits.
+    """
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         done = here(work, job)
@@ -84,7 +94,7 @@ def _watched(work: Callable[[Any], Any], job: Any) -> Done:
 
 
 def _packed(done: Done, answer: Name | None) -> tuple[bytes, int]:
-    """A result as pickle and size of its arrays, which are in shared memory if there is any."""
+    """A result pickled, and the bytes of its arrays in the block `answer`, if there is one."""
     parcel = Parcel(apart=answer is not None)
     pickle = parcel.dumps(done)
     if answer is not None and parcel.size:

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor, Future
 
 
-# Shares of the work for each processor, where an executor does not say how many workers it has.
+# Workers for each CPU core, if an executor does not say how many it has.
 _SHARES = 4
 
-# Results whose arrays have a block each, which is an open file.
+# The most results whose arrays have a block each, which is an open file.
 _FILES = 100
 
 Job = TypeVar("Job")
@@ -37,14 +37,18 @@ Job = TypeVar("Job")
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A job on its way: its future is of a `Done`, or of its pickle and its large arrays' bytes."""
+    """The work on some runs that an executor has been given.
+
+    `future` is of a `Done`, or, from another process, of its pickle and the bytes of its large
+    arrays in the block `answer`.
+    """
 
     runs: slice
     future: Future[Any]
     answer: Block | None
 
     def done(self) -> Done:
-        """The worker's answer, once it is done."""
+        """The worker's answer, waited for; an error of the executor itself is raised."""
         found = self.future.result()
         if not isinstance(found, Done):
             data, size = found
@@ -54,13 +58,17 @@ class Task:
 
     @property
     def lost(self) -> bool:
-        """Whether nothing has come back."""
+        """Whether the worker has not answered: the future is pending, cancelled or failed."""
         future = self.future
         return not future.done() or future.cancelled() or future.exception() is not None
 
 
 class Workers:
-    """The workers of an executor, `count` of them, or the caller alone; some share a `room`."""
+    """The workers of an executor, `count` of them; without one the caller alone.
+
+    `shares` says whether they see the memory of the caller's `room`: threads do, and processes that
+    can map a shared block.
+    """
 
     def __init__(self, executor: Any) -> None:
         from concurrent.futures import Executor, ThreadPoolExecutor  # here, since few need them
@@ -79,7 +87,10 @@ class Workers:
         self._room: Room | None = None
 
     def room(self, shapes: Sequence[Shape]) -> list[Array]:
-        """Arrays with leading axes and own ones, in shared memory if there is any; see `vacant`."""
+        """Arrays for the results of all runs, uninitialised; in a shared block if there is one.
+
+        A shape has leading axes and own axes, as of `vacant`.
+        """
         if self._idle is None:
             return [vacant(*shape) for shape in shapes]
         self._room = Room(self._idle, shapes)
@@ -94,9 +105,12 @@ class Workers:
         large: bool,
         named: Sequence[Any] = (),
     ) -> Iterator[Done]:
-        """The results of jobs, in their order; without an executor errors are raised at once.
+        """The answers of all jobs, in their order, as they come.
 
-        `work` is a function of a module; of what is `named` one is named if it cannot be pickled.
+        `work` is a function of a job that stands in a module; `runs` are the jobs' runs, for
+        errors. Arrays of answers travel in blocks if they are `large`. Without an executor a job's
+        error is raised; with one the answer has it. If jobs cannot be pickled, a `ModelError` says
+        which of the `named` objects is why.
         """
         if self._executor is None:
             yield from (Done(work(job)) for job in jobs)
@@ -130,9 +144,10 @@ class Workers:
     def _gathered(
         self, runs: Sequence[slice], calls: Iterable[Any], answers: Sequence[Block | None]
     ) -> Iterator[Done]:
-        """Submit all calls, and yield results in the order of the runs.
+        """Submit all calls, and yield their answers in the order of the runs.
 
-        Where a worker dies, the error names the runs that were lost.
+        If a worker dies, an `ExecutorError` names the runs that were lost; what waits is then
+        cancelled.
         """
         assert self._executor is not None
         waiting: deque[Task] = deque()
@@ -156,7 +171,7 @@ class Workers:
                 task.future.cancel()
 
     def _lost(self, runs: Sequence[slice], error: Exception) -> ExecutorError:
-        """The error for runs whose worker died; adjacent parts are told as one range."""
+        """The error for runs whose worker has died, adjacent parts as one range."""
         rows: list[tuple[int, int]] = []
         for part in runs:
             if rows and rows[-1][1] == part.start:
@@ -174,6 +189,6 @@ class Workers:
 
 
 def _count(executor: Executor) -> int:
-    """The number of an executor's workers, as far as it tells; otherwise by the CPU cores."""
+    """The number of an executor's workers; four a CPU core if it does not say."""
     told = getattr(executor, "_max_workers", None)
     return told if is_whole(told) and told > 0 else _SHARES * (os.cpu_count() or 1)
