@@ -114,7 +114,7 @@ class Grid(InCode, Immutable):
         Raises
         ------
         ModelError
-            If it is no whole number, 1 or more.
+            If `times` is no whole number of 1 or more.
 
         Examples
         --------
@@ -156,7 +156,12 @@ class Grid(InCode, Immutable):
 
 
 def _extent(key: object, value: Any) -> Extent:
-    """The checked interval or circle of one axis."""
+    """Check a user's extent of one axis: (lo, hi, cells) of an interval, or the cells of a circle.
+
+    Returned are (float, float, int) or an int. Refused, by a ModelError, are a key that is no name
+    or variable, ends that are not finite or not lo < hi, less than 2 cells of an interval or 3 of a
+    circle, and cells too narrow for float64 at these ends.
+    """
     if not isinstance(key, str | Variable):
         raise ModelError(
             f'a grid\'s axes are components of states, named like "east" or "x.east", or scalar '

@@ -1,4 +1,8 @@
-"""The correlated density of a prior at the centres, where it is wide for the cells."""
+"""The correlated density of a prior at the centres, where it is wide for the cells.
+
+A kernel along one axis after another has no correlations; a normal density that is wide for the
+cells is right by its values at the centres.
+"""
 
 import itertools
 
@@ -22,7 +26,12 @@ _WIDE = 1.3
 
 
 def wide(group: Group, run: int, window: Window) -> Dense | None:
-    """The correlated density of a state without parents, where it is wide; otherwise None."""
+    """The weights of a prior's normal density at the centres, where it is wide; otherwise None.
+
+    They are (1, 1, cells of its axes). It is of a single `GaussianCPD` with a finite, regular and
+    correlated covariance, whose components have standard deviations, given the others, of 1.3 cells
+    or more.
+    """
     cpd, lattice = group.states[0], group.lattice
     if len(group.states) > 1 or not isinstance(cpd, GaussianCPD):
         return None
