@@ -177,7 +177,7 @@ class GridBelief(PointMassBelief):
     centres : tuple of ndarray
         (cells,) of each axis; those of an angle go round the circle from −π on.
     values : ndarray
-        (..., *cells), of sum one, or float32 where the grid has that `dtype`.
+        (..., *cells): the probabilities, of sum one; float32 where the grid has that `dtype`.
     steps : ndarray of int or None
         The steps that the last leading axis stands for.
 

@@ -34,14 +34,14 @@ from pgm.variables import Variable
 _KEPT = 1 << 24
 # A share of the weights at the bounds above which some may be beyond.
 _EDGE = 1e-14
-# Sources of which the centres are shifted, and by which parts of a cell: of any, and of those
-# whose sums are the furthest from one.
+# How many source cells' sums are taken over shifted centres, and the shifts in parts of a cell: of
+# cells spread over all, and of those whose sums are the furthest from one.
 _SHIFTED = 16
 _FEW = np.arange(1, 4) / 4.0
 _MANY = np.arange(1, 16) / 16.0
-# A sum that is off by this is that of one.
+# A sum that is off one by this is one but for rounding.
 _ROUNDING = 1e-9
-# From this on a density has no answer on the lattice.
+# Above this variation of its sums a density is too narrow for the lattice.
 _UNEVEN = 0.5
 
 

@@ -33,11 +33,11 @@ class DensitySensor(MeasuredSensor):
     """A sensor of any density, such as a mixture or a scan, weighed by ln p(z | x) at centres."""
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The log-densities of one measurement at a window's centres, as a `Level`, and the highest.
+        """The log-densities of one measurement at a window's centres, and the highest.
 
-        The highest is that found so far: in the window, at some 4096 cells of all the lattice, and
-        of earlier measurements of as many components; 0 if all are −∞. Of a measurement without any
-        component the list is empty and the value 0.
+        The first is a `Level`, in a list. The highest is that found so far: in the window, at some
+        4096 cells of all the lattice, and of earlier measurements of as many components; 0 if all
+        are −∞. Of a measurement without any component the list is empty and the value 0.
         """
         count = int(self.taken(row, run).sum())
         if not count:

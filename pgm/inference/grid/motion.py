@@ -33,9 +33,9 @@ from pgm.resources import require_memory
 _MATRICES = 1 << 24
 # Numbers of all its kernels, at all nodes of a quadrature; more are split node by node.
 _KERNELS = 1 << 24
-# Noise of so many circles is flat on a circle, to e^(−2π²·9).
+# Noise with a standard deviation of so many circles is flat on a circle, to e^(−2π²·9).
 _CIRCLES = 3.0
-# Noise of so many times the bounds leaves a fiftieth within them.
+# Noise with a standard deviation of so many times the bounds leaves a fiftieth within them.
 _BOUNDS = 20.0
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.lattice import Span, along, matrices
 
-# The variance, in cells, of the three points on which a displacement is split: that of any f.
+# The largest variance, in squared cells, of the three points that a displacement is split on.
 SPLIT = 0.25
 
 

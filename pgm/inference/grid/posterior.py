@@ -62,7 +62,7 @@ class PointPosterior(Labelled, Viewed, Shown, NoArray, Generic[Belief]):
         return self.joint(require_variable(variable))
 
     def joint(self, *variables: Variable) -> Belief:
-        """The joint of some variables."""
+        """The joint of some variables, in the order given."""
         raise NotImplementedError
 
 

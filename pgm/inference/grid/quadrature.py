@@ -17,8 +17,8 @@ _NARROW = 1.0
 _HERMITE = 5
 # Weights of nodes below this are left out.
 _SLIGHT = 1e-14
-# Shares of a deviation at which displacements are looked at: those of large ones may go round a
-# circle, and seem to be none.
+# Shares of a standard deviation at which displacements are looked at: those of a whole one may go
+# round a circle, and seem to be none.
 _SHARES = (1.0, 0.1, 1e-2, 1e-3)
 
 

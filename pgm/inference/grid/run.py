@@ -98,7 +98,7 @@ def _figure(grid: Grid, found: GridPosterior) -> Array:
 
 
 def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
-    """The posterior on a lattice of a grid's cells, run by run: filtered and, if asked, smoothed."""
+    """The posterior on a grid's own lattice, run by run: filtered and, if asked, smoothed."""
     lattice = resolve(grid, graph.model.states)
     smoothing = kind.lag > 0
     require_room(lattice, grid, bound.steps + 1, bound.runs, 3 if smoothing else 1)

@@ -219,7 +219,7 @@ class GridSensor(MeasuredSensor):
         return not self._differ(whole - one, other - found[-1]).any()
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """How far h moves by one cell, in standard deviations of the noise; see `MeasuredSensor`."""
+        """How far h moves by one cell, in standard deviations of noise; see `MeasuredSensor`."""
         step, known = int(self.reading.step[row]), self.known(row, run)
         found = self.values(centres(self.lattice, self.around(cell)), known, step, run)
         gaps = found[1 : 1 + len(cell)] - found[0]

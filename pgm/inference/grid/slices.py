@@ -157,7 +157,8 @@ class GridSlices:
         self.split: frozenset[int] = frozenset()
         self.worst, self._tails = Worst(), Tails(self.lattice)
         self.unresolved = 0.0
-        # By step, where something was measured: the density of no residuals, and how many numbers.
+        # By step, where something was measured: the log-density of zero residuals, and how many
+        # numbers were measured.
         self._ceilings: dict[int, tuple[float, int]] = {}
         # By step: the windows before and after its motion, and the weights of its measurements.
         self.windows: dict[int, tuple[Window, Window]] = {}
@@ -166,7 +167,10 @@ class GridSlices:
         self._awaiting: tuple[int, Window, Array] | None = None
 
     def prior(self) -> Array:
-        """The prior's probabilities of the cells at step 0; a ModelError if less than half is inside."""
+        """The prior's probabilities of the cells at step 0.
+
+        A ModelError is raised if less than half of the prior is inside the bounds.
+        """
         found, added, uneven = start(self.lattice, self.model.first, self.run)
         self.added += added
         self._note(uneven=uneven)

@@ -20,7 +20,7 @@ from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.lattice import Span
 
-# From this many cells on, of the deviation of each component given the others, the density at
+# From this standard deviation s on, in cells, of each component given the others, the density at
 # centres is a normal on the lattice: its sum and moments are right to e^(−2π²s²).
 _WIDE = 1.3
 

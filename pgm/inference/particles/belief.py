@@ -1,4 +1,4 @@
-"""Particle beliefs and the figures read from them: means, quantiles, histograms."""
+"""Particle beliefs and the figures read from them: means, covariances, draws and histograms."""
 
 from __future__ import annotations
 
@@ -78,17 +78,17 @@ class ParticleBelief(PointMassBelief):
 
     @cached_property
     def number(self) -> Integers:
-        """The number of particles, (...)."""
+        """The number of particles of each belief, (...)."""
         return self._by_lead(np.stack([cloud.counts for cloud in self._clouds], axis=-1))
 
     @cached_property
     def effective(self) -> Array:
-        """The effective number of particles, 1 / Σ w², (...)."""
+        """The effective number of particles of each belief, 1 / Σ w², (...)."""
         return self._by_lead(np.stack([cloud.effective for cloud in self._clouds], axis=-1))
 
     @cached_property
     def states(self) -> npt.NDArray[Any]:
-        """The particles, (..., n, d); refused where their number differs."""
+        """The particles, (..., n, d); a ModelError refuses numbers n that differ."""
         self._require_equal("states")
         rows = self._rows
         found = np.stack([cloud.states[rows] for cloud in self._clouds], axis=0)
@@ -97,7 +97,7 @@ class ParticleBelief(PointMassBelief):
 
     @cached_property
     def weights(self) -> Array:
-        """The weights, (..., n), of sum one; refused where the number of particles differs."""
+        """The weights, (..., n), of sum one; a ModelError refuses numbers n that differ."""
         self._require_equal("weights")
         found = np.stack([cloud.weights for cloud in self._clouds], axis=0)
         return self._by_lead(found.reshape(len(found), self._count, -1), first=True)
@@ -178,7 +178,8 @@ class ParticleBelief(PointMassBelief):
     def _at(self, index: Any, chosen: Integers) -> ParticleBelief:
         """The belief at an index of the leading axes, by the flat places that it has chosen.
 
-        Steps have clouds of their own, so that only whole steps of whole runs can be taken out.
+        Steps have clouds of their own: an index may choose steps, and the same runs at each of
+        them; a ModelError refuses pairs of runs and steps.
         """
         if not chosen.size:
             raise ModelError(f"a belief with the leading axes {self.lead} has none at {index!r}")
@@ -195,7 +196,7 @@ class ParticleBelief(PointMassBelief):
         return ParticleBelief(self._parts, clouds, chosen.shape[:-1], self.steps[each[0]])
 
     def _gathered(self, place: int, runs: Integers) -> Cloud:
-        """The particles of one step, for some of the runs."""
+        """The particles of some of the runs, at the step with this place among the belief's."""
         cloud = self._clouds[place]
         if len(runs) == cloud.runs and (runs == np.arange(cloud.runs)).all():
             return cloud
@@ -209,15 +210,17 @@ class ParticleBelief(PointMassBelief):
 
     @property
     def _rows(self) -> list[int]:
+        """The rows of the belief's components in the states of its clouds."""
         return [part.row for part in self._parts]
 
     @property
     def _count(self) -> int:
+        """The number of runs."""
         return self._clouds[0].runs
 
     @cached_property
     def _moments(self) -> list[tuple[Array, Array]]:
-        """The mean and covariance of each step's cloud."""
+        """The means (runs, d) and covariances (runs, d, d) of each step's cloud."""
         return [self._moments_of(cloud) for cloud in self._clouds]
 
     def _moments_of(self, cloud: Cloud) -> tuple[Array, Array]:
@@ -252,7 +255,7 @@ class ParticleBelief(PointMassBelief):
         return mean.T, cov.transpose(2, 0, 1)
 
     def _by_lead(self, values: npt.NDArray[Any], first: bool = False) -> npt.NDArray[Any]:
-        """Values (runs, steps, ...), or with steps first, by the leading axes; read-only."""
+        """Values (runs, steps, ...), or with steps first, reshaped to (*lead, ...); read-only."""
         if first:
             values = values.swapaxes(0, 1)
         return closed(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))

@@ -53,11 +53,19 @@ class Guide:
 
     @property
     def _sensors(self) -> list[Any]:
+        """The sensors of Gaussian noise that have evidence."""
         sensors = self.model.sensors
         return [s for s in sensors if isinstance(s.reading.cpd, ConditionalGaussian)]
 
     def steered(self, row: int, some: Some, drawing: Drawing) -> tuple[Steered, Array]:
-        """White noise for particles to be moved to a step, and ln N(w; 0, I) / q(w) of each."""
+        """White noise w that moves particles to a step, and ln N(w; 0, I) / q(w) of each, (m,).
+
+        row: The row of the step's inputs.
+        some: The particles, with their states at the step before.
+        drawing: Their generators; the `Drawing` returned gives out w instead.
+
+        A NumericalError is raised if q is not finite, or singular: weights would be infinite.
+        """
         before, after = self._moments(row, some)
         lower = roots.root(before.cov)
         free = ~roots.determined(lower)
@@ -81,7 +89,11 @@ class Guide:
 
     @quiet()
     def _moments(self, row: int, some: Some) -> tuple[Moments, Moments]:
-        """The moments (m, n), (m, n, n) of each particle's slice before and after measurements."""
+        """Each particle's moments of the slice, before and after its measurements, runs first.
+
+        Means are (m, n), covariances (m, n, n). Errors of a user's function name the proposal and
+        the step.
+        """
         plan = self._plan(row, some)
         chain = MomentChain(plan, _ONCE, keep=False, check=True)
         layout, places = self.graph.layout, self.model.places
@@ -101,12 +113,14 @@ class Guide:
         return Moments(*before.by_run), Moments(*after.by_run)
 
     def _plan(self, row: int, some: Some) -> ChainPlan:
-        """A plan of one step whose runs are the particles."""
+        """A plan of the one step to which particles move, whose runs are the particles."""
 
         def own(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            """Values (rows, runs or 1, d) of each particle's run, (rows, m or 1, d)."""
             return values if values.shape[1] == 1 or some.owner is None else values[:, some.owner]
 
         def reading(found: Reading, rows: range) -> Reading:
+            """Some rows of a reading, with the values of each particle's run, at step 1."""
             chosen = slice(rows.start, rows.stop)
             return replace(
                 found,
@@ -133,21 +147,25 @@ class Guide:
 
 
 class Steered(Drawing):
-    """White noise that was drawn beforehand, (components, m), given out CPD by CPD."""
+    """White noise that was drawn beforehand, (components, m), given out CPD by CPD in order."""
 
     def __init__(self, white: States) -> None:
         super().__init__(())
         self._left = white
 
     def white(self, components: int, count: int, dtype: Any) -> States:
-        """The next components."""
+        """The next components of the noise, (components, m)."""
         del count, dtype
         found, self._left = self._left[:components].copy(), self._left[components:]
         return found
 
 
 def require_guidable(model: DynamicBayesianNetwork) -> None:
-    """Refuse a network whose transition gives no Gaussian proposal."""
+    """Refuse, by a ModelError, a network for which a lineariser gives no proposal.
+
+    Its transition has to be Gaussian, without robust noise, and no CPD may have axes of runs of its
+    own.
+    """
     require_gaussian(model.transition, "proposals of a lineariser")
     require_plain(model.transition)
     every: Sequence[CPD] = (*model.transition, *model.observation)
@@ -162,7 +180,10 @@ def require_guidable(model: DynamicBayesianNetwork) -> None:
 
 
 def _whitened(lower: Array, cov: Array) -> Array:
-    """A⁻¹ P A⁻ᵀ, zero in determined components."""
+    """A⁻¹ P A⁻ᵀ of roots A, `lower`, and covariances P, `cov`, (m, n, n).
+
+    Rows and columns of components that those before them determine, by A, are zero.
+    """
     free = ~roots.determined(lower)
     half = solving.solve_lower(lower, cov) * free[..., None]
     found: Array = solving.solve_lower(lower, half.swapaxes(-1, -2)) * free[..., None]

@@ -93,7 +93,10 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         )
 
     def _responsible(self, sensor: Sensor) -> Iterator[Array]:
-        """The probability of each candidate for each sighting, (runs, k + 2)."""
+        """The associations (runs, k + 2) of each open sighting of a sensor, one after another.
+
+        They are averaged over the particles of its step, by their weights.
+        """
         for row, step in enumerate(sensor.reading.step.tolist()):
             cloud = self._clouds[step]
             total = list[Array]()
