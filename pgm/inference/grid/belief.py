@@ -1,4 +1,4 @@
-"""Beliefs on a grid: probabilities of cells, and what is asked of them."""
+"""Beliefs on a grid: probabilities of cells, and the means, marginals and draws read from them."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         Raises
         ------
         ModelError
-            If the components are not all those of some variables, in their order.
+            If the components are not all components of some variables, in their order.
         """
         variables = whole_variables(self._parts)
         return Gaussian(variables, self.mean, self.cov, steps=self.steps)
@@ -99,12 +99,12 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
 
     @public
     def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
-        """Draws of the point masses, (*size, ..., n).
+        """Draws of the point masses by their probabilities, (*size, ..., n).
 
         Parameters
         ----------
         size : int or tuple of int
-            How many of each belief.
+            How many draws of each belief.
         rng : numpy.random.Generator or int
             The generator of draws, or its seed.
 
@@ -125,7 +125,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         raise NotImplementedError
 
     def __getitem__(self, index: Any) -> Self:
-        """The beliefs at some places of the leading axes: of a run, or of a step.
+        """The beliefs at an index of the leading axes: of some runs, or of some steps.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class GridBelief(PointMassBelief):
         )
 
     def _mean(self) -> Array:
-        """The means (..., axes), of angles about the direction of their mean vector."""
+        """The means (..., axes); an angle's is its circular mean plus the mean offset from that."""
         each = [
             axis.reference + about + offset
             for axis, (about, _, offset) in zip(self._parts, self._moments, strict=True)
@@ -252,12 +252,12 @@ class GridBelief(PointMassBelief):
         return np.stack(each, axis=-1).reshape(*flat.shape, -1)
 
     def _over(self, places: tuple[int, ...]) -> GridBelief:
-        """The belief over some of the axes, in this order."""
+        """The belief over the axes at some places, in this order."""
         axes = [self._parts[k] for k in places]
         return GridBelief(axes, self._marginal(places), self.steps)
 
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """Draws (count, ..., axes) of the centres of cells, by their probabilities."""
+        """Draw the centres of cells by their probabilities, `count` a belief, (count, *lead, n)."""
         rows = self.values.reshape(int(np.prod(self.lead)), -1)
         drawn = np.empty((count, len(rows)), dtype=np.intp)
         for k, row in enumerate(rows):

@@ -89,7 +89,7 @@ class Dense:
         return self._whole(lines @ self.weights, self.target)
 
     def backward(self, array: Array) -> Array:
-        """The transposed operator, for backward messages; see `Operator`."""
+        """The transposed operator, a backward message in the source window; see `Operator`."""
         lines = self._lines(array) @ self.weights.swapaxes(1, 2)
         count = math.prod(self.source[k].length for k in self.axes)
         return self._whole(np.broadcast_to(lines, (*lines.shape[:2], count)), self.source)

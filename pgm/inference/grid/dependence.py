@@ -42,7 +42,7 @@ def within(lattice: Lattice, window: Window, most: int, seed: int) -> Integers:
 
 
 def blocks(lattice: Lattice) -> Iterator[Integers]:
-    """All cells of a lattice, (n, axes), some at a time."""
+    """All cells of a lattice, (n, axes), in blocks of at most 2^16."""
     for first in range(0, lattice.size, BLOCK):
         flat = np.arange(first, min(first + BLOCK, lattice.size))
         yield np.stack(np.unravel_index(flat, lattice.shape), axis=-1)
@@ -147,11 +147,11 @@ class Dependence:
         seed: int,
         everywhere: bool = False,
     ) -> bool:
-        """Whether a new axis was found on which a value depends, by moving one axis at a time.
+        """Whether an axis is found on which a value was not known to depend; it is added then.
 
         At random cells, or at all of them (`everywhere`), each axis of the step before, and each of
         its own step that may be depended on (`later`), is moved to another cell; a value that
-        differs depends on it.
+        differs depends on it. The arguments are those of `look`.
         """
         lattice, grown = self.lattice, False
         sets = blocks(lattice) if everywhere else iter([places(lattice, PROBES, seed)])

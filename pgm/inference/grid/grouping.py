@@ -47,7 +47,7 @@ def groups(
         return found.union(*(needed(controls[v]) for v in found))
 
     def made(cpd: CPD, place: tuple[int, ...]) -> Members:
-        """The group of one CPD, or of one component of a mixture."""
+        """The group of one CPD; of a part of a mixture, at its `place` there."""
         own = tuple(control for control in controls.values() if control.child in needed(cpd))
         family = {each.child: values[each.child] for each in own}
         family[cpd.child] = {v: a for v, a in values[cpd.child].items() if v in cpd.parents}

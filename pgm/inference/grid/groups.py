@@ -137,7 +137,7 @@ class Group(Members):
         return self.wrapped(cells)
 
     def wrapped(self, cells: Array) -> Array:
-        """Displacements (..., axes) in cells, of angles wrapped, in place, to half a circle."""
+        """Wrap displacements (..., axes), in cells, to half a circle along angles, in place."""
         for k, axis in enumerate(self.axes):
             if self.lattice.axes[axis].angle:
                 count = self.lattice.axes[axis].cells

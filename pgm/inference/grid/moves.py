@@ -24,10 +24,10 @@ SPLIT = 0.25
 
 
 class Operator(Protocol):
-    """A linear map of the probabilities in one window to those in another."""
+    """A linear map of the probabilities in a source window to those in a target window."""
 
     def forward(self, array: Array) -> Array:
-        """The probabilities in the target window."""
+        """The probabilities in the target window, from those in the source window."""
         ...
 
     def backward(self, array: Array) -> Array:
@@ -106,11 +106,11 @@ class Move:
         return float((each * marginal.reshape(each.shape)).sum() / max(marginal.sum(), 1e-300))
 
     def forward(self, array: Array, node: int = 0) -> Array:
-        """The probabilities after the move along one axis; see `Operator`."""
+        """The probabilities after the move along one axis, at a node of the quadrature."""
         return along(self.matrix(node), array, self.axis, self.by)
 
     def backward(self, array: Array, node: int = 0) -> Array:
-        """The transposed move, for backward messages; see `Operator`."""
+        """The transposed move, of a backward message, at a node of the quadrature."""
         return along(self.matrix(node).swapaxes(-1, -2), array, self.axis, self.by)
 
 
@@ -126,7 +126,7 @@ class Sweep:
     nodes: Array
 
     def forward(self, array: Array) -> Array:
-        """The probabilities after all moves, summed over nodes; see `Operator`."""
+        """The probabilities after all moves, averaged over the nodes; see `Operator`."""
         return self._run(array, self.moves, lambda move, node, part: move.forward(part, node))
 
     def backward(self, array: Array) -> Array:
@@ -135,7 +135,7 @@ class Sweep:
         return self._run(array, last_first, lambda move, node, part: move.backward(part, node))
 
     def added(self, array: Array) -> dict[int, float]:
-        """The variance that the lattice adds, in squared cells by axis; see `Operator`."""
+        """By axis, the variance that the lattice adds, in squared cells; see `Operator`."""
         return {move.axis: move.mean_added(array, self.nodes) for move in self.moves}
 
     def _run(
@@ -265,7 +265,7 @@ class Split:
         return total.reshape(tuple(span.length for span in self.source))
 
     def added(self, array: Array) -> dict[int, float]:
-        """The variance that the lattice adds, in squared cells by axis; see `Operator`."""
+        """By axis, the variance that the lattice adds, in squared cells; see `Operator`."""
         values, found = array.reshape(-1), dict.fromkeys(self.axes, 0.0)
         for node, share in enumerate(self.nodes):
             target = self.place(node)

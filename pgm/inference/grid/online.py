@@ -141,7 +141,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         EvidenceError
             If a measurement does not fit its sensor, or is impossible.
         ModelError, LinearisationError
-            See `predict`.
+            If the belief is none of this filter's, or a function has no value at a point mass.
         """
         self._check(belief)
         given = step_evidence.mapping(readings, "update", "sensors to measurements")

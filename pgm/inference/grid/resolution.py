@@ -152,7 +152,12 @@ def _curvatures(level: Array, turns: Mask) -> Array:
 
 
 def _neighbour(level: Array, place: Integers, axis: int, step: int, turns: bool) -> float:
-    """The logarithm at the cell `step` further along an axis; −∞ beyond an end."""
+    """The logarithm at a cell's neighbour, a `step` further along an axis; −∞ beyond an end.
+
+    level: The logarithms of the probabilities of a window's cells.
+    place: The cell, (axes,).
+    turns: Whether the axis goes round a whole circle.
+    """
     other = place.copy()
     other[axis] += step
     if turns:

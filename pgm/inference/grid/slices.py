@@ -256,7 +256,7 @@ class GridSlices:
         return self.lattice.put(part, made.target)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The message to the slice before, through the transition of a step."""
+        """The backward message (*cells) to the slice before a step, from that to its own."""
         source, _ = self.windows[step]
         made = self.model.motion.at(step, self.run, source)
         part = made.backward(self.lattice.cut(message, made.target))
@@ -318,7 +318,7 @@ class GridSlices:
 
 
 def marginals(belief: Array) -> list[Array]:
-    """The marginals (cells,) of a belief along each of its axes."""
+    """The marginals of a belief along each of its axes, a list of arrays (cells,)."""
     if belief.ndim == 1:
         return [belief]
     last = belief.sum(axis=tuple(range(belief.ndim - 1)))

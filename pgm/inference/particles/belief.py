@@ -103,15 +103,15 @@ class ParticleBelief(PointMassBelief):
         return self._by_lead(found.reshape(len(found), self._count, -1), first=True)
 
     def _mean(self) -> Array:
-        """Weighted means, (..., d), with the user's leading axes."""
+        """The weighted means, (..., d)."""
         return self._by_lead(np.stack([mean for mean, _ in self._moments], axis=0), first=True)
 
     def _cov(self) -> Array:
-        """Weighted covariances, (..., d, d), with the user's leading axes."""
+        """The weighted covariances, (..., d, d)."""
         return self._by_lead(np.stack([cov for _, cov in self._moments], axis=0), first=True)
 
     def _over(self, places: tuple[int, ...]) -> ParticleBelief:
-        """The belief over some of the components, in this order."""
+        """The belief over the components at some places, in this order."""
         each = [self._parts[k] for k in places]
         return ParticleBelief(each, self._clouds, self._runs, self.steps)
 
@@ -142,7 +142,7 @@ class ParticleBelief(PointMassBelief):
         Raises
         ------
         ModelError
-            If the belief has leading axes, a component is none, or the bins are none.
+            If the belief has leading axes, it has no such component, or NumPy refuses the bins.
         """
         self._require_one("a histogram")
         places = list(places_of(self._parts, components, "a histogram"))
@@ -163,7 +163,7 @@ class ParticleBelief(PointMassBelief):
         return found, tuple(edges)
 
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """Draws with replacement by the weights, (count, ..., d)."""
+        """Draws with replacement by the weights, (count, *lead, d)."""
         rows = self._rows
         found = np.empty((len(self._clouds), self._clouds[0].runs, count, len(rows)))
         for step, cloud in enumerate(self._clouds):
@@ -224,7 +224,10 @@ class ParticleBelief(PointMassBelief):
         return [self._moments_of(cloud) for cloud in self._clouds]
 
     def _moments_of(self, cloud: Cloud) -> tuple[Array, Array]:
-        """The means (runs, d) and covariances (runs, d, d) of a cloud."""
+        """The weighted means (runs, d) and covariances (runs, d, d) of a cloud's particles.
+
+        An angle's mean is its circular mean plus the mean difference from that, wrapped.
+        """
         weights, count = cloud.weights, len(self._parts)
         mean, apart = np.empty((count, cloud.runs)), np.empty((count, len(weights)))
         for k, part in enumerate(self._parts):

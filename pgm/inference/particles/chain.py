@@ -121,7 +121,11 @@ class ParticleChain:
         return cloud
 
     def predict(self, step: int, cloud: Cloud) -> Cloud:
-        """The particles of a step, drawn from the transition given the step before."""
+        """The particles of a step, drawn from the transition or a proposal, given the step before.
+
+        Those of a run are resampled first, if that is due; a number by likelihood draws until it is
+        met.
+        """
         generators = self.generators(step)
         number = self.particles.number
         if isinstance(number, LikelihoodSampling) and self.model.measured(step).any():

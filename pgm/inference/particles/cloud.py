@@ -79,7 +79,7 @@ class Cloud:
         return slice(int(self.starts[run]), int(self.starts[run + 1]))
 
     def summed(self, values: npt.NDArray[Any]) -> Array:
-        """The sums of (..., particles) over the particles of each run, (..., runs)."""
+        """The sums of values (..., particles) over the particles of each run, (..., runs)."""
         return np.add.reduceat(values, self.starts[:-1], axis=-1, dtype=np.float64)
 
     def spread(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -103,7 +103,7 @@ class Cloud:
         return found
 
     def weighed(self, log_weights: Array) -> Cloud:
-        """The same particles with new log-weights."""
+        """The same particles with other log-weights, (particles,)."""
         return replace(self, log_weights=log_weights)
 
     def blocks(self) -> Iterator[Block]:

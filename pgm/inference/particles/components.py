@@ -24,7 +24,7 @@ class Part(NamedTuple):
 
     @property
     def angle(self) -> bool:
-        """Whether it is an angle."""
+        """Whether the component is an angle."""
         return bool(self.variable.angle_mask[self.component])
 
 

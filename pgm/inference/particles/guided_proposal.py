@@ -1,14 +1,15 @@
 r"""Guided proposals: particles drawn where the measurements of their step are.
 
-The noise of the transition is white noise w under its root, x_t = f(x_{t−1}) + L w, CPD by CPD. A
-lineariser makes of each particle a chain of one step, begun at the particle, whose Gaussian belief
-given the measurements is one of w,
+The transition of a particle is a function of white noise w, drawn from N(0, I): x_t = f(x_{t−1}) +
+L w, CPD by CPD, L being the root of its noise covariance. Beginning at the particle, a lineariser
+makes a Gaussian belief of its next slice given the measurements, which is one of w:
 
 .. math:: q(w) = N(w;\, A^{-1}(μ^+ - μ^-),\, A^{-1} P^+ A^{-T}), \qquad P^- = A A^T,
 
-μ⁻, P⁻ and μ⁺, P⁺ being the moments of the slice before and after its measurements. w is drawn from
-it, goes through the transition as it is, and counts N(w; 0, I) / q(w): weights are exact, however
-bad the linearisation, and a component without noise stays a function of the others.
+μ⁻, P⁻ and μ⁺, P⁺ being the mean and covariance of the slice before and after its measurements. w is
+drawn from q and goes through the transition as it is; the particle's weight is multiplied by
+N(w; 0, I) / q(w). Weights are exact, however bad the linearisation, and a component without noise
+stays a function of the others. m is the number of particles, n that of the slice's components.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _ROUNDING = 1e-6
 
 
 class Guide:
-    """The guided proposals of one model, p(x_t | x_{t−1}, z_t) by a Gaussian for each particle."""
+    """The guided proposals of a model: for each particle a Gaussian near p(x_t | x_{t−1}, z_t)."""
 
     def __init__(self, graph: DynamicGraph, model: ParticleModel, lineariser: Lineariser) -> None:
         self.graph, self.model, self.lineariser = graph, model, lineariser

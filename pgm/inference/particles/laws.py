@@ -376,7 +376,7 @@ class Root:
         return found
 
     def log_density(self, residual: States, some: Some) -> Array:
-        """The log-densities (m,), under regular noise, of residuals (d, m), which are overwritten."""
+        """The log-densities (m,) of residuals (d, m), which are overwritten; of regular noise."""
         which = slice(None) if len(self.lower) == 1 else self.of(some)
         if self.diagonal is not None:
             residual /= self.diagonal[:, which]

@@ -57,7 +57,7 @@ class ParticleModel:
 
     @cached_property
     def parts(self) -> list[Part]:
-        """The components of the slice, by name."""
+        """The components of the slice, with their names and rows."""
         return parts([(variable, place.start) for variable, place in self.places.items()])
 
     @cached_property
@@ -67,7 +67,7 @@ class ParticleModel:
 
     @cached_property
     def transition(self) -> list[Law]:
-        """The laws of the states' and hidden controls' transitions, row k being of step first + k + 1."""
+        """The laws of states' and hidden controls' transitions; row k is of step first + k + 1."""
         pairs = zip(self.model.transition, self.bound.transition, strict=True)
         return [self._law(cpd, inputs) for cpd, inputs in pairs]
 
@@ -88,11 +88,11 @@ class ParticleModel:
         return step - self.first - 1
 
     def read(self, step: int) -> list[Variable]:
-        """The sensors with measurements at a step."""
+        """The variables of the sensors with measurements at a step."""
         return [s.reading.cpd.child for s in self.sensors if len(s.rows(step))]
 
     def measured(self, step: int) -> Array:
-        """How many components were measured at a step, (runs,), as the sensors' densities count them.
+        """How many components were measured at a step, (runs,), as the densities count them.
 
         Of a scan they are the beams in use times their weight.
         """
@@ -158,9 +158,10 @@ class Sensor:
                 total[which] += found
 
     def responsibilities(self, row: int, some: Some) -> Array:
-        """The associations of an open sighting at particles, (k + 2, m); NaN if it is of another run.
+        """The associations of an open sighting at particles, (k + 2, m).
 
-        They are the probabilities of each candidate, of a spurious sighting and of a new thing.
+        They are the probabilities of each of k candidates, of a spurious sighting and of a new
+        thing; NaN where nothing was measured.
         """
         cpd, reading = self.law.cpd, self.reading
         assert isinstance(cpd, UnidentifiedCPD)

@@ -1,4 +1,4 @@
-"""How many particles there are: as many as their spread, or the measurements, need."""
+"""How many particles a run has: as many as their spread, or the measurements, ask for."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
 
     @property
     def filtered(self) -> ParticlePosterior:
-        """The beliefs of the forward sweep."""
+        """The filtered beliefs, those of the forward sweep; itself, of a filter."""
         if self.kind == FILTERED:
             return self
         return replace(self, kind=FILTERED, _clouds=self._filtered)

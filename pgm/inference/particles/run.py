@@ -1,4 +1,4 @@
-"""Running a schedule with particles."""
+"""Running a schedule with particles: a filter, and backward simulation where it smooths."""
 
 from __future__ import annotations
 

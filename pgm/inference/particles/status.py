@@ -1,4 +1,4 @@
-"""The status of particles: what their weights are worth."""
+"""The status of particles: how many are effective, and where measurements were impossible."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class ParticleStatus(Shown, Immutable):
         self._set(**found)
 
     def at(self, step: int) -> ParticleStatus:
-        """The status of one step alone."""
+        """The status of one step alone, in arrays (*runs, 1), without `unmoved`."""
         names = "effective", "number", "resampled", "injected", "ignored", "restarted"
         return ParticleStatus(*(getattr(self, name)[..., step : step + 1] for name in names))
 
@@ -105,11 +105,11 @@ class ParticleStatus(Shown, Immutable):
 
     @property
     def impossible(self) -> bool:
-        """Whether no particle explained the measurements of a step."""
+        """Whether, at some step of a run, no particle explained the measurements."""
         return bool(self.ignored.any() or self.restarted.any())
 
     def warn(self, first: int = 0) -> None:
-        """Warn, by a `ParticleWarning` each, of few effective particles and impossible measurements.
+        """Warn of few effective particles, and of impossible measurements, by `ParticleWarning`s.
 
         first: The step of the arrays' first entry, from which messages count.
         """

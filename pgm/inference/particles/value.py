@@ -274,7 +274,7 @@ class Particles(InCode, Immutable):
 
     @property
     def most(self) -> int:
-        """The most particles of a run at a step."""
+        """The largest number of particles that a run may have at a step."""
         return self.n if self.number is None else max(self.n, self.number.most)
 
     def _whole(self, name: str, value: Any, least: int) -> None:
