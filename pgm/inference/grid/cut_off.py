@@ -75,9 +75,9 @@ class Tails:
         self._share = np.maximum(kept, TINY)
 
     def taken(self, marginals: list[Array]) -> float:
-        """The largest share cut off from the same belief given the measurements of its step.
+        """The largest share cut off, or beyond the bounds, given the measurements of the step.
 
-        It is given by its marginals (cells,) along all axes.
+        It is found from the marginals (cells,) of the belief given these, along all axes.
         """
         self._taken = self._at(marginals)
         gain = self._taken / np.maximum(self._before, 1e-300)

@@ -284,9 +284,11 @@ class _Maker:
         return found
 
     def _log_density(self, base: Array, later: Array) -> Array:
-        """The group's log-densities, (n,), of points of the step given points of the step before.
+        """The sum of the CPDs' log-densities, ln p(later | base), (n,).
 
-        Both are (n, axes): `later` and `base`.
+        base: Points of the step before, (n, axes).
+        later: Points of the step, (n, axes), at which the children and parents of the same step
+            stand.
         """
         points = dict(self.lattice.values(later))
         children = dict(points)
@@ -336,7 +338,7 @@ class _Maker:
 
     @property
     def _allowed(self) -> float:
-        """The most by which a sum over centres may differ from one: twice its variation."""
+        """The most by which a sum may differ from one: twice its variation, plus rounding."""
         return 2.0 * self.share + _ROUNDING
 
     def _error(self, found: str, reason: str) -> ModelError:

@@ -65,7 +65,7 @@ class DensitySensor(MeasuredSensor):
         return [Level(level.reshape(shape), highest)], highest
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """How sharp the density is about a cell, as the number of `MeasuredSensor.sharpness`.
+        """How sharp the density is about a cell, measured as `MeasuredSensor.sharpness` is.
 
         It is the largest √(2 l(c) − l(c + e) − l(c − e)) along an axis, l being the log-density and
         e one cell: for a normal density that is how far the expected measurement moves by a cell,

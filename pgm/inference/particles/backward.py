@@ -84,10 +84,10 @@ class Backward:
         return tuple(found)
 
     def _generators(self, step: int, about: int) -> list[np.random.Generator]:
-        """The random streams of draws at a step, one a run, of trajectories for the step `about`.
+        """The random streams of draws at a step, one a run.
 
-        A smoother's trajectories all are for the step itself; those of a lag are for the step at
-        which they end, so that none shares draws with another's.
+        about: The step whose belief the trajectories are for, which keeps the draws of a lag's
+            trajectories apart; of a smoother it is the step itself.
         """
         first, seed = self.model.bound.first_run, self.particles.seed
         purpose = BACKWARD + step - about  # a lag's trajectories are none of another's
@@ -167,7 +167,8 @@ class Backward:
     def _drawn(self, cloud: Cloud, run: int, generator: np.random.Generator) -> Integers:
         """The places of particles drawn by their weights, one for each trajectory of a run.
 
-        They are drawn systematically and shuffled, so that each by itself is an independent draw.
+        They are drawn systematically and shuffled: each by itself is a draw by the weights, and
+        together they cover these evenly.
         """
         weights = cloud.weights[cloud.of(run)]
         drawn = indices(systematic(weights, int(self._counts[run]), generator))

@@ -114,7 +114,11 @@ class Guide:
         return Moments(*before.by_run), Moments(*after.by_run)
 
     def _plan(self, row: int, some: Some) -> ChainPlan:
-        """A plan of the one step to which particles move, whose runs are the particles."""
+        """The plan of a chain of one step for the lineariser, with a run for each particle.
+
+        row: The row of the step's inputs.
+        some: The particles, at the step.
+        """
 
         def own(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
             """Values (rows, runs or 1, d) of each particle's run, (rows, m or 1, d)."""

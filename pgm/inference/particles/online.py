@@ -111,9 +111,9 @@ class OnlineParticleBelief(Shown, NoArray):
 class OnlineParticles(PointFilter[OnlineParticleBelief]):
     """A particle filter for one step at a time; made by ``OnlineFilter(model, belief=particles)``.
 
-    Draws are keyed by seed, run and step, so that they are those of `pgm.filter`. Where inputs or
-    measurements have runs only from some step on, a belief that was one until then is that of each
-    of them, with the same particles.
+    Draws are keyed by seed, run and step, so that they are those of `pgm.filter`. A belief of one
+    run, whose next inputs or measurements have several, becomes that of each of these, with the
+    same particles.
 
     Parameters
     ----------

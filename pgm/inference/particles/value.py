@@ -88,8 +88,7 @@ class Injection(InCode, Immutable):
     def averaged(self, before: Array | None, log_density: Array, measured: Array) -> Array:
         """The logarithms of the long-term and short-term averages, (2, runs), after one more step.
 
-        before: Those of the step before; NaN in runs that nothing has been measured of, None in
-            all.
+        before: Those of the step before, NaN in runs without any measurement so far; None at first.
         log_density: ln p of the step's measurements given those before, (runs,).
         measured: The number b of components measured, (runs,); where it is 0 the averages stay.
         """
