@@ -1,1 +1,1 @@
-"""Grids: beliefs as probabilities of cells, on the same declared networks."""
+"""Grids: beliefs of dynamic networks as probabilities of cells."""

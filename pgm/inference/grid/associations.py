@@ -1,4 +1,8 @@
-"""The associations of open sightings, under the probabilities of cells."""
+"""The associations of open sightings, under the probabilities of cells.
+
+A sighting is open where a parent of its sensor is unknown: one of k candidates, spurious, or a new
+thing. Its associations are the k + 2 probabilities of these.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ _NEGLIGIBLE = 1e-12
 
 
 def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any]) -> Found:
-    """The associations of all sensors, under the beliefs (runs, T + 1, *cells)."""
+    """The `Associations` by sensor, under the beliefs (runs, T + 1, *cells)."""
     every, lead = ((reading, reading.cpd) for reading in bound.readings), bound.lead
     open_ = [(reading, cpd) for reading, cpd in every if isinstance(cpd, UnidentifiedCPD)]
     return MappingProxyType(
@@ -36,7 +40,7 @@ def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any
 def _by_row(
     lattice: Lattice, reading: Reading, cpd: UnidentifiedCPD, values: npt.NDArray[Any]
 ) -> Iterator[Array]:
-    """The probability of each candidate for each sighting, (runs, k + 2)."""
+    """The associations (runs, k + 2) of each sighting of a reading, one after another."""
     for row, step in enumerate(reading.step.tolist()):
         yield np.stack(
             [_responsible(lattice, reading, cpd, row, k, v[step]) for k, v in enumerate(values)]
@@ -51,7 +55,11 @@ def _responsible(
     run: int,
     belief: npt.NDArray[Any],
 ) -> Array:
-    """The probability of each candidate for one sighting of a run, (k + 2,)."""
+    """The associations (k + 2,) of one sighting of a run, averaged over the belief (*cells).
+
+    They are Σ_c b(c) p(association | z, c), normalised, b being the belief at the sighting's step;
+    NaN where nothing was measured.
+    """
 
     def of(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.asarray(rows[row, run if rows.shape[1] > 1 else 0])

@@ -1,4 +1,4 @@
-"""Beliefs on a grid: probabilities of cells, and what is asked of them."""
+"""Beliefs on a grid: probabilities of cells, and the means, marginals and draws read from them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,11 @@ from pgm.variables import Variable
 
 
 class PointMassBelief(Framed, Shown, NoArray, Immutable):
-    """Base of beliefs by point masses: grid cells or particles."""
+    """Base of beliefs by point masses: grid cells or particles.
+
+    `components` are the n components that it is over, `lead` the leading axes of independent
+    beliefs, (...): runs, then steps, where `steps` has their numbers.
+    """
 
     components: tuple[str, ...]
     steps: Integers | None
@@ -40,7 +44,11 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
 
     @cached_property
     def mean(self) -> Array:
-        """The means, (..., n); an angle's is within half a turn of its circular mean."""
+        """The means, (..., n).
+
+        An angle's is its circular mean plus the mean of the differences from that, wrapped to [−π,
+        π).
+        """
         return closed(self._mean())
 
     @cached_property
@@ -65,7 +73,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         Raises
         ------
         ModelError
-            If the components are not all those of some variables, in their order.
+            If the components are not all components of some variables, in their order.
         """
         variables = whole_variables(self._parts)
         return Gaussian(variables, self.mean, self.cov, steps=self.steps)
@@ -86,16 +94,17 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         return self._over(places_of(self._parts, components, "a marginal"))
 
     def _over(self, places: tuple[int, ...]) -> Self:
+        """The belief over the components at these places, in this order."""
         raise NotImplementedError
 
     @public
     def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
-        """Draws of the point masses, (*size, ..., n).
+        """Draws of the point masses by their probabilities, (*size, ..., n).
 
         Parameters
         ----------
         size : int or tuple of int
-            How many of each belief.
+            How many draws of each belief.
         rng : numpy.random.Generator or int
             The generator of draws, or its seed.
 
@@ -109,11 +118,14 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         return drawn.reshape(*extra, *self.lead, drawn.shape[-1])
 
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """Draws (count, ..., n) of each belief, of leading axes as they are or as one."""
+        """Draw `count` point masses of each belief, by their probabilities, (count, *lead, n).
+
+        The leading axes may be flattened to one.
+        """
         raise NotImplementedError
 
     def __getitem__(self, index: Any) -> Self:
-        """The beliefs at some places of the leading axes: of a run, or of a step.
+        """The beliefs at an index of the leading axes: of some runs, or of some steps.
 
         Parameters
         ----------
@@ -133,7 +145,11 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         return self._at(index, chosen)
 
     def _at(self, index: Any, chosen: Integers) -> Self:
-        """The beliefs at an index, whose places in the flat leading axes are chosen."""
+        """The beliefs at the user's index of the leading axes.
+
+        `chosen` are the places in the flattened leading axes that the index takes, in the shape of
+        the result's leading axes.
+        """
         raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:
@@ -161,7 +177,7 @@ class GridBelief(PointMassBelief):
     centres : tuple of ndarray
         (cells,) of each axis; those of an angle go round the circle from −π on.
     values : ndarray
-        (..., *cells), of sum one, or float32 where the grid has that `dtype`.
+        (..., *cells): the probabilities, of sum one; float32 where the grid has that `dtype`.
     steps : ndarray of int or None
         The steps that the last leading axis stands for.
 
@@ -198,7 +214,7 @@ class GridBelief(PointMassBelief):
         )
 
     def _mean(self) -> Array:
-        """The means (..., axes), of angles about the direction of their mean vector."""
+        """The means (..., axes); an angle's is its circular mean plus the mean offset from that."""
         each = [
             axis.reference + about + offset
             for axis, (about, _, offset) in zip(self._parts, self._moments, strict=True)
@@ -229,19 +245,19 @@ class GridBelief(PointMassBelief):
         return closed(self._centres(np.asarray(flat)))
 
     def _centres(self, flat: Integers) -> Array:
-        """The centres (..., n) of cells by their places among all of a belief."""
+        """The centres (..., n) of cells, given by their flat indices (...) in a belief."""
         # One axis: NumPy 2.4 gives others than these of (n, 1) places, n above 8192.
         places = np.unravel_index(flat.reshape(-1), self.values.shape[len(self.lead) :])
         each = [centres[place] for centres, place in zip(self.centres, places, strict=True)]
         return np.stack(each, axis=-1).reshape(*flat.shape, -1)
 
     def _over(self, places: tuple[int, ...]) -> GridBelief:
-        """The belief over some of the axes, in this order."""
+        """The belief over the axes at some places, in this order."""
         axes = [self._parts[k] for k in places]
         return GridBelief(axes, self._marginal(places), self.steps)
 
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """Draws (count, ..., axes) of the centres of cells, by their probabilities."""
+        """Draw the centres of cells by their probabilities, `count` a belief, (count, *lead, n)."""
         rows = self.values.reshape(int(np.prod(self.lead)), -1)
         drawn = np.empty((count, len(rows)), dtype=np.intp)
         for k, row in enumerate(rows):
@@ -252,7 +268,7 @@ class GridBelief(PointMassBelief):
         return self._centres(drawn)
 
     def _at(self, index: Any, chosen: Integers) -> GridBelief:
-        """The belief at an index of the leading axes; its steps, if they are alike in all runs."""
+        """The belief at an index of the leading axes; without steps if runs differ in them."""
         places = *(index if isinstance(index, tuple) else (index,)), ...
         values = self.values[(*places, *(slice(None),) * len(self._parts))]
         steps = self.steps
@@ -272,7 +288,7 @@ class GridBelief(PointMassBelief):
         return Summary(self._title, [moments_of(self)])
 
     def _marginal(self, places: tuple[int, ...]) -> Array:
-        """The probabilities (..., cells of the axes), in the order given."""
+        """The marginals over the axes at some places, in this order, (..., *their cells)."""
         if places not in self._marginals:
             count = len(self.lead)
             others = tuple(count + k for k in range(len(self._parts)) if k not in places)
@@ -283,11 +299,18 @@ class GridBelief(PointMassBelief):
 
     @cached_property
     def _marginals(self) -> dict[tuple[int, ...], Array]:
+        """The marginals found so far, by the places of their axes."""
         return {}
 
     @cached_property
     def _moments(self) -> list[tuple[Array, Array, Array]]:
-        """For each axis: a reference, the offsets of centres from it, and their mean."""
+        """Of each axis (about, offsets, mean): a middle, differences from it, and their mean.
+
+        `about` (...) is the mean, of an angle the circular mean, counted from the axis' reference;
+        `offsets` (..., cells) are the centres' differences from it, of an angle wrapped to [−π, π).
+        The mean (...) of the differences is then due to rounding, or to an angle's skew
+        probabilities.
+        """
         found = []
         for k, axis in enumerate(self._parts):
             marginal = self._marginal((k,))
@@ -302,19 +325,22 @@ class GridBelief(PointMassBelief):
         return found
 
     def _centred(self, k: int) -> Array:
-        """The differences (..., cells) of centres from the mean along one axis."""
+        """The centres' differences (..., cells) from the mean along axis k, an angle's wrapped."""
         _, offsets, mean = self._moments[k]
         return offsets - mean[..., None]
 
 
 def scope_axes(axes: Sequence[Axis], variables: Scope) -> tuple[int, ...]:
-    """The places of the axes of some variables, in the order of their components."""
+    """The indices of the axes of some variables' components, variable by variable."""
     places = {(axis.variable, axis.component): k for k, axis in enumerate(axes)}
     return tuple(places[v, k] for v in variables for k in range(v.dimension))
 
 
 def require_step(variable: Variable, steps: int) -> int | None:
-    """The step of a variable, if it has one that the chain has."""
+    """The step that a variable stands at; None of a variable of all steps, such as x.
+
+    A step after the last one, `steps`, is refused by a ModelError.
+    """
     if variable.step is None:
         return None
     if not is_whole(variable.step) or variable.step > steps:
@@ -325,6 +351,6 @@ def require_step(variable: Variable, steps: int) -> int | None:
 
 
 def closed(array: Array) -> Array:
-    """The array itself, read-only from now on."""
+    """The array itself, made read-only."""
     array.flags.writeable = False
     return array

@@ -1,7 +1,9 @@
 """Beliefs cut off by windows of active cells, and how much of a belief may be lost so.
 
-A belief is carried up to a share of 10⁻¹⁵ along each axis, and kernels up to 8.5 deviations. What
-is beyond is lost, and no evidence brings it back, however much likelier it is there.
+A belief is carried in a window that leaves out, along each axis, cells of a share below 10⁻¹⁵, and
+the kernels that move it end at 8.5 standard deviations. What is beyond is lost, and no evidence
+brings it back, however much likelier it makes it there. The estimates here say when that may
+matter.
 """
 
 from __future__ import annotations
@@ -25,19 +27,19 @@ _DOUBT = 20.0
 
 
 class Cut(NamedTuple):
-    """The belief of which the most may have been cut off."""
+    """The belief of which the most may have been cut off: the estimated share, and its step."""
 
     share: float
     step: int
 
 
 class Tails:
-    """The share of a belief beyond either end of each axis' cells in use, as evidence goes on.
+    """Estimates of the share of a belief that has been cut off beyond each end of each axis.
 
-    The cut part is taken to become as much likelier as the last cells within. If the model is true
-    these gains are a martingale: a share of ε becomes one of 10⁻³ with a probability of 10³ε at the
-    most (Ville's inequality). So is what left the bounds at a step, where its measurements make the
-    last cells much likelier.
+    The part cut off is taken to become as much likelier, with each measurement, as the last cells
+    within. If the model is true these gains are a martingale: a share of ε becomes one of 10⁻³ with
+    a probability of 10³ε at the most (Ville's inequality). What left the bounds at a step is
+    followed likewise through its measurements, where these make the last cells 30 times likelier.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -50,9 +52,9 @@ class Tails:
         self._before = self._taken = np.ones(ends)
 
     def predicted(self, marginals: list[Array], left: float) -> None:
-        """Look at a predicted belief, by its marginals along the axes of the lattice.
+        """Take in a step's predicted belief, by its marginals (cells,) along all axes.
 
-        `left` is the share of it that is beyond the bounds.
+        `left` is the share of it that left the bounds.
         """
         for k, (axis, marginal) in enumerate(zip(self.lattice.axes, marginals, strict=True)):
             (used,) = np.nonzero(marginal > TINY / axis.cells * marginal.sum())
@@ -73,7 +75,10 @@ class Tails:
         self._share = np.maximum(kept, TINY)
 
     def taken(self, marginals: list[Array]) -> float:
-        """Look at the same belief given measurements: the largest share that was cut."""
+        """The largest share cut off, or beyond the bounds, given the measurements of the step.
+
+        It is found from the marginals (cells,) of the belief given these, along all axes.
+        """
         self._taken = self._at(marginals)
         gain = self._taken / np.maximum(self._before, 1e-300)
         self._share = np.minimum(self._share * gain, 1.0)
@@ -81,7 +86,7 @@ class Tails:
         return max(float(self._share.max(initial=0.0, where=self._open)), float(beyond.max()))
 
     def _at(self, marginals: list[Array]) -> Array:
-        """The shares (axes, 2) of the marginals in the last cells in use at either end."""
+        """The marginals' shares in the first and the last cell in use of each axis, (axes, 2)."""
         return np.array(
             [
                 each[cells] / max(float(each.sum()), 1e-300)
@@ -91,16 +96,23 @@ class Tails:
 
 
 def doubtful(log_density: float, ceiling: float, components: int) -> bool:
-    """Whether evidence is so unlikely that the part cut off might explain it better.
+    """Whether measurements are so unlikely that the part cut off might explain them better.
+
+    They are if ln p < ceiling − max(b/2 − √(2b), 0) − 20: of b numbers measured, true residuals
+    have the exponent b/2 ± √(b/2).
 
     log_density: ln p(measurements of a step | those before).
     ceiling: The logarithm of the density of residuals that are all zero.
-    components: How many numbers were measured; true residuals have half their number as exponent.
+    components: How many numbers were measured, b.
     """
     usual = max(0.5 * components - math.sqrt(2.0 * components), 0.0)
     return log_density < ceiling - usual - _DOUBT
 
 
 def bound(log_density: float, best: float) -> float:
-    """The share of a belief that cells without a part in it may have, of the best log-density."""
+    """A bound of the share of a belief, given measurements, in cells that had 10⁻¹⁵ of it before.
+
+    log_density: ln p(measurements | those before), of the belief as it was carried.
+    best: Their largest log-density at any cell.
+    """
     return math.exp(min(math.log(TINY) + best - log_density, 0.0))

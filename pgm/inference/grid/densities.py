@@ -1,8 +1,10 @@
-"""Moves by a density, from each cell to each, and how well sums over centres serve for it.
+"""Moves by a density, from each cell to each, and how well sums over centres serve for integrals.
 
-The weight of a centre is the density there times the volume of a cell. Sums over centres are not
-integrals: by how much is found by shifting the centres by parts of a cell. Within that, weights are
-normalised over the lattice, continued beyond the bounds; what is missing besides has left them.
+The weight of a target centre is the transition density there times the volume of a cell. The sum of
+a source cell's weights approximates an integral that is one; how far it may be off is found by
+shifting the target centres by parts of a cell, as the sum's variation. Near the bounds the sum goes
+on beyond them. A sum that differs from one by no more than the variation explains is normalised
+away; what is missing besides has left the bounds and stays missing.
 """
 
 import math
@@ -32,21 +34,23 @@ from pgm.variables import Variable
 _KEPT = 1 << 24
 # A share of the weights at the bounds above which some may be beyond.
 _EDGE = 1e-14
-# Sources of which the centres are shifted, and by which parts of a cell: of any, and of those
-# whose sums are the furthest from one.
+# How many source cells' sums are taken over shifted centres, and the shifts in parts of a cell: of
+# cells spread over all, and of those whose sums are the furthest from one.
 _SHIFTED = 16
 _FEW = np.arange(1, 4) / 4.0
 _MANY = np.arange(1, 16) / 16.0
-# A sum that is off by this is that of one.
+# A sum that is off one by this is one but for rounding.
 _ROUNDING = 1e-9
-# From this on a density has no answer on the lattice.
+# Above this variation of its sums a density is too narrow for the lattice.
 _UNEVEN = 0.5
 
 
 class Uneven(NamedTuple):
-    """The density whose sums over centres differ the most with where between centres it stands.
+    """How much a transition density's sum over centres varies as the centres shift within a cell.
 
-    share: By how much of one they differ.
+    share: The largest difference between such sums, each of which approximates one.
+    variable: The child of the density; None if there is no density.
+    step: The step at which it is.
     """
 
     share: float
@@ -61,10 +65,13 @@ EVEN = Uneven(0.0, None, 0)
 class Dense:
     """Transition weights from every cell to every cell along some axes.
 
-    There is one set for each cell of the axes depended on.
+    There is a matrix of weights for each cell of the other axes on which the density depends.
 
-    by: The other axes on which they depend, ascending; G is the number of their cells.
-    weights: (G, S, T): S source cells, or 1 where none is depended on, and T target cells.
+    axes: The axes that are moved.
+    by: The other axes depended on, ascending; G is the number of the window's cells along these.
+    weights: (G, S, T): S source cells along `axes`, or 1 where the density does not depend on
+        these, and T target cells.
+    uneven: How much sums of the density over centres vary.
     """
 
     axes: tuple[int, ...]
@@ -82,29 +89,29 @@ class Dense:
         return self._whole(lines @ self.weights, self.target)
 
     def backward(self, array: Array) -> Array:
-        """The transposed operator, for backward messages; see `Operator`."""
+        """The transposed operator, a backward message in the source window; see `Operator`."""
         lines = self._lines(array) @ self.weights.swapaxes(1, 2)
         count = math.prod(self.source[k].length for k in self.axes)
         return self._whole(np.broadcast_to(lines, (*lines.shape[:2], count)), self.source)
 
     def added(self, array: Array) -> dict[int, float]:
-        """Nothing is known here of the variance that the lattice adds."""
+        """No axis: what variance the lattice adds to that of a density is not known."""
         return {}
 
     @property
     def _order(self) -> tuple[int, ...]:
-        """The axes in the weights' order: depended on, resting, moved."""
+        """The axes in the order `by`, resting (neither moved nor depended on), `axes`."""
         moved = {*self.axes, *self.by}
         return (*self.by, *(k for k in range(len(self.source)) if k not in moved), *self.axes)
 
     def _lines(self, array: Array) -> Array:
-        """An array reshaped to (G, cells of resting axes, cells of moved axes)."""
+        """An array reshaped to lines (G, cells of resting axes, cells of moved axes)."""
         count = math.prod(array.shape[k] for k in self.axes)
         groups = math.prod(array.shape[k] for k in self.by)
         return np.ascontiguousarray(array.transpose(self._order)).reshape(groups, -1, count)
 
     def _whole(self, lines: Array, window: Window) -> Array:
-        """Lines of a product, (G, rest, cells), as an array with the axes of the window."""
+        """Lines (G, cells of resting axes, cells of moved axes) as an array over a window."""
         shape = [window[k].length for k in self._order]
         found: Array = lines.reshape(shape).transpose(np.argsort(self._order))
         return found
@@ -112,9 +119,11 @@ class Dense:
 
 @dataclass(frozen=True, eq=False)
 class DensityGroup(Members):
-    """CPDs of any density, which is asked for from each cell to each.
+    """States whose CPDs have any density, which is asked for from each cell to each.
 
-    kept: By key, the weights between all cells, where they are the same at all steps.
+    A hidden control among the parents is refused by a ModelError.
+
+    kept: By a group's key, the weights between all cells, where they are the same at all steps.
     """
 
     kept: dict[tuple[object, ...], Dense] = field(default_factory=dict)
@@ -141,7 +150,11 @@ class DensityGroup(Members):
         return before, after
 
     def move(self, step: int, run: int, window: Window) -> Dense:
-        """The weights of a step from a window."""
+        """The weights of a step in a run, from the cells of a window.
+
+        Those that are the same at all steps, and not too many, are made once for all cells, and cut
+        to the window.
+        """
         before, after = self.depends()
         cells = math.prod(self.lattice.shape[k] for k in self.axes)
         others = (before | after) - set(self.axes)
@@ -155,7 +168,7 @@ class DensityGroup(Members):
         return self._cut(self.kept[self.key], window)
 
     def _cut(self, dense: Dense, window: Window) -> Dense:
-        """The part of the weights whose sources lie in a window."""
+        """The part of the weights between all cells whose sources lie in a window."""
         lattice = self.lattice
         own = dense.weights.shape[1] > 1
         each = (*dense.by, *self.axes) if own else dense.by
@@ -172,6 +185,16 @@ class DensityGroup(Members):
 
 
 class _Maker:
+    """The weights of a group at a step of a run, from the cells of a window.
+
+    by: The axes depended on that are not moved.
+    own: The moved axes, where the density depends on them at the step before; otherwise none.
+    share: How much sums over centres have been found to vary, as of `Uneven`.
+
+    Source cells are those along `by` and `own`, flattened. Singular noise is refused by a
+    ModelError.
+    """
+
     def __init__(self, group: DensityGroup, step: int, run: int, window: Window) -> None:
         self.group, self.step, self.run, self.window = group, step, run, window
         self.lattice = group.lattice
@@ -188,7 +211,11 @@ class _Maker:
         self.share = 0.0
 
     def made(self) -> Dense:
-        """The weights from a window to all cells, refused where they would not fit memory."""
+        """The weights from the window's cells to all cells of the moved axes, normalised.
+
+        Weights that memory would not hold, a density too narrow for the cells and one whose
+        integral is above one are refused by a ModelError.
+        """
         group, lattice, window = self.group, self.lattice, self.window
         used = (*self.by, *self.own)
         count = math.prod(window[k].length for k in used)
@@ -213,9 +240,9 @@ class _Maker:
         return Dense(group.axes, self.by, weights, window, tuple(target), uneven)
 
     def _places(self, shift: float = 0.0, beyond: bool = False) -> list[Array]:
-        """The centres along each moved axis, shifted by a fraction of a cell.
+        """The centres along each moved axis, shifted by a fraction of a cell, one array an axis.
 
-        Beyond the bounds too, by half of what they cover on either side.
+        With `beyond`, those of an interval go on past either end by half as many cells as it has.
         """
         found = []
         for k in self.group.axes:
@@ -227,7 +254,11 @@ class _Maker:
         return found
 
     def _logs(self, rows: Integers, places: Sequence[Array]) -> Array:
-        """Log-weights (rows, targets) at places along the moved axes."""
+        """The logarithms of weights, (rows, targets): log-density plus that of a cell's volume.
+
+        rows: Flat indices of source cells.
+        places: Coordinates along each moved axis; their combinations are the targets.
+        """
         group, window, lattice = self.group, self.window, self.lattice
         mesh = np.meshgrid(*places, indexing="ij")
         targets = np.stack([part.reshape(-1) for part in mesh], axis=-1)
@@ -253,7 +284,12 @@ class _Maker:
         return found
 
     def _log_density(self, base: Array, later: Array) -> Array:
-        """Log-densities (n,) at points (n, axes) of the step before and of the step."""
+        """The sum of the CPDs' log-densities, ln p(later | base), (n,).
+
+        base: Points of the step before, (n, axes).
+        later: Points of the step, (n, axes), at which the children and parents of the same step
+            stand.
+        """
         points = dict(self.lattice.values(later))
         children = dict(points)
         points |= {v.previous: a for v, a in self.lattice.values(base).items()}
@@ -265,7 +301,13 @@ class _Maker:
         return total
 
     def _normalise(self, weights: Array) -> None:
-        """Normalise weights (rows, targets) over the lattice, as far as that goes on."""
+        """Divide weights (rows, targets), in place, by their sums over the targets.
+
+        Sums near the bounds go on beyond them. They vary by `share` as centres shift: a sum that is
+        off one by twice as much at the most is divided out. One that is less has lost the rest to
+        the bounds, and its weights stay; one that is more, or a share above ½, is refused by a
+        ModelError.
+        """
         sums = weights.sum(axis=1)
         near = self._near_bounds(weights) > _EDGE * sums
         (rows,) = np.nonzero(near)
@@ -296,11 +338,11 @@ class _Maker:
 
     @property
     def _allowed(self) -> float:
-        """The difference from one that shifting the centres allows a sum over them."""
+        """The most by which a sum may differ from one: twice its variation, plus rounding."""
         return 2.0 * self.share + _ROUNDING
 
     def _error(self, found: str, reason: str) -> ModelError:
-        """The error for a density that fails, which names the step and the run."""
+        """The error for the group's densities: what was found of them, where, and the reason."""
         states = self.group.states
         named = " and ".join(f"the density of {cpd!r}" for cpd in states)
         return ModelError(
@@ -312,7 +354,7 @@ class _Maker:
         )
 
     def _near_bounds(self, weights: Array) -> Array:
-        """The weights, (rows,), at the last cells within bounds."""
+        """The sum of each row's weights in cells at an end of an interval, (rows,)."""
         shape = [self.lattice.shape[k] for k in self.group.axes]
         inner = np.zeros(shape, dtype=bool)
         angles = (self.lattice.axes[k].angle for k in self.group.axes)
@@ -321,14 +363,22 @@ class _Maker:
         return found
 
     def _sums(self, rows: Integers, shift: float, beyond: bool) -> Array:
-        """Sums of some rows' weights over centres shifted by a fraction of a cell."""
+        """The sums (rows,) of some rows' weights over centres shifted by a fraction of a cell.
+
+        With `beyond` they go on past the bounds.
+        """
         places = self._places(shift, beyond)
         length = max(_KEPT // 16 // math.prod(len(each) for each in places), 1)
         parts = [rows[k : k + length] for k in range(0, len(rows), length)]
         return np.concatenate([np.exp(self._logs(part, places)).sum(axis=1) for part in parts])
 
     def _shift(self, rows: Integers, whole: Array, near: Array, parts: Array) -> None:
-        """Find how much the sums of some rows vary as the centres shift within a cell."""
+        """Raise `self.share` to how much some rows' sums vary as centres shift by parts of a cell.
+
+        whole: The sums over centres that are not shifted, by row.
+        near: The mask of rows with weights at the bounds, whose sums go on beyond these.
+        parts: The shifts, as fractions of a cell.
+        """
         for beyond in (False, True):
             some = rows[near[rows] == beyond]
             if some.size:

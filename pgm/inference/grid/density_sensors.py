@@ -1,4 +1,7 @@
-"""Sensors by their density, which is asked for at the centres of a window, some at a time."""
+"""Sensors by their density, which is asked for at the centres of a window, some at a time.
+
+A measurement z is a row of the sensor's `Reading`, in a run; its density at a centre x is p(z | x).
+"""
 
 import math
 
@@ -27,10 +30,15 @@ _ELSEWHERE = 4096
 
 
 class DensitySensor(MeasuredSensor):
-    """A sensor of any density."""
+    """A sensor of any density, such as a mixture or a scan, weighed by ln p(z | x) at centres."""
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The log-densities of one measurement, and nearly their maximum over all centres."""
+        """The log-densities of one measurement at a window's centres, and the highest.
+
+        The first is a `Level`, in a list. The highest is that found so far: in the window, at some
+        4096 cells of all the lattice, and of earlier measurements of as many components; 0 if all
+        are −∞. Of a measurement without any component the list is empty and the value 0.
+        """
         count = int(self.taken(row, run).sum())
         if not count:
             return [], 0.0
@@ -57,10 +65,13 @@ class DensitySensor(MeasuredSensor):
         return [Level(level.reshape(shape), highest)], highest
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """The sharpness of a normal density with the same second difference. See `MeasuredSensor`.
+        """How sharp the density is about a cell, measured as `MeasuredSensor.sharpness` is.
 
-        Of a mixture it is that of its Gaussian parts, which may be so sharp that no centre meets
-        them.
+        It is the largest √(2 l(c) − l(c + e) − l(c − e)) along an axis, l being the log-density and
+        e one cell: for a normal density that is how far the expected measurement moves by a cell,
+        in standard deviations of the noise. It is infinite where both neighbours are impossible.
+        Where the mean of a Gaussian part moves by more, that counts: the part may be so narrow that
+        no centre meets it.
         """
         bound, cells = self._bound(row, run), self.around(cell)
         found = self._apart(bound[0], cells, bound[2], row, run)
@@ -73,7 +84,12 @@ class DensitySensor(MeasuredSensor):
         return found
 
     def _apart(self, cpd: CPD, cells: Integers, known: Known, row: int, run: int) -> float:
-        """The most deviations between a CPD's Gaussian parts at a cell and at the first one."""
+        """How far the mean of a Gaussian part moves from the first of some cells to the others.
+
+        It counts in standard deviations of the part's noise, max ‖R^(−1/2) (h(c) − h(c_0))‖ over
+        the parts and the cells c (n, axes); of an unidentified sensor it is the least over its
+        candidates. 0 of a CPD without Gaussian parts.
+        """
         if isinstance(cpd, UnidentifiedCPD):
             each = ({**known, cpd.parent: candidate} for candidate in cpd.candidates)
             return min(self._apart(cpd.sensor, cells, own, row, run) for own in each)
@@ -89,12 +105,16 @@ class DensitySensor(MeasuredSensor):
         return found
 
     def _axes(self, cpd: CPD) -> list[int]:
-        """The axes of a CPD's parents."""
+        """The indices of the axes of a CPD's hidden parents, ascending."""
         of = self.lattice.of
         return sorted(k for parent in cpd.parents if parent in of for k in of[parent])
 
     def _bound(self, row: int, run: int) -> tuple[CPD, Array, Known]:
-        """The CPD at a row, its measurement, NaN where not taken, and the observed parents."""
+        """The CPD at a measurement's step, the measurement (d,), and the observed parents.
+
+        Components that were not measured are NaN. An EvidenceError refuses these where the density
+        cannot leave them out, and a ModelError singular noise of a Gaussian part.
+        """
         step, known, cpd = int(self.reading.step[row]), self.known(row, run), self.reading.cpd
         taken = self.taken(row, run)
         require_whole(cpd, taken, step)
@@ -108,7 +128,10 @@ class DensitySensor(MeasuredSensor):
     def _at(
         self, cells: Integers, row: int, run: int, cpd: CPD, value: Array, known: Known
     ) -> Array:
-        """The log-densities (n,) at cells (n, axes)."""
+        """The log-densities ln p(z | x), (n,), at the centres of cells (n, axes).
+
+        `cpd`, `value` and `known` are those of `_bound`.
+        """
         points = self.lattice.values(centres(self.lattice, cells))
         step = int(self.reading.step[row])
         found = log_density_at(cpd, value, points, known, step, run)

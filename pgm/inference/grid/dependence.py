@@ -1,4 +1,8 @@
-"""On which axes of a lattice functions depend: tested at every centre, not assumed."""
+"""On which axes of a lattice functions depend: tested at its centres, not assumed.
+
+A function takes points (n, axes) of the step before and points of its own step, and has m values at
+each. `before` and `after` are the axes of these two on which a value depends.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Set
@@ -21,12 +25,12 @@ _TRIES = 3
 
 
 def places(lattice: Lattice, count: int, seed: int) -> Integers:
-    """A sample of a lattice's cells, (count, axes)."""
+    """A random sample of a lattice's cells, (count, axes)."""
     return np.random.default_rng(seed).integers(0, lattice.shape, (count, len(lattice.axes)))
 
 
 def within(lattice: Lattice, window: Window, most: int, seed: int) -> Integers:
-    """A sample of a window's cells, or all if they are few, (n, axes)."""
+    """A random sample of `most` of a window's cells, or all if they are fewer, (n, axes)."""
     lengths = [span.length for span in window]
     count = math.prod(lengths)
     flat = np.arange(count)
@@ -38,7 +42,7 @@ def within(lattice: Lattice, window: Window, most: int, seed: int) -> Integers:
 
 
 def blocks(lattice: Lattice) -> Iterator[Integers]:
-    """All cells of a lattice, (n, axes), some at a time."""
+    """All cells of a lattice, (n, axes), in blocks of at most 2^16."""
     for first in range(0, lattice.size, BLOCK):
         flat = np.arange(first, min(first + BLOCK, lattice.size))
         yield np.stack(np.unravel_index(flat, lattice.shape), axis=-1)
@@ -50,9 +54,9 @@ def centres(lattice: Lattice, cells: Integers) -> Array:
 
 
 class Reduced:
-    """A function's values over the axes it depends on; the other axes stay at their middle.
+    """A table of a function over the axes on which it depends; the others stay at their middle.
 
-    values: From points (n, axes) to values (n, ...).
+    values: The function, from points (n, axes) to values (n, ...).
     """
 
     def __init__(
@@ -71,7 +75,7 @@ class Reduced:
         self.values = np.concatenate(found)
 
     def at(self, cells: Integers) -> Array:
-        """The values at cells (n, all axes) of the lattice."""
+        """The values (n, ...) at cells (n, axes) of the lattice; (1, ...) without any axis."""
         if not self.axes:
             return self.values[:1]
         flat = np.ravel_multi_index(tuple(cells[:, self.axes].T), self.shape)
@@ -81,12 +85,13 @@ class Reduced:
 
 @dataclass(eq=False)
 class Dependence:
-    """The axes on which each of some values at the centres of a lattice depends.
+    """The axes on which each of the m values of a function depends, at the centres of a lattice.
 
-    It only grows: what was found at one step is taken to hold at all, and every step is probed.
+    They are only added to: what was found at one step is taken to hold at all, and every step is
+    probed.
 
-    before, after: By value: the axes of the step before on which it depends, and those of its own
-        step.
+    before: The axes of the step before, a set for each value.
+    after: The axes of its own step, a set for each value.
     """
 
     lattice: Lattice
@@ -102,12 +107,17 @@ class Dependence:
         seed: int,
         some: Integers | None = None,
     ) -> None:
-        """Probe a function at a step, and test it everywhere where that shows something new.
+        """Probe a function at a step, and test it at every centre where that shows a new axis.
 
-        values: From points (n, axes) of the step before and of its own to values (n, ..., m).
-        differ: Whether two (n, ..., m) of values differ.
+        Where two searches of all centres leave differences, such as small ones that add up, each
+        value is taken to depend on all axes.
+
+        values: The function, from points (n, axes) of the step before and of its own to values (n,
+            ..., m).
+        differ: From two results of it to a mask, (n, ..., m), of those that are not equal.
         later: The axes of its own step on which it may depend at all.
-        some: Cells (n, axes) of the belief, at which what is known is tried.
+        seed: The seed of the cells that are drawn.
+        some: Cells (n, axes) of the belief, at which what is known is tested too.
         """
         sure = not self._probed(values, differ, later, seed) and self._sure
         if sure and some is not None:
@@ -124,7 +134,7 @@ class Dependence:
             self._sure = True
 
     def reduced(self, cells: Integers, depended: Set[int]) -> Integers:
-        """Cells moved to the middle of all axes on which the function does not depend."""
+        """Cells (n, axes) moved to the lattice's middle along all axes but those depended on."""
         middle = np.array(self.lattice.shape) // 2
         keep = np.array([k in depended for k in range(len(middle))])
         return np.where(keep, cells, middle)
@@ -137,11 +147,11 @@ class Dependence:
         seed: int,
         everywhere: bool = False,
     ) -> bool:
-        """Whether a new axis was found that the values depend on, by moving one axis at a time.
+        """Whether an axis is found on which a value was not known to depend; it is added then.
 
-        At cells drawn at random, or `everywhere`, each axis of the slice before, and those of its
-        own that may be depended on (`later`), is moved to another cell; a component whose value
-        differs depends on it.
+        At random cells, or at all of them (`everywhere`), each axis of the step before, and each of
+        its own step that may be depended on (`later`), is moved to another cell; a value that
+        differs depends on it. The arguments are those of `look`.
         """
         lattice, grown = self.lattice, False
         sets = blocks(lattice) if everywhere else iter([places(lattice, PROBES, seed)])
@@ -180,6 +190,11 @@ class Dependence:
         seed: int,
         cells: Integers | None = None,
     ) -> bool:
+        """Whether values stay as they are when all axes not known to matter move to the middle.
+
+        It is tested at some cells (n, axes), or at every centre without them. The arguments are
+        those of `look`.
+        """
         lattice = self.lattice
         kinds = {(frozenset(a), frozenset(b)) for a, b in zip(self.before, self.after, strict=True)}
         kinds = {pair for pair in kinds if len(pair[0]) < len(lattice.axes) or pair[1] < later}

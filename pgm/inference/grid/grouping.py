@@ -1,4 +1,8 @@
-"""The CPDs of a model in the groups in which a grid moves them."""
+"""The CPDs of a model in the groups in which a grid moves them.
+
+A group is one state, or several that have to move together: those that depend on one hidden control
+share its noise, and others depend on one another so that neither can move first.
+"""
 
 from __future__ import annotations
 
@@ -26,17 +30,24 @@ def groups(
     prior: bool,
     first: int = 0,
 ) -> list[Members]:
-    """The groups of a prior or transition: states whose CPDs depend on one control are together."""
+    """The groups of a prior or transition; states that depend on the same control are together.
+
+    known: For each CPD the values (rows, runs or 1, d) of its observed parents.
+    kept: Weights by density between all cells, to be shared with other groups of the model.
+    prior: Whether the CPDs are a prior's.
+    first: The step before the first row of the known values.
+    """
     values = {cpd.child: given for cpd, given in zip(cpds, known, strict=True)}
     states = [cpd for cpd in cpds if cpd.child in lattice.of]
     controls = {cpd.child: _gaussian(cpd) for cpd in cpds if cpd.child not in lattice.of}
 
     def needed(cpd: CPD) -> set[Variable]:
+        """The hidden controls that a CPD depends on, through other controls too."""
         found = {v for v in cpd.given if v in controls}
         return found.union(*(needed(controls[v]) for v in found))
 
     def made(cpd: CPD, place: tuple[int, ...]) -> Members:
-        """The group of one CPD, or of one component of a mixture."""
+        """The group of one CPD; of a part of a mixture, at its `place` there."""
         own = tuple(control for control in controls.values() if control.child in needed(cpd))
         family = {each.child: values[each.child] for each in own}
         family[cpd.child] = {v: a for v, a in values[cpd.child].items() if v in cpd.parents}
@@ -59,7 +70,7 @@ def groups(
 
 
 def joined(some: Sequence[Members], kept: Kept) -> Members:
-    """Several groups as one: by displacements if all are Gaussian, otherwise by density."""
+    """Several groups as one: moved by displacements if all are Gaussian, otherwise by density."""
     one = some[0]
     if len(some) == 1:
         return one
@@ -74,7 +85,7 @@ def joined(some: Sequence[Members], kept: Kept) -> Members:
 
 
 def _gaussian(control: CPD) -> ConditionalGaussian:
-    """The CPD of a hidden control, refused unless its noise is Gaussian and constant."""
+    """The CPD of a hidden control; one not Gaussian, or of robust noise, is a ModelError."""
     if not isinstance(control, ConditionalGaussian) or control.noise is not None:
         raise ModelError(
             f"{control!r} is that of a hidden control, over which a grid sums where it is "

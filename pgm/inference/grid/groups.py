@@ -1,4 +1,8 @@
-"""Displacements of states that move together."""
+"""States that move together, their displacements and the noise of these.
+
+A displacement is what a state's mean moves it by, in cells along each of its axes. White noise is
+standard normal, in `size` numbers that are independent of each other.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,11 +21,13 @@ _UNCORRELATED = 1e-14
 
 
 class Spread(NamedTuple):
-    """The noise of a group at a step.
+    """The noise of a group's displacements at a step.
 
-    variance: (axes,): what each axis has of its own, in cells; infinite where nothing is known.
-    roots: Of each hidden control, and of each state whose noise is correlated: (d, r), by which
-        white noise of its own enters.
+    variance: The variance of the noise that each axis has by itself, in squared cells, (axes,);
+        infinite where nothing is known of the place along it.
+    roots: By variable, of each hidden control and of each state whose noise is correlated: the root
+        (d, r) by which r numbers of the white noise, of its own, enter it, in its units.
+    size: How many numbers the white noise has.
     """
 
     variance: Array
@@ -31,12 +37,12 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Members:
-    """CPDs of states that move together, and of hidden controls that they share.
+    """The CPDs of states that move together, and of the hidden controls that they share.
 
     known: By child, the values (rows, runs or 1, d) of its observed parents.
     prior: Whether this is step 0: displacements are counted from the first cell then.
     first: The step before the first row of these values.
-    place: Of a part of a mixture, where it stands in it.
+    place: Of a part of a mixture, its index there; of a mixture in a mixture, one index a level.
     """
 
     lattice: Lattice
@@ -49,27 +55,27 @@ class Members:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """The states and their place, which tell these members from others of their model."""
+        """The states and the place in a mixture, which tell the group from others of its model."""
         return (*(cpd.child for cpd in self.states), *self.place)
 
     @property
     def axes(self) -> tuple[int, ...]:
-        """The axes that are moved, in the order of the displacements."""
+        """The indices of the axes that are moved, in the order of the displacements."""
         return tuple(k for cpd in self.states for k in self.lattice.of[cpd.child])
 
     @property
     def later(self) -> frozenset[int]:
-        """The axes of parents at the same step."""
+        """The indices of the axes of parents at the same step."""
         given = {v for cpd in (*self.controls, *self.states) for v in cpd.given if not v.lag}
         return frozenset(k for v in given if v in self.lattice.of for k in self.lattice.of[v])
 
     @property
     def widths(self) -> Array:
-        """The widths of cells along these axes."""
+        """The widths of the cells along the axes that are moved."""
         return np.array([self.lattice.axes[k].width for k in self.axes])
 
     def inputs(self, child: Variable, step: int, run: int) -> Known:
-        """The values (d,) of a child's observed parents at a step."""
+        """By variable, the values (d,) of a child's observed parents at a step of a run."""
         return {
             v: values[step - 1 - self.first, run if values.shape[1] > 1 else 0]
             for v, values in self.known[child].items()
@@ -78,12 +84,12 @@ class Members:
 
 @dataclass(frozen=True, eq=False)
 class Group(Members):
-    """Gaussian CPDs, which move by displacements and their noise."""
+    """States whose CPDs are Gaussian: they move by displacements, and by their noise."""
 
     states: tuple[ConditionalGaussian, ...]
 
     def spread(self, step: int, run: int) -> Spread:
-        """The noise at a step."""
+        """The noise of the displacements at a step of a run."""
         variances, found = [], {}
         for cpd in self.controls:
             cov = covariance_of(cpd, self.inputs(cpd.child, step, run), step, run)
@@ -101,10 +107,11 @@ class Group(Members):
     def displacement(
         self, before: Array, after: Array, noise: Array, spread: Spread, step: int, run: int
     ) -> Array:
-        """The displacements (n, axes), in cells, at points of the step before and of this one.
+        """The displacements (n, axes), in cells, of n cells at a step; those of angles are wrapped.
 
-        before, after: (n, axes of the lattice).
-        noise: (n, size): values of the white noise.
+        before, after: Points (n, axes of the lattice) of the step before, from which states move,
+            and of this one, at which parents of the same step stand.
+        noise: Values of the white noise, (n, size), which enter by the roots of the `spread`.
         """
         points = dict(self.lattice.values(after))
         if not self.prior:
@@ -130,7 +137,7 @@ class Group(Members):
         return self.wrapped(cells)
 
     def wrapped(self, cells: Array) -> Array:
-        """Displacements (n, axes), with angles wrapped to half a circle."""
+        """Wrap displacements (..., axes), in cells, to half a circle along angles, in place."""
         for k, axis in enumerate(self.axes):
             if self.lattice.axes[axis].angle:
                 count = self.lattice.axes[axis].cells
@@ -139,10 +146,11 @@ class Group(Members):
 
 
 def parted(cpd: ConditionalGaussian, cov: Array, step: int) -> tuple[Array, Array]:
-    """Noise as variances (d,) of the components alone, and the root (d, r) of the rest.
+    """A noise covariance as diag(v) + L Lᵀ: variances v (d,) and the root L (d, r) of the rest.
 
-    As large a share of all variances as the correlations leave is the components' own: the least
-    eigenvalue of their correlation matrix.
+    Of components that are correlated, v has the largest equal share of their variances that leaves
+    the rest semidefinite: the least eigenvalue of their correlation matrix. L is zero in the
+    others.
     """
     own = np.diagonal(cov).copy()
     finite = np.isfinite(own) & (own > 0.0)

@@ -1,4 +1,10 @@
-"""The lattice of a grid: its axes, matched with the components of a model's states."""
+"""The lattice of a grid: its axes, matched with the components of a model's states.
+
+An axis is a component of a state. Its cells are numbered from 0; a cell's number is its place along
+the axis, and its centre the value of the component there. A cell of the lattice has a place along
+each axis. A window is the part of the lattice that is in use, a `Span` of cells along each axis; on
+a circle a span may go on from the last cell to cell 0.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +28,11 @@ from pgm.variables import Variable
 class Axis:
     """One axis of the grid, a component of a state.
 
-    angle: Whether it is a circle, whose first centre is at −π.
+    component: The index of the component in its variable.
+    label: The component's name, after that of its variable where states share it.
+    low: The lower end of the first cell; of a circle its centre, which is at −π.
+    width: The width of each of the `cells`, in units of the component.
+    angle: Whether the axis is a full circle.
     """
 
     variable: Variable
@@ -35,13 +45,13 @@ class Axis:
 
     @cached_property
     def offsets(self) -> Array:
-        """The centres, (cells,), counted from the reference: map coordinates cost no digits."""
+        """The centres less the reference, (cells,): exact however large coordinates are."""
         half = self.cells // 2 if self.angle else 0.5 * (self.cells - 1)
         return np.asarray((np.arange(self.cells) - half) * self.width, dtype=np.float64)
 
     @cached_property
     def reference(self) -> float:
-        """The middle of the axis, from which offsets count; of a circle it is 0, or near."""
+        """The middle of the axis, from which offsets count; of a circle within half a cell of 0."""
         half = self.cells // 2 if self.angle else 0.5 * self.cells
         return self.low + half * self.width
 
@@ -53,7 +63,10 @@ class Axis:
         return found
 
     def within(self, span: Span) -> slice | Integers:
-        """The index of the cells of a span."""
+        """The index that takes the cells of a span from an array along this axis.
+
+        It is a slice, or their places (length,) where the span goes past the last cell of a circle.
+        """
         if span.first + span.length <= self.cells:
             return slice(span.first, span.first + span.length)
         return np.arange(span.first, span.first + span.length) % self.cells
@@ -65,7 +78,7 @@ Window = tuple[Span, ...]
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The axes of a grid, angles first."""
+    """The axes of a grid that cover all components of some states, angles first."""
 
     states: Scope
     axes: tuple[Axis, ...]
@@ -82,41 +95,41 @@ class Lattice:
 
     @cached_property
     def whole(self) -> Window:
-        """All cells."""
+        """The window of all cells."""
         return tuple(Span(0, axis.cells) for axis in self.axes)
 
     @cached_property
     def of(self) -> Mapping[Variable, tuple[int, ...]]:
-        """The axes of each state, in the order of its components."""
+        """By state, the indices of its components' axes, in the order of the components."""
         places = {(axis.variable, axis.component): k for k, axis in enumerate(self.axes)}
         return {v: tuple(places[v, k] for k in range(v.dimension)) for v in self.states}
 
     @cached_property
     def angles(self) -> tuple[int, ...]:
-        """The axes that are circles."""
+        """The indices of the axes that are circles."""
         return tuple(k for k, axis in enumerate(self.axes) if axis.angle)
 
     def like(self, other: Lattice) -> bool:
-        """Whether the cells of another lattice are the same."""
+        """Whether another lattice has the same axes: labels, lower ends, widths and cells."""
         each = [(axis.label, axis.low, axis.width, axis.cells) for axis in self.axes]
         return each == [(axis.label, axis.low, axis.width, axis.cells) for axis in other.axes]
 
     def indices(self, window: Window) -> list[Integers]:
-        """The cells of a window along each axis."""
+        """The places (length,) of a window's cells along each axis, a list of one array an axis."""
         return [
             np.arange(span.first, span.first + span.length) % axis.cells
             for span, axis in zip(window, self.axes, strict=True)
         ]
 
     def cut(self, array: Array, window: Window) -> Array:
-        """The part of an array (*shape) in a window."""
+        """The entries of an array (*shape) at a window's cells, (*lengths of its spans)."""
         for k, (span, axis) in enumerate(zip(window, self.axes, strict=True)):
             if span.length < axis.cells or span.first:
                 array = array[(slice(None),) * k + (axis.within(span),)]
         return array
 
     def put(self, part: Array, window: Window) -> Array:
-        """An array (*shape) that has a part in a window, and is zero elsewhere."""
+        """An array (*shape) with `part` (*lengths) at a window's cells, and zeros elsewhere."""
         if all(span == (0, axis.cells) for span, axis in zip(window, self.axes, strict=True)):
             return np.ascontiguousarray(part)
         whole = np.zeros(self.shape)
@@ -128,18 +141,22 @@ class Lattice:
         return whole
 
     def points(self, places: Sequence[Integers]) -> Array:
-        """The centres (n, axes) of cells, given by their places (n,) along each axis."""
+        """The centres (n, axes) of n cells, given by their places (n,) along each axis."""
         return np.stack(
             [axis.centres[place] for axis, place in zip(self.axes, places, strict=True)], axis=-1
         )
 
     def values(self, points: Array) -> dict[Variable, Array]:
-        """The values (n, d) of each state at points (n, axes)."""
+        """By state, its values (n, d) at points (n, axes) of the lattice."""
         return {v: points[..., list(places)] for v, places in self.of.items()}
 
 
 def spanned(used: Mask, periodic: bool) -> Span:
-    """The shortest span that has all cells in use."""
+    """The shortest span that contains all cells of an axis marked in `used`, (cells,).
+
+    It is all cells where none is marked. On a circle (`periodic`) it is what the widest gap between
+    marked cells leaves.
+    """
     cells = len(used)
     places: Integers = np.flatnonzero(used)
     if not places.size:
@@ -153,7 +170,11 @@ def spanned(used: Mask, periodic: bool) -> Span:
 
 
 def resolve(grid: Grid, states: Scope) -> Lattice:
-    """The lattice of a grid for some states: each of their components is to be covered once."""
+    """The lattice of a grid over some states, each component of which has to have exactly one axis.
+
+    Names that fit no component or several, a component named twice and one left out are refused by
+    a ModelError.
+    """
     components = [(v, k) for v in states for k in range(v.dimension)]
     names = [v.components[k] for v, k in components]
     found: dict[tuple[Variable, int], Axis] = {}
@@ -183,7 +204,12 @@ def _component(
     components: Sequence[tuple[Variable, int]],
     names: Sequence[str],
 ) -> tuple[Variable, int]:
-    """The state, and the place in it, that a key of a grid names."""
+    """The state, and the index of its component, that a key of the user's grid names.
+
+    A key is a scalar variable, or a component's name, alone or after its variable's, or the name of
+    a scalar variable. `components` are all components of the states and `names` their names. A key
+    that fits none or several is refused by a ModelError.
+    """
     if isinstance(key, Variable):
         if key not in states:
             raise ModelError(
@@ -213,7 +239,11 @@ def _component(
 
 
 def _axis(variable: Variable, place: int, label: str, extent: Extent) -> Axis:
-    """A component's axis with cells of equal width; an angle's covers the circle."""
+    """A component's axis with cells of equal width; an angle's covers the circle.
+
+    The extent is to be a number of cells of an angle, and (lo, hi, cells) of other components; a
+    ModelError says which is due.
+    """
     angle = variable.components[place] in variable.angles
     if angle != isinstance(extent, int):
         due = (

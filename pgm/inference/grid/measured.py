@@ -1,4 +1,9 @@
-"""A sensor's measurements on a grid, and how sharp the sensor is for its cells."""
+"""A sensor's measurements on a grid, and how sharp the sensor is for its cells.
+
+A measurement is given by its row in the sensor's `Reading`, where rows are sorted by step, and by
+its run. h(c) is the sensor's function, the expected measurement, at the centre of cell c; R is the
+covariance of its noise.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +26,11 @@ Known = Mapping[Variable, Array]
 
 
 class Sharpness(NamedTuple):
-    """The sensor whose density is narrowest in units of the cells.
+    """The sensor that is sharpest for the cells, at its step.
 
-    cells: By how many of its deviations a measurement differs from one cell to the next, where it
-        is the likeliest.
+    cells: How far the expected measurement moves from a cell to the next, in standard deviations of
+        the noise, at the likeliest cell of the measurements; see `MeasuredSensor.sharpness`.
+    variable: The sensor; None if nothing was measured.
     """
 
     cells: float
@@ -34,12 +40,14 @@ class Sharpness(NamedTuple):
 
 @dataclass(eq=False)
 class Shape:
-    """The shape of a sensor's function, as far as it has been tested.
+    """What tests have found of the shape of a sensor's function h, so that it is called less often.
 
-    turning: The circles by which it is a sum of two; None as long as that has not been asked.
+    depended: The axes on which each component of h depends.
+    turning: The circles on which h depends by a sum of two, h(x) = f(the other axes) + g(these);
+        empty if it is no such sum, None as long as that has not been tested.
     tested: Whether that has been tested at every centre.
-    highest: Of a density, by how many components were taken, its largest logarithm found at a
-        centre.
+    highest: Of a sensor by its density: by the number of components taken, the largest log-density
+        found at a centre.
     """
 
     depended: Dependence
@@ -50,14 +58,14 @@ class Shape:
 
 @dataclass(eq=False)
 class MeasuredSensor:
-    """A sensor's measurements, and the shape of its function."""
+    """A sensor's measurements on a lattice, with what is known of its function's shape."""
 
     lattice: Lattice
     reading: Reading
     shape: Shape
 
     def require_covered(self) -> None:
-        """Refuse a sensor whose parents the grid does not cover."""
+        """Refuse, by a ModelError, a sensor with a hidden parent that is no state of the grid."""
         cpd = self.reading.cpd
         for parent in cpd.given:
             if parent not in self.lattice.of and parent not in self.reading.inputs:
@@ -69,22 +77,25 @@ class MeasuredSensor:
                 )
 
     def rows(self, step: int) -> range:
-        """The rows of the measurements of a step."""
+        """The rows of the reading that are measurements of a step."""
         low, high = np.searchsorted(self.reading.step, [step, step + 1])
         return range(int(low), int(high))
 
     def known(self, row: int, run: int) -> Known:
-        """The values of the sensor's observed parents."""
+        """By variable, the values (d,) of the sensor's observed parents at a measurement."""
         inputs = self.reading.inputs
         return {v: a[row, run if a.shape[1] > 1 else 0] for v, a in inputs.items()}
 
     def taken(self, row: int, run: int) -> Mask:
-        """The mask of measured components, (d,)."""
+        """The mask of the components of a measurement that were measured, (d,)."""
         found: Mask = self.reading.taken[row, run if self.reading.taken.shape[1] > 1 else 0]
         return found
 
     def around(self, cell: Integers) -> Integers:
-        """A cell and its neighbours along each axis, for second differences."""
+        """A cell (axes,), the next one along each axis and the one before, (1 + 2 axes, axes).
+
+        At an end of an interval the neighbour inside stands for the one outside as well.
+        """
         found = np.repeat(cell[None], 2 * len(cell) + 1, axis=0)
         for k, axis in enumerate(self.lattice.axes):
             for row, step in ((k + 1, 1), (k + 1 + len(cell), -1)):
@@ -94,9 +105,18 @@ class MeasuredSensor:
         return found
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The residuals of one measurement, and the log-density at zero residual."""
+        """One measurement over a window, as residuals and a constant.
+
+        ln p(z | x) is the constant less the sum of the residuals' `squared`, which broadcast to the
+        window. The constant is the log-density at zero residual, or, of a density, its highest
+        value. Without any component measured there are no residuals, and the constant is 0.
+        """
         raise NotImplementedError
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """The deviations between the values at a cell and the next, along the sharpest axis."""
+        """How far the expected measurement moves by one cell, in standard deviations of the noise.
+
+        It is the largest ‖R^(−1/2) (h(c + e_k) − h(c))‖ over the axes k, e_k being one cell along
+        axis k, of the components that were measured.
+        """
         raise NotImplementedError

@@ -1,4 +1,4 @@
-"""Moves of mixtures: each part moves its share, by chance, of the same group of states."""
+"""Moves of mixtures: the weighted sum of what a mixture's parts do to the same states."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pgm.kernels.lattice import Span
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Operators one after another, from one window to another."""
+    """Operators one after another, from a source window to a target window."""
 
     source: Window
     target: Window
@@ -25,15 +25,16 @@ class Step:
 
     @property
     def split(self) -> frozenset[int]:
-        """The axes that are moved cell by cell."""
+        """The axes that are moved cell by cell, by a `Split`."""
         each = [operator.axes for _, operator in self.leaves() if isinstance(operator, Split)]
         return frozenset().union(*each)
 
     @property
     def uneven(self) -> Uneven:
-        """The least even transition density of all operators.
+        """The transition density whose sums over centres vary the most; `EVEN` if there is none.
 
-        Each is ranked by the probability that passes through it.
+        The share by which they vary counts times the probability of the mixture's part that has the
+        density.
         """
         each = [
             operator.uneven._replace(share=weight * operator.uneven.share)
@@ -43,7 +44,10 @@ class Step:
         return max(each, key=lambda found: found.share, default=EVEN)
 
     def leaves(self) -> Iterator[tuple[float, Operator]]:
-        """Each operator with the probability of its part, mixtures within mixtures included."""
+        """Each operator with the probability of its part; 1 of those that are of no mixture.
+
+        Mixtures within mixtures are taken apart.
+        """
         for operator in self.operators:
             if isinstance(operator, Mixed):
                 for weight, step in zip(operator.weights.tolist(), operator.steps, strict=True):
@@ -52,9 +56,9 @@ class Step:
                 yield 1.0, operator
 
     def forward(self, array: Array) -> tuple[Array, Array]:
-        """The probabilities in the target window, and the variance added by the lattice.
+        """The probabilities in the target window, and the variance that the lattice has added.
 
-        That is along each of its axes, in cells.
+        The latter is along each axis, in squared cells, (axes,).
         """
         added = np.zeros(len(self.source))
         for operator in self.operators:
@@ -68,7 +72,7 @@ class Step:
         return array, added
 
     def backward(self, array: Array) -> Array:
-        """The transpose."""
+        """The transpose: a backward message in the source window, from one in the target window."""
         for operator in reversed(self.operators):
             array = operator.backward(array)
         return array
@@ -76,9 +80,10 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Mixed:
-    """The weighted sum of several steps from one window.
+    """The weighted sum of several steps from the same window.
 
-    target: The window that holds those of all steps.
+    weights: The probabilities of the steps, (parts,).
+    target: The window that contains the target windows of all steps.
     """
 
     lattice: Lattice
@@ -87,7 +92,10 @@ class Mixed:
     target: Window
 
     def moved(self, array: Array) -> tuple[Array, Array]:
-        """The probabilities after it, and the variance that the lattice has added on the way."""
+        """The probabilities in the target window, and the variance that the lattice has added.
+
+        The latter is along each axis, in squared cells, (axes,), averaged over the steps.
+        """
         total, added = np.zeros([span.length for span in self.target]), np.zeros(array.ndim)
         for weight, step in zip(self.weights, self.steps, strict=True):
             part, more = step.forward(array)
@@ -96,7 +104,7 @@ class Mixed:
         return total, added
 
     def backward(self, array: Array) -> Array:
-        """The transpose."""
+        """The transpose: a backward message in the source window, from one in the target window."""
         parts = [
             weight * step.backward(array[self._of(step)])
             for weight, step in zip(self.weights, self.steps, strict=True)
@@ -105,7 +113,7 @@ class Mixed:
         return total
 
     def _of(self, step: Step) -> tuple[Integers, ...]:
-        """The indices of one part's target window, within the union of all parts' windows."""
+        """The index of one step's target window within that of the sum."""
         each = [
             (np.arange(own.length) + own.first - span.first) % axis.cells
             for own, span, axis in zip(step.target, self.target, self.lattice.axes, strict=True)
@@ -115,13 +123,16 @@ class Mixed:
 
 @dataclass(frozen=True, eq=False)
 class MixedGroup(Members):
-    """A mixture, part by part."""
+    """The members of a mixture CPD, with a group for each of its parts.
+
+    weights: The probabilities of the parts, (parts,).
+    """
 
     parts: tuple[Members, ...] = ()
     weights: Array = field(default_factory=lambda: np.ones(1))
 
     def mixed(self, steps: Sequence[Step]) -> Mixed:
-        """The sum of the steps of its parts."""
+        """The sum of steps, one for each part, weighted by the parts' probabilities."""
         target = []
         for k, axis in enumerate(self.lattice.axes):
             target.append(_around([step.target[k] for step in steps], axis.cells, axis.angle))
@@ -129,7 +140,7 @@ class MixedGroup(Members):
 
 
 def _around(spans: Sequence[Span], cells: int, periodic: bool) -> Span:
-    """The shortest interval that covers several, on a line or on a circle of cells."""
+    """The shortest span that covers several, on a line or (`periodic`) on a circle of cells."""
     if all(span == spans[0] for span in spans):
         return spans[0]
     if not periodic:

@@ -1,9 +1,10 @@
 """The motion of a grid: the transition of a step as operators along the axes.
 
-The displacement along each axis is found at the centres, and with it the axes on which it depends.
-Where they can be put in an order, each axis being moved before those on which it depends, a step is
-products of matrices along one axis after another: of one matrix, where the displacement is the same
-everywhere; of one a heading, where it depends on the heading alone. Else every cell is split on its
+States move in groups (`groups`), one group after another. The displacement along each axis is found
+at the centres, and with it the axes on which it depends. Where these axes can be put in an order,
+each axis being moved before those on which it depends, a step is products of matrices along one
+axis after another: of one matrix, where the displacement is the same everywhere; of one matrix for
+each heading, where it depends on the heading alone. Otherwise every cell is split on its own
 neighbours, and blurred by what is left of the variance. Noise that enters through hidden controls,
 and correlated noise, is summed over the nodes of a quadrature.
 """
@@ -32,9 +33,9 @@ from pgm.resources import require_memory
 _MATRICES = 1 << 24
 # Numbers of all its kernels, at all nodes of a quadrature; more are split node by node.
 _KERNELS = 1 << 24
-# Noise of so many circles is flat on a circle, to e^(−2π²·9).
+# Noise with a standard deviation of so many circles is flat on a circle, to e^(−2π²·9).
 _CIRCLES = 3.0
-# Noise of so many times the bounds leaves a fiftieth within them.
+# Noise with a standard deviation of so many times the bounds leaves a fiftieth within them.
 _BOUNDS = 20.0
 
 
@@ -42,8 +43,8 @@ _BOUNDS = 20.0
 class Motion:
     """The groups of a prior or transition, moved one after another.
 
-    known: By the key of a group, the axes on which its displacements depend, as far as is known.
-    kept: Weights by density that are the same at all steps.
+    known: By a group's key, the axes on which its displacements depend, as far as tested.
+    kept: By a group's key, weights by density that are the same at all steps.
     """
 
     lattice: Lattice
@@ -52,7 +53,7 @@ class Motion:
     kept: Kept = field(default_factory=dict)
 
     def at(self, step: int, run: int, source: Window) -> Step:
-        """The operators of a step, for the probabilities in a window."""
+        """The transition to a step of a run, from the window in which the belief before stands."""
         window, operators = source, list[Operator | Mixed]()
         for group in self._ordered(step, run, source):
             made = self._step(group, step, run, source, window)
@@ -61,7 +62,10 @@ class Motion:
         return Step(source, window, operators)
 
     def _step(self, group: Members, step: int, run: int, source: Window, window: Window) -> Step:
-        """The operators of a group, from the window that the groups before it lead to."""
+        """The operators of one group, from `window`, which the groups moved before it have reached.
+
+        `source` is the window of the belief at the step before.
+        """
         if isinstance(group, MixedGroup):
             parts = [self._step(part, step, run, source, window) for part in group.parts]
             mixed = group.mixed(parts)
@@ -79,7 +83,7 @@ class Motion:
     def _depends(
         self, group: Members, step: int, run: int, source: Window
     ) -> tuple[set[int], set[int]]:
-        """The axes that a group depends on: of the step before, and of its own step."""
+        """The axes that a group's move depends on, of the step before, and of its own step."""
         if isinstance(group, DensityGroup):
             return group.depends()
         before, after = set[int](), set[int]()
@@ -93,12 +97,16 @@ class Motion:
     def dependence(
         self, group: Group, spread: Spread, step: int, run: int, source: Window
     ) -> Dependence:
-        """The axes on which the displacements of a group depend, tested at this step."""
+        """The axes on which a group's displacements depend, tested anew at this step.
+
+        They are tested without noise and, if displacements share any, with two draws of it.
+        """
         found = self.known.setdefault(group.key, Dependence(self.lattice))
         drawn = np.random.default_rng(step).standard_normal((2, spread.size))
         noises = [np.zeros(spread.size), *(drawn if spread.size else ())]
 
         def values(before: Array, after: Array) -> Array:
+            """The displacements (n, noises, axes) at points of the step before and of this one."""
             shape = len(before), spread.size
             each = [
                 group.displacement(before, after, np.broadcast_to(noise, shape), spread, step, run)
@@ -109,6 +117,7 @@ class Motion:
         slack = _slack(self.lattice, group)
 
         def differ(one: Array, other: Array) -> Mask:
+            """Whether displacements differ by more than rounding, angles the shorter way round."""
             different: Mask = np.abs(group.wrapped(one - other)) > slack
             return different
 
@@ -117,9 +126,11 @@ class Motion:
         return found
 
     def _ordered(self, step: int, run: int, source: Window) -> list[Members]:
-        """The groups in an order in which each finds the axes that it depends on.
+        """The groups in an order in which they can be moved one after another.
 
-        Groups that have no order among themselves are joined.
+        A group that depends on an axis of the step before is moved before that axis is; one that
+        depends on an axis of its own step, after it. Groups that have no such order among
+        themselves are joined for good.
         """
         if len(self.groups) == 1:
             return self.groups
@@ -145,7 +156,7 @@ class Motion:
 
 
 def _slack(lattice: Lattice, group: Group) -> Array:
-    """Differences of displacements that count as rounding, in cells, (axes,)."""
+    """The differences of displacements that count as rounding, in cells, by axis of the group."""
     largest = [
         max(abs(lattice.axes[k].low), lattice.axes[k].width * lattice.axes[k].cells)
         for k in group.axes
@@ -154,6 +165,12 @@ def _slack(lattice: Lattice, group: Group) -> Array:
 
 
 class _Maker:
+    """The operators of a group of Gaussian CPDs, at a step of a run.
+
+    noise: The nodes of a quadrature over the white noise that displacements share, (nodes, size).
+    nodes: The weights of these nodes, (nodes,).
+    """
+
     def __init__(
         self,
         motion: Motion,
@@ -168,7 +185,7 @@ class _Maker:
         self.noise, self.nodes = quadrature(group, self.spread, step, run)
 
     def operators(self, window: Window) -> tuple[Window, list[Operator]]:
-        """The target window, and the operators that lead there."""
+        """The window that the group's move reaches from another, and the operators between."""
         order = self._order()
         if order is None:
             return self._split(window)
@@ -181,7 +198,11 @@ class _Maker:
         return tuple(spans), [Sweep(moves, self.nodes)] if moves else []
 
     def _within(self, spread: Spread) -> Spread:
-        """The noise: flat, where it goes round circles; refused, where it is beyond the bounds."""
+        """The noise, flat along angles where it goes round circles: its variance there is infinite.
+
+        That is beyond a standard deviation of three circles. One of more than twenty times the
+        bounds of an interval, but finite, is refused by a ModelError.
+        """
         variance = spread.variance.copy()
         for k, axis in enumerate(self.lattice.axes[a] for a in self.group.axes):
             deviation = math.sqrt(variance[k]) / axis.cells
@@ -201,7 +222,12 @@ class _Maker:
         return spread._replace(variance=variance)
 
     def _order(self) -> list[int] | None:
-        """The places of the group's axes in the order in which they are moved, if there is one."""
+        """The places of the group's axes in the order in which they are moved along one at a time.
+
+        None where they have no such order, or matrices or kernels would be too large: cells are
+        split then. Splitting takes no dependence on the same step within the group; that is refused
+        by a ModelError where there is no order.
+        """
         import networkx as nx  # here, since it is slow to import
 
         group, found = self.group, self.dependence
@@ -240,7 +266,11 @@ class _Maker:
         return None
 
     def _values(self, cells: Sequence[Integers], before: set[int], after: set[int]) -> Array:
-        """The displacements (nodes, n, axes) at cells given along each axis, (n,)."""
+        """The displacements (nodes, n, axes) at n cells, given by places (n,) along each axis.
+
+        before, after: The axes of the step before, and of its own, on which they depend; along the
+            others cells are moved to the middle.
+        """
         here = np.stack(cells, axis=-1)
         reduced = self.dependence.reduced
         base = self.lattice.points(list(reduced(here, before).T))
@@ -257,7 +287,7 @@ class _Maker:
         return found.reshape(nodes, count, -1)
 
     def _move(self, k: int, window: Window) -> Move | None:
-        """The move along one axis of the group; None where nothing moves."""
+        """The move along the k-th of the group's axes, from a window; None where nothing moves."""
         axis, lattice = self.group.axes[k], self.lattice
         before, after = self.dependence.before[k], self.dependence.after[k]
         by = tuple(sorted((before | after) - {axis}))
@@ -281,7 +311,10 @@ class _Maker:
         return _along(lattice.axes[axis], axis, by, shift.reshape(shape), variance, source)
 
     def _split(self, window: Window) -> tuple[Window, list[Operator]]:
-        """Spread each cell over its neighbours, then blur by the variance that this leaves over."""
+        """Split each cell on its neighbours, then blur by the variance that this leaves over.
+
+        Returned are the target window and the operators that lead there.
+        """
         group, lattice = self.group, self.lattice
         indices = lattice.indices(window)
         mesh = np.meshgrid(*indices, indexing="ij")
@@ -289,6 +322,7 @@ class _Maker:
         noise = self.noise
 
         def place(node: int) -> Array:
+            """The targets of all cells at a node, (axes of the group, cells), not rounded."""
             base = lattice.points(cells)
             white = np.broadcast_to(noise[node], (len(base), noise.shape[1]))
             shift = group.displacement(base, base, white, self.spread, self.step, self.run)
@@ -335,7 +369,10 @@ class _Maker:
 
 
 def _flat(axis: Axis, place: int, source: Span) -> Move:
-    """The move to all cells alike, of a state that forgets where it was."""
+    """The move of an infinite variance: from each source cell to all cells with equal probability.
+
+    `place` is the index of the axis.
+    """
     cells = axis.cells
     # From every source cell: the first weight is at cell 0 wherever it comes from.
     first = -(source.first + np.arange(source.length)).reshape(1, 1, -1)
@@ -347,7 +384,14 @@ def _flat(axis: Axis, place: int, source: Span) -> Move:
 def _along(
     axis: Axis, place: int, by: tuple[int, ...], shift: Array, variance: float, source: Span
 ) -> Move:
-    """The move of displacements (nodes, cells of `by`, source cells or 1), in cells."""
+    """The move along one axis by displacements in cells, with noise of a variance in squared cells.
+
+    place: The index of the axis.
+    by: The other axes on which the displacement depends, ascending.
+    shift: The displacements, (nodes or 1, cells of `by`, 1), or (…, source cells) where they depend
+        on the place along the axis.
+    source: The span in which the probabilities stand.
+    """
     cells = axis.cells
     if not axis.angle:  # from further away nothing comes back
         most = 2.0 * cells + 2.0 * REACH * math.sqrt(variance)

@@ -1,4 +1,12 @@
-"""Operators that move probabilities on a lattice, and their exact transposes."""
+"""Operators that move probabilities on a lattice, and their exact transposes.
+
+They take an array of the probabilities at the cells of a source window to one at those of a target
+window; what leaves an interval is lost. Displacements are in cells, variances in squared cells. A
+kernel is the distribution of a displacement over whole numbers of cells, its weights are the taps.
+A displacement of variance s² whose fractional part is f spreads over f(1 − f) at least: where s² is
+less, the lattice adds f(1 − f) − s². Noise that several displacements share is summed over the
+nodes of a quadrature, each with a weight; the weights sum to one.
+"""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -11,35 +19,39 @@ import numpy as np
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.lattice import Span, along, matrices
 
-# The variance, in cells, of the three points on which a displacement is split: that of any f.
+# The largest variance, in squared cells, of the three points that a displacement is split on.
 SPLIT = 0.25
 
 
 class Operator(Protocol):
-    """A linear map of the probabilities in one window to those in another."""
+    """A linear map of the probabilities in a source window to those in a target window."""
 
     def forward(self, array: Array) -> Array:
-        """The probabilities in the target window."""
+        """The probabilities in the target window, from those in the source window."""
         ...
 
     def backward(self, array: Array) -> Array:
-        """The transposed operator applied to a backward message."""
+        """The transposed operator: from a message in the target window to one in the source's."""
         ...
 
     def added(self, array: Array) -> dict[int, float]:
-        """The variance that the lattice adds to these probabilities, in squared cells by axis."""
+        """By axis, the variance added by the lattice, in squared cells, averaged over the array."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """Kernels along one axis, one for each cell of the axes on which the displacement depends.
+    """Displacements along one axis, with a kernel for each cell of the axes on which they depend.
 
-    by: The other axes on which it depends, ascending; G is the number of their cells.
-    first: (nodes or 1, G, 1), of the kernels at each node of a quadrature; (nodes or 1, G, source
-        cells) where it depends on the place along the axis too.
-    weights: (*first.shape, taps).
-    added: (nodes or 1, G, ...): the variance that the lattice adds, in cells.
+    axis: The index of the axis that is moved.
+    by: The other axes on which the displacement depends, ascending; G is the number of the window's
+        cells along these.
+    first: The displacement of each kernel's first weight, (nodes or 1, G, 1); or (nodes or 1, G,
+        source cells), where it depends on the place along the moved axis too.
+    weights: The kernels, (*first.shape, taps).
+    added: The variance that the lattice adds, in squared cells, (nodes or 1, G, 1 or source cells).
+    source, target: The span of the moved axis before and after.
+    cells: The number of cells of the axis; a circle is `periodic`.
     """
 
     axis: int
@@ -54,19 +66,20 @@ class Move:
 
     @property
     def varies(self) -> bool:
-        """Whether it differs from node to node."""
+        """Whether the kernels differ from node to node of the quadrature."""
         return len(self.first) > 1
 
     def matrix(self, node: int) -> Array:
-        """The matrices (G, target, source) at a node."""
+        """The kernels of a node as matrices, (G, target cells, source cells)."""
         return self._only if not self.varies else self._at(node)
 
     @cached_property
     def _only(self) -> Array:
+        """The matrices where all nodes have the same."""
         return self._at(0)
 
     def _at(self, node: int) -> Array:
-        """The matrix of a node, (cells depended on, target, source), of its kernels."""
+        """Make the matrices of a node's kernels, (G, target cells, source cells)."""
         return matrices(
             self.first[node],
             self.weights[node],
@@ -77,7 +90,11 @@ class Move:
         )
 
     def mean_added(self, array: Array, nodes: Array) -> float:
-        """The variance that the lattice adds, averaged over nodes and probabilities."""
+        """The variance that the lattice adds, in squared cells, averaged over the probabilities.
+
+        `nodes` are the weights of the nodes. Where an earlier move has changed the window, so that
+        `array` does not fit, all cells count alike.
+        """
         if not self.added.any():
             return 0.0
         each = np.einsum("ngk,n->gk", self.added, nodes if self.varies else np.ones(1))
@@ -89,23 +106,27 @@ class Move:
         return float((each * marginal.reshape(each.shape)).sum() / max(marginal.sum(), 1e-300))
 
     def forward(self, array: Array, node: int = 0) -> Array:
-        """The probabilities after the move along one axis; see `Operator`."""
+        """The probabilities after the move along one axis, at a node of the quadrature."""
         return along(self.matrix(node), array, self.axis, self.by)
 
     def backward(self, array: Array, node: int = 0) -> Array:
-        """The transposed move, for backward messages; see `Operator`."""
+        """The transposed move, of a backward message, at a node of the quadrature."""
         return along(self.matrix(node).swapaxes(-1, -2), array, self.axis, self.by)
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Moves along one axis after another, summed over the nodes of a quadrature."""
+    """Moves along one axis after another, averaged over the nodes of a quadrature.
+
+    moves: The moves M_1 to M_K, in order; the operator is Σₙ wₙ M_K(n) … M_1(n).
+    nodes: The weights w of the nodes, (nodes,), of sum one.
+    """
 
     moves: Sequence[Move]
     nodes: Array
 
     def forward(self, array: Array) -> Array:
-        """The probabilities after all moves, summed over nodes; see `Operator`."""
+        """The probabilities after all moves, averaged over the nodes; see `Operator`."""
         return self._run(array, self.moves, lambda move, node, part: move.forward(part, node))
 
     def backward(self, array: Array) -> Array:
@@ -114,13 +135,15 @@ class Sweep:
         return self._run(array, last_first, lambda move, node, part: move.backward(part, node))
 
     def added(self, array: Array) -> dict[int, float]:
-        """The variance that the lattice adds, in squared cells by axis; see `Operator`."""
+        """By axis, the variance that the lattice adds, in squared cells; see `Operator`."""
         return {move.axis: move.mean_added(array, self.nodes) for move in self.moves}
 
     def _run(
         self, array: Array, moves: Sequence[Move], apply: Callable[[Move, int, Array], Array]
     ) -> Array:
-        """The weighted sum over nodes of one move after another: Σₙ wₙ Mₙ … M₁ array.
+        """The weighted sum over nodes of one move after another: Σₙ wₙ M_K(n) … M_1(n) array.
+
+        apply: Applies one move, at a node, to an array, forwards or backwards.
 
         Moves that are the same at all nodes, at either end, are made once, outside the sum.
         """
@@ -144,13 +167,20 @@ class Sweep:
 
 
 class Split:
-    """Displacements of each cell on its own: on the three nearest cells along each axis.
+    """Displacements that each cell has of its own: it is split on three cells along each axis.
 
-    Three points have any mean between −½ and ½, and the variance s² = ¼, or f(1 − f) of a smaller
-    s², exactly; of larger ones the rest is a blur that is the same everywhere.
+    These are the cell nearest to its target and both of its neighbours. With the target at μ from
+    the nearest, −½ ≤ μ ≤ ½, the three points have exactly that mean, and the variance max(s², |μ|(1
+    − |μ|)), s² ≤ ¼. Of a larger variance the rest is a blur that is the same everywhere, left to a
+    `Sweep` afterwards.
 
-    place: The targets of the source cells at a node, (axes, source cells), in cells of each axis.
-    variance: (axes,): in cells, ¼ at the most.
+    axes: The axes that are moved.
+    place: A function of a node: the targets of all source cells, (axes moved, source cells), in
+        cells along each axis, not rounded.
+    variance: The variance s² of each moved axis, in squared cells, (axes moved,).
+    nodes: The weights of the quadrature's nodes, (nodes,).
+    source, target: The windows before and after.
+    cells, periodic: The number of cells of each axis of the lattice, and whether it is a circle.
     """
 
     def __init__(
@@ -169,7 +199,7 @@ class Split:
 
     @cached_property
     def _rest(self) -> Integers:
-        """The part of the flat target that the axes which are not moved give, (source cells,)."""
+        """What the axes at rest add to each source cell's flat target index, (source cells,)."""
         counts = [span.length for span in self.target]
         strides = [int(np.prod(counts[k + 1 :])) for k in range(len(counts))]
         total = np.zeros((1,) * len(counts), dtype=np.intp)
@@ -181,7 +211,12 @@ class Split:
         return total.reshape(-1)
 
     def _taps(self, node: int) -> list[list[tuple[Integers, Array]]]:
-        """Three taps for each axis moved: their part of the flat target, and their weight."""
+        """The three points that each cell is split on along each moved axis, at a node.
+
+        Of each axis there are three pairs, of the cells one lower, nearest and one higher: what
+        they add to the flat target index, and their weights, both (source cells,). The weight is
+        zero outside of the target window.
+        """
         counts = [span.length for span in self.target]
         found = []
         for target, axis, variance in zip(self.place(node), self.axes, self.variance, strict=True):
@@ -205,7 +240,7 @@ class Split:
         return found
 
     def forward(self, array: Array) -> Array:
-        """The probabilities after each cell is spread over its neighbours; see `Operator`."""
+        """The probabilities after each cell is split on its neighbours; see `Operator`."""
         counts = tuple(span.length for span in self.target)
         size, values = int(np.prod(counts)), array.reshape(-1)
         total = np.zeros(size)
@@ -218,7 +253,7 @@ class Split:
         return total.reshape(counts)
 
     def backward(self, array: Array) -> Array:
-        """The transposed spreading, for backward messages; see `Operator`."""
+        """The transposed splitting, for backward messages; see `Operator`."""
         values = np.ascontiguousarray(array).reshape(-1)
         total = np.zeros(self._rest.size)
         for node, share in enumerate(self.nodes):
@@ -230,7 +265,7 @@ class Split:
         return total.reshape(tuple(span.length for span in self.source))
 
     def added(self, array: Array) -> dict[int, float]:
-        """The variance that the lattice adds, in squared cells by axis; see `Operator`."""
+        """By axis, the variance that the lattice adds, in squared cells; see `Operator`."""
         values, found = array.reshape(-1), dict.fromkeys(self.axes, 0.0)
         for node, share in enumerate(self.nodes):
             target = self.place(node)

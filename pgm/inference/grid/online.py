@@ -66,7 +66,7 @@ class OnlineGridBelief(Shown, NoArray):
 
     @property
     def lead(self) -> tuple[int, ...]:
-        """The axes of runs."""
+        """The shape of the axes of runs."""
         return self.log_evidence.shape
 
     def __getitem__(self, variable: Variable) -> GridBelief:
@@ -103,7 +103,11 @@ Belief = TypeVar("Belief", bound=step_evidence.Place)
 
 
 class PointFilter(InCode, Immutable, Generic[Belief]):
-    """Base of online filters whose beliefs are point masses, and immutable as they are."""
+    """Base of online filters whose beliefs are point masses, and are never changed in place.
+
+    model: The network that is filtered.
+    belief: The user's choice of beliefs, a `Grid` or `Particles`.
+    """
 
     model: DynamicBayesianNetwork
     belief: Any
@@ -121,7 +125,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         Raises
         ------
         EvidenceError, ModelError
-            For the same reasons.
+            For the same reasons as there.
         LinearisationError, NumericalError
             If a function has no value at a point mass, or all probability has left the bounds.
         """
@@ -137,7 +141,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         EvidenceError
             If a measurement does not fit its sensor, or is impossible.
         ModelError, LinearisationError
-            See `predict`.
+            If the belief is none of this filter's, or a function has no value at a point mass.
         """
         self._check(belief)
         given = step_evidence.mapping(readings, "update", "sensors to measurements")
@@ -146,7 +150,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         return self._updated(belief, replace(bound, readings=tuple(shifted)))
 
     def _check(self, belief: Any) -> None:
-        """Refuse a belief of another model, or of another family."""
+        """Refuse, by a ModelError, a belief of another model, or of other cells or particles."""
         if not self._owns(belief):
             kind = type(self.belief).__name__.lower()
             raise ModelError(
@@ -155,12 +159,15 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
             )
 
     def _owns(self, belief: Any) -> bool:
+        """Whether a belief was made by a filter of this model and choice of beliefs."""
         raise NotImplementedError
 
     def _predicted(self, belief: Belief, bound: BoundEvidence) -> Belief:
+        """The belief one step later, given the inputs of that step."""
         raise NotImplementedError
 
     def _updated(self, belief: Belief, bound: BoundEvidence) -> Belief:
+        """The belief given measurements of its step."""
         raise NotImplementedError
 
 
@@ -249,7 +256,17 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         work: Callable[[GridSlices, Array], tuple[Array, float]],
     ) -> list[tuple[GridSlices, Array, float]]:
-        """The slices, the belief after some work, and its log-density, of each run."""
+        """Do some work in each run: its slices, its belief after the work, and a log-density.
+
+        first: The step at which the work is done; of a prediction the one before.
+        before: The belief to go on from, whose runs broadcast to the evidence's; None for the
+            prior.
+        work: A function of a run's slices and its belief (*cells), which is empty without `before`.
+            It returns probabilities (*cells) that need not sum to one, and a log-scale.
+
+        The belief returned is normalised; the log-density is the logarithm of the sum, plus the
+        scale. A sum of zero is refused by an EvidenceError.
+        """
         model = GridModel(self._lattice, self.model, bound, self._tested, first)
         shape = self._lattice.shape
         values = np.zeros((bound.runs, 0))
@@ -276,7 +293,10 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         found: list[tuple[GridSlices, Array, float]],
     ) -> OnlineGridBelief:
-        """The user's belief of the values of all runs, with a status of all steps so far."""
+        """The user's belief from what `_each` has found, with a status of all steps so far.
+
+        before: The belief that it continues; None for the prior.
+        """
         lead, lattice = bound.lead, self._lattice
         values = np.array([belief for _, belief, _ in found], dtype=self.belief.dtype)
         log_density = np.array([density for *_, density in found]).reshape(lead)

@@ -1,4 +1,4 @@
-"""The posterior of a network on a grid."""
+"""The posterior of a network on a grid, and the base of all posteriors by point masses."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class PointPosterior(Labelled, Viewed, Shown, NoArray, Generic[Belief]):
         return self.joint(require_variable(variable))
 
     def joint(self, *variables: Variable) -> Belief:
-        """The joint of some variables."""
+        """The joint of some variables, in the order given."""
         raise NotImplementedError
 
 
@@ -126,7 +126,7 @@ class GridPosterior(PointPosterior[GridBelief]):
 
     @property
     def filtered(self) -> GridPosterior:
-        """The beliefs of the forward sweep."""
+        """The filtered beliefs, those of the forward sweep; itself, of a filter."""
         if self._filtered is None:
             return self
         return replace(self, kind=FILTERED, _values=self._filtered, _filtered=None)

@@ -15,10 +15,10 @@ from pgm.kernels.lattice import Span
 
 
 def start(lattice: Lattice, groups: Sequence[Members], run: int) -> tuple[Array, Array, Uneven]:
-    """The probabilities at step 0; their sum lacks the prior's mass outside the grid.
+    """The probabilities of all cells at step 0, (*cells); their sum lacks the prior's mass outside.
 
-    With them the variance that the lattice has added along each axis, in cells, and the density
-    whose sums over centres are the least those of it.
+    Returned with them are the variance that the lattice has added along each axis, in squared
+    cells, (axes,), and the prior's density whose sums over centres vary the most.
     """
     nowhere = (Span(0, 1),) * len(lattice.axes)
     made = Motion(lattice, list(groups)).at(0, run, nowhere)

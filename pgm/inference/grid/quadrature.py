@@ -1,4 +1,4 @@
-"""The nodes of a quadrature over white noise that several displacements share."""
+"""The nodes of a quadrature over the white noise that several displacements share."""
 
 import math
 
@@ -17,13 +17,17 @@ _NARROW = 1.0
 _HERMITE = 5
 # Weights of nodes below this are left out.
 _SLIGHT = 1e-14
-# Shares of a deviation at which displacements are looked at: those of large ones may go round a
-# circle, and seem to be none.
+# Shares of a standard deviation at which displacements are looked at: those of a whole one may go
+# round a circle, and seem to be none.
 _SHARES = (1.0, 0.1, 1e-2, 1e-3)
 
 
 def quadrature(group: Group, spread: Spread, step: int, run: int) -> tuple[Array, Array]:
-    """The nodes of the white noise of a group, (nodes, size), and their weights."""
+    """The nodes of the white noise of a group, (nodes, spread.size), and their weights, (nodes,).
+
+    Each number of the noise has nodes by how far it moves displacements; they are combined in all
+    ways. More than 4096 are refused by a ModelError.
+    """
     size = spread.size
     if not size:
         return np.zeros((1, 0)), np.ones(1)
@@ -59,10 +63,11 @@ def quadrature(group: Group, spread: Spread, step: int, run: int) -> tuple[Array
 
 
 def _nodes(extent: float) -> tuple[Array, Array]:
-    """Quadrature of a standard normal with a deviation of so many cells: nodes and weights.
+    """Nodes and weights of a standard normal that moves a displacement by so many cells a unit.
 
-    Narrow noise has Gauss–Hermite nodes; wide noise nodes a cell apart, so that no cell is left
-    out, with the weights of a lattice kernel of variance one.
+    Up to one cell they are of five Gauss–Hermite nodes; wider noise has nodes a cell apart, so that
+    no cell is left out, with the weights of a lattice kernel of that variance. Noise that moves
+    nothing has one node, 0.
     """
     if extent < 1e-9:
         return np.zeros(1), np.ones(1)

@@ -1,4 +1,9 @@
-"""Residuals of measurements in a window, and the exponents that they add up to."""
+"""Residuals of measurements over a window of cells, and the exponents that they add up to.
+
+A term's `squared` is half the square of its whitened residual, ½ (z − h)ᵀ R⁻¹ (z − h), at some
+places along the window's first axis; arrays broadcast to the window. The exponent of the
+measurements' density is minus the sum of all.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +20,13 @@ BLOCK = 1 << 15
 
 
 class Term(NamedTuple):
-    """A component's residual in deviations: (one − other) / deviation, wrapped if it is an angle.
+    """The residual of a component with noise of its own, (one − other) / σ, an angle's wrapped.
 
-    one: Its value less the part of circles, broadcasting to the window.
-    other: The part of circles, broadcasting to the window.
+    one: The measured value z less the expected one, or less the part f of it where that is a sum f
+        + g; it broadcasts to the window.
+    other: The part g of the expected value, of circles; None where there is none.
+    scale: 1/σ, σ being the standard deviation of the noise.
+    angle: Whether the component is an angle.
     """
 
     one: Array
@@ -27,7 +35,7 @@ class Term(NamedTuple):
     angle: bool
 
     def squared(self, first: slice) -> Array:
-        """Half the squares of the residuals, of some of the places along the first axis."""
+        """Half the squares of the whitened residuals, at places along the window's first axis."""
         found = _some(self.one, first)
         if self.other is not None:
             found = found - _some(self.other, first)
@@ -39,29 +47,32 @@ class Term(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """Residuals of components whose noise is correlated, broadcasting to the window, (..., d).
+    """The residuals z − h of components whose noise is correlated, (*window, d), angles wrapped.
 
-    whiten: (d, d): the inverse of the root of their covariance.
+    whiten: L⁻¹ (d, d), where R = L Lᵀ is the covariance of their noise.
     """
 
     residual: Array
     whiten: Array
 
     def squared(self, first: slice) -> Array:
-        """Half the squares of the whitened residuals."""
+        """Half the squares of the whitened residuals, at places along the window's first axis."""
         white = _some(self.residual, first) @ self.whiten.T
         found: Array = 0.5 * np.einsum("...i,...i->...", white, white)
         return found
 
 
 class Level(NamedTuple):
-    """The log-density of a measurement by itself, broadcasting to the window."""
+    """The log-densities of a measurement at the cells of a window, to which they broadcast.
+
+    highest: The log-density from which `squared` counts: the largest that was found.
+    """
 
     values: Array
     highest: float
 
     def squared(self, first: slice) -> Array:
-        """Half the squared residual: how far a log-density lies below its maximum."""
+        """How far the log-density lies below the highest, at places along the first axis."""
         return self.highest - _some(self.values, first)
 
 
@@ -69,12 +80,12 @@ Residuals = Term | Joint | Level
 
 
 def _some(array: Array, first: slice) -> Array:
-    """Some entries along the first axis of an array that broadcasts along it."""
+    """The entries at places along the first axis; all, of an array that broadcasts along it."""
     return array if len(array) == 1 else array[first]
 
 
 def exponents(terms: list[Residuals], shape: tuple[int, ...]) -> Array:
-    """The sum of the terms' exponents, over a window of a shape."""
+    """The exponents of the terms' joint density, minus the sum of their `squared`, (*shape)."""
     found = np.empty(shape)
     length = max(BLOCK * shape[0] // max(found.size, 1), 1)
     for first in range(0, shape[0], length):

@@ -1,4 +1,4 @@
-r"""Whether the cells resolve what measurements leave of a belief: the error of sums over centres.
+"""Whether the cells resolve what measurements leave of a belief: the error of sums over centres.
 
 With the predicted density b and the density l of a step's measurements, its evidence is the
 integral of b l, of which a grid has the sum over centres. Had the centres stood elsewhere, by a
@@ -6,16 +6,18 @@ share δ of a cell along each axis, it would be
 
     I(δ) = Σ_i b(c_i + δ h) l(c_i + δ h),        B(δ) = Σ_i b(c_i + δ h),
 
-with the same mean over δ: the integral. Of a normal density of s cells' deviation ln I varies by
-±2e^(−2π²s²). The variance of ln I over some shifts, less that of ln B, which earlier measurements
-have left, is the expected square of a step's error; errors of steps add up as independent ones,
-those of a belief that only narrows as one.
+c_i being the centres and h the widths of the cells; the mean of I over δ is the integral. Of a
+normal density with a standard deviation of s cells ln I varies by ±2e^(−2π²s²). The variance of
+ln I over some shifts, less that of ln B, which earlier measurements have left, is the expected
+square of a step's error; errors of steps add up as independent ones, those of a belief that only
+narrows as one.
 
-l is evaluated where it is asked for; b is drawn through the logarithms of its cells, by parabolas
-along each axis. Axes along which b itself is a point or two are not shifted. A peak of a mixture
-that all shifts may miss counts as one nat. A step whose peak is wide is not looked at: a curvature
-of c, in cells, is a deviation of 1/√c (Sloan & Joe, Lattice Methods for Multiple Integration, 1994,
-of shifted rules; McKay, Beckman & Conover, 1979, of Latin hypercubes).
+l is evaluated where it is asked for; b is interpolated through the logarithms of its cells, by
+parabolas along each axis. Axes along which b itself is a point or two are not shifted. A peak of a
+mixture that may lie between all shifted centres counts as an error of one nat. A step whose peak is
+wide is not looked at: a curvature of c, the second difference of logarithms from cell to cell, is a
+standard deviation of 1/√c cells (Sloan & Joe, Lattice Methods for Multiple Integration, 1994, of
+shifted rules; McKay, Beckman & Conover, 1979, of Latin hypercubes).
 """
 
 from __future__ import annotations
@@ -31,18 +33,19 @@ from pgm.inference.grid.measured import MeasuredSensor
 from pgm.inference.grid.sensors import Weights, likelihood
 from pgm.kernels.arrays import Array, Integers, Mask
 
-# Shifts of the centres, none among them, and the seed that they are drawn with.
+# How many shifts of the centres there are, the first being zero, and the seed of their draws.
 SHIFTS, _CHOSEN = 8, 154
-# Curvatures in all below which errors are less than .7 % of a step's evidence.
+# A sum of the curvatures along all axes below which errors are less than .7 % of the evidence.
 _WIDE = 3.5
-# Curvature of a predicted belief above which nothing can be drawn through its cells: .2 of one.
+# Curvature of a predicted belief above which nothing can be interpolated through its cells: its
+# standard deviation is .2 of one.
 _POINT = 25.0
-# Deviations from a cell to the next above which a peak may stand between all shifts, and the square
-# of the error that then is counted.
+# Standard deviations from a cell to the next above which a peak may stand between all shifted
+# centres, and the square of the error that is then counted.
 _BETWEEN, _MISSED = 15.0, 1.0
 # An error in nats, beyond which no more is counted.
 ENOUGH = 10.0
-# The logarithm of a number that is none.
+# What stands for the logarithm of zero.
 _NONE = -700.0
 
 
@@ -54,10 +57,12 @@ def error(
     step: int,
     run: int,
 ) -> float:
-    """The expected square of the error, in nats, of the evidence of a step's measurements.
+    """The expected square of the error, in nats, of the log-evidence of a step's measurements.
 
-    `predicted` and the weights `found` are of the cells of a window. Zero where nothing is in
-    doubt.
+    predicted: The predicted probabilities of a window's cells.
+    found: The weights of the step's measurements in this window.
+
+    Zero where nothing was measured, the belief is wide for the cells, or no axis can be shifted.
     """
     if found.values is None:
         return 0.0
@@ -89,9 +94,9 @@ def error(
 
 
 def _is_missed(sensors: Sequence[MeasuredSensor], found: Weights) -> bool:
-    """Whether a density other than normal may have a peak between all tested centres.
+    """Whether a density that is not normal may have a peak between all shifted centres.
 
-    A normal density that is missed says so by its slope.
+    A normal density that is missed shows by its slope at the centres.
     """
     sharp = found.sharpest
     return sharp.cells > _BETWEEN and any(
@@ -101,14 +106,15 @@ def _is_missed(sensors: Sequence[MeasuredSensor], found: Weights) -> bool:
 
 
 def _log(value: float) -> float:
+    """The logarithm of a number; −700 of zero."""
     return float(np.log(value)) if value > 0.0 else _NONE
 
 
 def _shifts(axes: int) -> Array:
-    """Shifts (SHIFTS, axes) in shares of a cell, from −½ to ½: a Latin hypercube from none on.
+    """Shifts of the centres, (SHIFTS, axes), in shares of a cell from −½ to ½: a Latin hypercube.
 
-    It was chosen among many: waves of a cell's length, along up to four axes and across them, have
-    a mean of .56 at the most.
+    The first one is zero. The seed was chosen among many: waves of a cell's length, along up to
+    four axes and across them, have a mean of .56 at the most over these shifts.
     """
     rng = np.random.default_rng(_CHOSEN)
     each = [[0, *(1 + rng.permutation(SHIFTS - 1))] for _ in range(axes)]
@@ -116,7 +122,7 @@ def _shifts(axes: int) -> Array:
 
 
 def _turns(lattice: Lattice, window: Window) -> Mask:
-    """The axes of which a window has the whole circle, (axes,)."""
+    """The mask (axes,) of the axes of which a window has the whole circle."""
     return np.array(
         [
             axis.angle and span.length == axis.cells
@@ -126,7 +132,14 @@ def _turns(lattice: Lattice, window: Window) -> Mask:
 
 
 def _curvatures(level: Array, turns: Mask) -> Array:
-    """Second differences of logarithms at the highest, along each axis; infinite at a lone cell."""
+    """Minus the second differences of logarithms at their maximum, along each axis, (axes,).
+
+    level: The logarithms of the probabilities of a window's cells.
+    turns: The mask of axes that go round a whole circle.
+
+    At an end of the window the difference to the neighbour inside counts twice. It is infinite
+    where a neighbour within has probability zero.
+    """
     place = np.array(np.unravel_index(int(level.argmax()), level.shape), dtype=np.intp)
     here, found = float(level[tuple(place)]), np.full(level.ndim, np.inf)
     for k in range(level.ndim):
@@ -139,6 +152,12 @@ def _curvatures(level: Array, turns: Mask) -> Array:
 
 
 def _neighbour(level: Array, place: Integers, axis: int, step: int, turns: bool) -> float:
+    """The logarithm at a cell's neighbour, a `step` further along an axis; −∞ beyond an end.
+
+    level: The logarithms of the probabilities of a window's cells.
+    place: The cell, (axes,).
+    turns: Whether the axis goes round a whole circle.
+    """
     other = place.copy()
     other[axis] += step
     if turns:
@@ -149,7 +168,7 @@ def _neighbour(level: Array, place: Integers, axis: int, step: int, turns: bool)
 
 
 def _moved(lattice: Lattice, shift: Array) -> Lattice:
-    """The same lattice with its centres shifted by fractions of a cell."""
+    """The same lattice with its centres shifted by shares (axes,) of a cell."""
     axes = tuple(
         replace(axis, low=axis.low + float(share) * axis.width)
         for axis, share in zip(lattice.axes, shift, strict=True)
@@ -158,10 +177,15 @@ def _moved(lattice: Lattice, shift: Array) -> Lattice:
 
 
 def _drawn(level: Array, shift: Array, turns: Mask) -> Array:
-    """A belief at centres moved by shares of a cell, through its logarithms.
+    """A belief at centres shifted by shares of a cell, interpolated through its logarithms.
 
-    Between two cells it is the straight line and the flatter of the two parabolas about them; at
-    an edge, and beside a cell that has nothing, it is what the cell has.
+    level: The logarithms of the probabilities of a window's cells; those returned are no
+        logarithms.
+    shift: The shares, (axes,).
+    turns: The mask of axes that go round a whole circle.
+
+    Between two cells it is the straight line and the flatter of the two parabolas about them; at an
+    edge, and beside a cell of probability zero, it is what the cell has.
     """
     for axis, share in enumerate(shift):
         if not share:
@@ -182,7 +206,7 @@ def _drawn(level: Array, shift: Array, turns: Mask) -> Array:
 
 
 def _rolled(level: Array, step: int, turns: bool) -> Array:
-    """The values of the cells `step` further along the first axis; none beyond an end."""
+    """The values of the cells `step` further along the first axis; −∞ beyond an end."""
     found = np.roll(level, -step, axis=0)
     if not turns:
         found[slice(-step, None) if step > 0 else slice(None, -step)] = -np.inf

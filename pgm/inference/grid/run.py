@@ -1,4 +1,4 @@
-"""Running a schedule on a grid, on finer cells where asked for."""
+"""Running a schedule on a grid, on finer cells where the user asks for it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ _WORK = 12
 def run(
     graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, grid: Grid
 ) -> GridPosterior:
-    """Run a schedule on a grid, and warn of faults that the status shows."""
+    """The posterior of bound evidence on a grid, for a schedule, by default a smoother's.
+
+    Warnings say what the status has found at fault.
+    """
     require_chain(graph, "beliefs on a grid")
     kind = kind_of(schedule, "beliefs on a grid")
     found = _refined(graph, bound, kind, grid)
@@ -43,7 +46,8 @@ def run(
 def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
     """The posterior on the first lattice on which the user's figure stays within its tolerance.
 
-    The number of cells along each axis is doubled until then.
+    The cells along each axis are doubled until the figure changes by no more than the tolerance, or
+    the user's number of doublings is reached; the status has a record of each.
     """
     if grid.refine is None:
         return _at(graph, bound, kind, grid)
@@ -73,7 +77,10 @@ def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) 
 
 
 def _figure(grid: Grid, found: GridPosterior) -> Array:
-    """The figure that settles: of the function that the user has given, or the log-evidence."""
+    """The figure that is to settle: the log-evidence, or the user's function of the posterior.
+
+    A function that fails, or has values that are not finite, is refused by a ModelError.
+    """
     if not callable(grid.refine):
         return found.log_evidence
     try:
@@ -91,7 +98,7 @@ def _figure(grid: Grid, found: GridPosterior) -> Array:
 
 
 def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
-    """The posterior on one lattice, run by run: filtered and, if asked, smoothed."""
+    """The posterior on a grid's own lattice, run by run: filtered and, if asked, smoothed."""
     lattice = resolve(grid, graph.model.states)
     smoothing = kind.lag > 0
     require_room(lattice, grid, bound.steps + 1, bound.runs, 3 if smoothing else 1)
@@ -137,16 +144,22 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
 
 
 class _Kept(StateChain):
+    """The messages of one run, whose filtered beliefs are written into an array that is given."""
+
     def __init__(self, slices: GridSlices, made: Any) -> None:
         super().__init__(slices, dtype=made.dtype.type)
         self._made: Array = made
 
     def room(self, like: Array) -> Array:
+        """The array (T+1, *cells) for the filtered beliefs."""
         return self._made
 
 
 def require_room(lattice: Lattice, grid: Grid, steps: int, runs: int, sets: int) -> None:
-    """Refuse a grid whose beliefs would not fit memory, before any is made."""
+    """Refuse a grid whose beliefs would not fit memory, by a ModelError, before any is made.
+
+    sets: How many sets of beliefs are kept, of all steps and runs: 1 of a filter, 3 of a smoother.
+    """
     share = np.dtype(grid.dtype).itemsize / NUMBER
     kept = int(sets * steps * runs * lattice.size * share)
     cells = " × ".join(str(axis.cells) for axis in lattice.axes)

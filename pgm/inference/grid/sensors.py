@@ -1,9 +1,9 @@
 """Sensors of Gaussian noise: densities of their measurements at the centres of a grid.
 
-A sensor's function is called with the centres that tell: along axes on which it does not depend
-with one of them. Where it is a function of the other axes plus one of those that are circles, as a
-bearing less a heading is, with those of either, which is tested at every centre once, and at some
-of them with each measurement.
+A sensor's function is called with as few centres as tell all its values: one stands for all along
+axes on which it does not depend. Where it is a sum h(x) = f(other axes) + g(circles), as a bearing
+less a heading is, it is called for f and for g; whether it is such a sum is tested at every centre
+once, and at some of them with each measurement.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,11 +33,13 @@ _LEAST = -600.0
 
 
 class Weights(NamedTuple):
-    """The weights of a step's measurements in a window.
+    """The weights of a step's measurements in a window: their density is values · exp(log_scale).
 
-    values: 1 at the most; None where nothing was measured.
-    log_scale: The logarithm of their largest density.
-    ceiling: The logarithm of the density where all residuals are zero.
+    values: The weights of the window's cells, the largest being 1; None where nothing was measured,
+        and all 0 where no cell explains the measurements.
+    log_scale: The logarithm of the largest density of the measurements at a cell of the window.
+    sharpest: The sensor that is sharpest for the cells, at the likeliest one.
+    ceiling: The logarithm of the density where all residuals are zero, or a density is highest.
     components: How many numbers were measured.
     """
 
@@ -50,7 +52,7 @@ class Weights(NamedTuple):
 
 @dataclass(eq=False)
 class GridSensor(MeasuredSensor):
-    """A sensor of Gaussian noise."""
+    """A sensor of Gaussian noise, z = h(x) + n."""
 
     @property
     def cpd(self) -> ConditionalGaussian:
@@ -61,15 +63,19 @@ class GridSensor(MeasuredSensor):
 
     @cached_property
     def angles(self) -> Mask:
-        """The components that are angles."""
+        """The mask of the sensor's components that are angles, (d,)."""
         return self.cpd.child.angle_mask
 
     def values(self, points: Array, known: Known, step: int, run: int) -> Array:
-        """The sensor's function at points (n, axes) of the lattice, (n, d)."""
+        """The sensor's function h at points (n, axes) of the lattice, (n, d)."""
         return mean_at(self.cpd, self.lattice.values(points), known, step, run)
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The residuals of one measurement, and its log-density at zero residual."""
+        """The residuals of one measurement, and its log-density at zero residual.
+
+        There is a `Term` for each component measured where their noise is independent, otherwise
+        one `Joint` of all. Singular noise is refused by a ModelError.
+        """
         step, reading = int(self.reading.step[row]), self.reading
         own = run if reading.values.shape[1] > 1 else 0
         taken = self.taken(row, run)
@@ -102,9 +108,10 @@ class GridSensor(MeasuredSensor):
     def _parts(
         self, known: Known, step: int, run: int, window: Window
     ) -> tuple[Array, Array | None]:
-        """The function's values over a window, as a sum of parts over axes and over circles.
+        """The function h over a window as a sum of two: f of some axes and g of circles, (f, g).
 
-        Each broadcasts to the window, with the components last.
+        Both broadcast to the window, with the components last. g is None where h is no such sum; f
+        is then h.
         """
         some = within(self.lattice, window, MEASURED, 7 * step + 3)
         depended = self._depended(some, known, step, run)
@@ -119,7 +126,10 @@ class GridSensor(MeasuredSensor):
         return one, other
 
     def _on(self, axes: set[int], window: Window, known: Known, step: int, run: int) -> Array:
-        """The values over some axes of a window, with the others at the lattice's middle."""
+        """The function h over some axes of a window, with the others at the lattice's middle.
+
+        It is (*lengths, d), with length 1 along the other axes.
+        """
         indices = self.lattice.indices(window)
         middle = np.array(self.lattice.shape) // 2
         each = [indices[k] if k in axes else middle[k : k + 1] for k in range(len(indices))]
@@ -130,11 +140,14 @@ class GridSensor(MeasuredSensor):
         return found.reshape(*mesh[0].shape, -1)
 
     def _middle(self) -> Array:
-        """The centre of the lattice, (1, axes)."""
+        """The centre of the cell in the middle of the lattice, (1, axes)."""
         return self.lattice.points([np.array([cells // 2]) for cells in self.lattice.shape])
 
     def _depended(self, some: Integers, known: Known, step: int, run: int) -> set[int]:
-        """The axes that any component depends on, tested at some cells with a measurement."""
+        """The axes on which a component of h depends, tested at some cells (n, axes).
+
+        It is tested at random cells as well; see `Dependence.look`.
+        """
 
         def values(before: Array, after: Array) -> Array:
             return self.values(before, known, step, run)
@@ -143,7 +156,7 @@ class GridSensor(MeasuredSensor):
         return set().union(*self.shape.depended.before)
 
     def _differ(self, one: Array, other: Array) -> Mask:
-        """Whether values (n, d) differ by more than rounding, angles the shorter way round."""
+        """The mask of values (n, d) that differ by more than rounding, angles wrapped."""
         gap = one - other
         for k in np.flatnonzero(self.angles):
             gap[:, k] = wrap(gap[:, k])
@@ -154,7 +167,11 @@ class GridSensor(MeasuredSensor):
     def _turned(
         self, depended: set[int], some: Integers, known: Known, step: int, run: int
     ) -> frozenset[int]:
-        """The circles on which the function depends by a sum of two; none, if it is no such sum."""
+        """The circles on which h depends by a sum, h(x) = f(other axes) + g(circles).
+
+        None are returned if it is no such sum. That is tested at every centre the first time, then
+        at some cells (n, axes).
+        """
         shape = self.shape
         if shape.turning is None:
             shape.turning = frozenset(depended.intersection(self.lattice.angles))
@@ -173,9 +190,10 @@ class GridSensor(MeasuredSensor):
         return shape.turning
 
     def _adds_everywhere(self, turning: frozenset[int], values: Callable[[Array], Array]) -> bool:
-        """Whether at every centre f(others, turning) = f(others, ·) + f(·, turning) − f(·, ·).
+        """Whether h(o, t) = h(o, ·) + h(·, t) − h(·, ·) at every centre, to rounding.
 
-        The dots are the middle of the lattice; `turning` are the axes that are circles.
+        t are the places along the circles `turning`, o those along the other axes, and dots the
+        middle of the lattice. `values` are those of h at points (n, axes).
         """
         others = set(range(len(self.lattice.axes))) - turning
         one, other = (Reduced(self.lattice, axes, values) for axes in (others, turning))
@@ -190,7 +208,7 @@ class GridSensor(MeasuredSensor):
     def _adds(
         self, cells: Integers, turning: frozenset[int], values: Callable[[Array], Array]
     ) -> bool:
-        """Whether at some cells the function is that sum; see `_adds_everywhere`."""
+        """Whether the sum of `_adds_everywhere` holds at some cells (n, axes)."""
         middle = np.array(self.lattice.shape) // 2
         turned = np.array([k in turning for k in range(len(middle))])
         each = [cells, np.where(turned, middle, cells), np.where(turned, cells, middle)]
@@ -201,7 +219,7 @@ class GridSensor(MeasuredSensor):
         return not self._differ(whole - one, other - found[-1]).any()
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """Deviations between the values at neighbouring cells, along the sharpest axis."""
+        """How far h moves by one cell, in standard deviations of noise; see `MeasuredSensor`."""
         step, known = int(self.reading.step[row]), self.known(row, run)
         found = self.values(centres(self.lattice, self.around(cell)), known, step, run)
         gaps = found[1 : 1 + len(cell)] - found[0]
@@ -209,7 +227,7 @@ class GridSensor(MeasuredSensor):
 
 
 def likelihood(sensors: Sequence[MeasuredSensor], step: int, run: int, window: Window) -> Weights:
-    """The weights of a step's measurements in a window."""
+    """The weights of all measurements of a step, in a run, at the cells of a window."""
     terms, scale, read = list[Residuals](), 0.0, list[tuple[MeasuredSensor, int]]()
     for sensor in sensors:
         for row in sensor.rows(step):

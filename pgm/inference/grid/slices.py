@@ -1,4 +1,8 @@
-"""The slices of one run on a grid, in the form that a chain of finitely many states takes."""
+"""The slices of one run on a grid, in the form that a chain of finitely many states takes.
+
+A belief is an array (*cells) of the probabilities of all cells. It is worked on in a window, the
+cells in use. Steps and runs are numbered from 0.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +38,10 @@ from pgm.variables import Variable
 
 
 class Narrowness(NamedTuple):
-    """The narrowest belief along an axis.
+    """The narrowest belief along an axis, of all steps.
 
     cells: Its standard deviation in cells.
-    component: Empty if no belief has been looked at.
+    component: The axis' label; empty if no belief has been looked at.
     """
 
     cells: float
@@ -54,7 +58,7 @@ class Worst(NamedTuple):
     uneven: Uneven = EVEN
 
     def of(self, other: Worst) -> Worst:
-        """The worse of each, by its first figure; of equals its own."""
+        """The worse of each of the four, by its first field; where these are equal, one's own."""
         first = itemgetter(0)
         return Worst(
             max(self.sharpest, other.sharpest, key=first),
@@ -69,9 +73,11 @@ _NONE = 1e-150
 
 
 class Tested(NamedTuple):
-    """The shapes of a model's functions, as far as they have been tested on a lattice.
+    """What tests have found of a model's functions on a lattice, to be kept from call to call.
 
-    With the weights of densities between its cells, where these are the same at all steps.
+    motion: By a group's key, the axes on which its displacements depend.
+    sensors: By sensor, the shape of its function.
+    kept: By a group's key, the weights of densities between all cells, if the same at all steps.
     """
 
     motion: dict[tuple[object, ...], Dependence]
@@ -80,15 +86,17 @@ class Tested(NamedTuple):
 
     @classmethod
     def nothing(cls) -> Tested:
-        """Nothing yet."""
+        """The record before any test."""
         return cls({}, {}, {})
 
 
 class GridModel:
-    """A model with its evidence on a lattice.
+    """A model with its evidence on a lattice: the groups of its prior and motion, and its sensors.
 
-    tested: Of the same model and lattice, to go on from; it is added to.
+    tested: What was found of the same model and lattice before; it is added to.
     first: The step before the first of the evidence for the transition.
+
+    A CPD without a density, or a parent that the grid does not cover, is refused by a ModelError.
     """
 
     def __init__(
@@ -127,14 +135,16 @@ class GridModel:
 class GridSlices:
     """The slices of one run on a grid; a belief is an array (*cells).
 
-    keep: In which weights are kept for the way back; None where there is none.
+    keep: The type, float64 or float32, of the weights that are kept for the way back; None where
+        there is no way back.
 
     outside: By step, the probability that left the bounds, or that the window of active cells has
         cut off.
-    added: (axes,): the variance that the lattice has added in all steps, in cells.
+    added: The variance that the lattice has added in all steps, in squared cells, (axes,).
+    split: The indices of the axes that were moved cell by cell.
     worst: The sensor, beliefs and density that the cells have served the least so far.
-    unresolved: The expected square of the error of the log-evidence, since centres stand where they
-        do; see `resolution`.
+    unresolved: The expected square of the error of the log-evidence, in nats, since centres stand
+        where they do; see `resolution`.
     """
 
     lead: tuple[int, ...] = ()
@@ -147,7 +157,8 @@ class GridSlices:
         self.split: frozenset[int] = frozenset()
         self.worst, self._tails = Worst(), Tails(self.lattice)
         self.unresolved = 0.0
-        # By step, where something was measured: the density of no residuals, and how many numbers.
+        # By step, where something was measured: the log-density of zero residuals, and how many
+        # numbers were measured.
         self._ceilings: dict[int, tuple[float, int]] = {}
         # By step: the windows before and after its motion, and the weights of its measurements.
         self.windows: dict[int, tuple[Window, Window]] = {}
@@ -156,7 +167,10 @@ class GridSlices:
         self._awaiting: tuple[int, Window, Array] | None = None
 
     def prior(self) -> Array:
-        """The prior's probabilities of the cells at step 0."""
+        """The prior's probabilities of the cells at step 0.
+
+        A ModelError is raised if less than half of the prior is inside the bounds.
+        """
         found, added, uneven = start(self.lattice, self.model.first, self.run)
         self.added += added
         self._note(uneven=uneven)
@@ -171,7 +185,10 @@ class GridSlices:
         return found
 
     def begin(self, step: int, predicted: Array, left: float) -> None:
-        """Go on from the predicted belief of a step, of which a share has left the bounds."""
+        """Go on from a belief predicted elsewhere, of which the share `left` has left the bounds.
+
+        Its window becomes that of the step, and it awaits the measurements.
+        """
         each = marginals(predicted)
         window = active(self.lattice, each)[0]
         self.windows[step] = (window,) * 2
@@ -179,7 +196,10 @@ class GridSlices:
         self._tails.predicted(each, left)
 
     def look(self, step: int, belief: Array) -> Window:
-        """The window of a step's belief, whose deviations are looked at."""
+        """The smallest window of a step's belief, given its measurements.
+
+        The belief's standard deviations, and what may have been cut off, are noted for the status.
+        """
         each = marginals(belief)
         window, deviations = active(self.lattice, each)
         if step in self._ceilings:
@@ -189,17 +209,23 @@ class GridSlices:
         return window
 
     def surprised(self, step: int, log_density: float) -> None:
-        """Compare a step's evidence with what it is at the best of all cells, if it is doubtful."""
+        """Compare a step's evidence with its density at the best of all cells, if it is doubtful.
+
+        log_density: ln p(measurements of the step | those before).
+        """
         if step in self._ceilings and doubtful(log_density, *self._ceilings[step]):
             best = likelihood(self.model.sensors, step, self.run, self.lattice.whole).log_scale
             self._note(cut=Cut(bound(log_density, best), step))
 
     def _note(self, **found: Any) -> None:
-        """Keep a figure of the status if the cells serve it worse than before."""
+        """Keep figures of the status, by the fields of `Worst`, that are worse than before."""
         self.worst = self.worst.of(Worst(**found))
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The predicted belief at a step, from the belief at the step before."""
+        """The predicted belief at a step, from the belief at the step before.
+
+        A NumericalError is raised if all probability has left the bounds.
+        """
         source = self.look(step - 1, belief)
         made = self.model.motion.at(step, self.run, source)
         part, added = made.forward(self.lattice.cut(belief, source))
@@ -230,14 +256,19 @@ class GridSlices:
         return self.lattice.put(part, made.target)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The message to the slice before, through the transition of a step."""
+        """The backward message (*cells) to the slice before a step, from that to its own."""
         source, _ = self.windows[step]
         made = self.model.motion.at(step, self.run, source)
         part = made.backward(self.lattice.cut(message, made.target))
         return self.lattice.put(part, source)
 
     def likelihood(self, step: int) -> tuple[Array | None, float]:
-        """The weights of a step's measurements in the window of its belief, and their log-scale."""
+        """The weights (*cells) of a step's measurements, and the logarithm of their scale.
+
+        The density of the measurements is the weights, 1 at the most and zero outside of the
+        belief's window, times the exponential of the scale. The weights are None if nothing was
+        measured.
+        """
         target = self.windows[step][1]
         if step in self._weights:
             weights, scale = self._weights[step]
@@ -256,7 +287,7 @@ class GridSlices:
         return None if weights is None else self.lattice.put(weights, target), scale
 
     def _resolve(self, step: int, found: Weights, window: Window) -> None:
-        """Add the error of a step's evidence, once, on the way there."""
+        """Add the expected square of the error of a step's evidence, on the way forward alone."""
         waiting, self._awaiting = self._awaiting, None
         if waiting is None or self.unresolved >= resolution.ENOUGH**2:
             return
@@ -266,7 +297,7 @@ class GridSlices:
             self.unresolved += resolution.error(*given)
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise the error for measurements of probability zero under a predicted belief."""
+        """Raise an EvidenceError for measurements of probability zero under a predicted belief."""
         read = [s.reading.cpd.child for s in self.model.sensors if len(s.rows(step))]
         raise EvidenceError(
             f"the measurements of {listed(read)} at step {step}, run {self.run}, are impossible: "
@@ -278,6 +309,7 @@ class GridSlices:
         )
 
     def _bounds(self) -> str:
+        """The bounds of the axes that are no angles, for messages."""
         return ", ".join(
             f"{axis.label} {axis.low:.6g} to {axis.low + axis.cells * axis.width:.6g}"
             for axis in self.lattice.axes
@@ -286,7 +318,7 @@ class GridSlices:
 
 
 def marginals(belief: Array) -> list[Array]:
-    """The marginals (cells,) of a belief along each of its axes."""
+    """The marginals of a belief along each of its axes, a list of arrays (cells,)."""
     if belief.ndim == 1:
         return [belief]
     last = belief.sum(axis=tuple(range(belief.ndim - 1)))
@@ -294,7 +326,7 @@ def marginals(belief: Array) -> list[Array]:
 
 
 def spread(marginal: Array, span: Span, cells: int) -> Array:
-    """A marginal over the cells of a span as one over all cells of the axis."""
+    """A marginal over the cells of a span as one over all `cells` of the axis, zero elsewhere."""
     found = np.zeros(cells)
     found[np.arange(span.first, span.first + span.length) % cells] = marginal
     return found
@@ -303,8 +335,10 @@ def spread(marginal: Array, span: Span, cells: int) -> Array:
 def active(lattice: Lattice, each: list[Array]) -> tuple[Window, list[float]]:
     """The smallest window that holds a belief, up to a share of 10⁻¹⁵ along each axis.
 
-    With it the standard deviation along each axis, in cells, where that is not all of a circle.
-    The belief is given by its marginals.
+    each: The belief's marginals (cells,) along the axes.
+
+    With the window comes the standard deviation along each axis, in cells; infinite where the
+    window is all of a circle.
     """
     window, deviations = [], []
     for axis, marginal in zip(lattice.axes, each, strict=True):

@@ -1,4 +1,4 @@
-"""The status of a grid: what its bounds, its cells and its sensors cost."""
+"""The status of a grid: what its bounds, its cells and its sensors take from the answer."""
 
 from __future__ import annotations
 
@@ -26,20 +26,22 @@ REMARKABLE = 1e-9
 # The error of the log-evidence, in nats, above which cells are too wide for the measurements; and
 # that which is told.
 COARSE, TOLD = 0.25, 0.01
-# Deviations between neighbouring centres above which a sensor is sharper than half a cell.
+# Standard deviations of the noise, from a cell to the next, above which a sensor is sharper than
+# half a cell.
 SHARP = 2.0
 # The share above which a density has another shape on the cells.
 ROUGH = 0.1
 # More remarks than this stand on lines of their own.
 FEW = 3
-# The deviation in cells below which a belief is told to be narrow.
+# The standard deviation in cells below which a belief is told to be narrow.
 NARROW = 0.7
 
 
 class Refinement(NamedTuple):
-    """The resolution and change of one refinement of a grid.
+    """One refinement of a grid: its cells along each axis, and the user's figure there.
 
-    change: Its largest change from the resolution before; NaN of the first.
+    change: The figure's largest change from the cells before; NaN of the first.
+    seconds: How long the run took.
     """
 
     cells: tuple[int, ...]
@@ -61,46 +63,49 @@ class GridStatus(Shown, Immutable):
     Attributes
     ----------
     outside : ndarray
-        (*runs): the probability that the bounds have left out in all, which the evidence's lacks;
-        what the window of active cells cuts off, below 10⁻¹⁴ a step, is counted too. Above 10⁻³ a
-        `GridWarning` has said so.
+        (*runs): the probability that has left the bounds in all steps together, which the evidence
+        lacks; what the window of active cells cuts off, below 10⁻¹⁴ a step, is counted too. Above
+        10⁻³ a `GridWarning` has said so.
     outside_by_step : ndarray
-        (*runs, T+1): the share of each step's belief.
+        (*runs, T+1): the share of each step's belief that has left.
     added : mapping of str to ndarray
-        By component, (*runs): the variance that the lattice has added in all, in squared units of
-        the component, where a displacement has a variance of less than f(1 − f)h².
+        By component, (*runs): the variance that the lattice has added in all steps together, in
+        squared units of the component. It adds where a displacement has a variance of less than
+        f(1 − f)h², h being the width of a cell and f the displacement's part past whole cells.
     unresolved : ndarray
         (*runs): the expected error of the log-evidence, in nats, for want of narrower cells: sums
-        over centres change by so much with where between centres the measurements stand. Beyond
-        ten it is not counted on. Above .25 a `GridWarning` has said so; beliefs are then no better
-        than a cell.
+        over centres change by so much as the centres shift within a cell. Once it is above ten no
+        more is added. Above .25 a `GridWarning` has said so; beliefs are then no better than a
+        cell.
     sharpest : Sharpness
-        The sensor whose measurement differs by the most deviations from one cell to the next, where
-        it is the likeliest. Above two it is sharper than half a cell, and the density at centres
-        may miss it: narrower cells, or more noise, help.
+        The sensor whose expected measurement moves the furthest from a cell to the next, at the
+        likeliest cell, in standard deviations of its noise: the figure, the sensor and the step.
+        Above two it is sharper than half a cell, and the density at centres may miss it: narrower
+        cells, or more noise, help.
     narrowest : Narrowness
-        The belief with the least standard deviation, s in cells, its component and its step. Sums
-        over centres miss those of the density by about e^(−2π²s²): 3·10⁻⁹ of them at one cell, 10⁻⁵
-        at three quarters, a sixth at .3.
+        The belief with the least standard deviation: s, in cells, its component and its step. A sum
+        over centres misses the integral of a normal density by a share of about e^(−2π²s²): 3·10⁻⁹
+        at one cell, 10⁻⁵ at three quarters, a sixth at .3.
     cut : Cut
-        The belief of which the most may have been cut off, as a share, and its step. Beliefs are
-        carried up to 10⁻¹⁵ along each axis, and motion up to 8.5 deviations; a state further from
-        the belief is not found again, whatever the evidence; nor is one beyond the bounds, which
-        counts where the last cells have become 30 times likelier at once. Above 10⁻³ beliefs and
-        log-evidence are those of the wrong places, and a `GridWarning` has said so. It is an
-        estimate, without second places that were given up at 10⁻¹⁵ and would be made likelier
-        little by little.
+        The belief of which the most may have been cut off: the share, and its step. Cells of a
+        share below 10⁻¹⁵ along an axis are left out, and motion ends at 8.5 standard deviations of
+        its noise; a state further from the belief is not found again, whatever the evidence; nor is
+        one beyond the bounds, which counts where the last cells have become 30 times likelier at
+        once. Above 10⁻³ beliefs and log-evidence are those of the wrong places, and a `GridWarning`
+        has said so. It is an estimate, without second places that were given up at 10⁻¹⁵ and would
+        be made likelier little by little.
     split : tuple of str
         The components that were moved cell by cell, since none could be moved before the others on
         which they depend, as of a rotation. Means and variances are exact all the same, densities
-        are not: with noise of two cells' deviation the log-evidence may be off by 10⁻⁴ a step, with
-        four cells' by 10⁻⁵; `refine` tells.
+        are not: with noise of a standard deviation of two cells the log-evidence may be off by 10⁻⁴
+        a step, of four cells by 10⁻⁵; `refine` tells.
     uneven : Uneven
-        The density that is not Gaussian whose sum over centres differs the most with where between
-        them it stands: the share, times its weight in a mixture, its variable and its step. It is
-        normalised, but has another shape on the cells: above a tenth a `GridWarning` has said so.
-        Of a normal density with a deviation of s cells it is 4e^(−2π²s²), of Laplace's with a scale
-        of b cells 1/(8b²), of a uniform one over n cells 1/n.
+        The density that is not Gaussian whose sum over centres, due to be one, varies the most as
+        the centres shift within a cell: by how much, times its weight in a mixture, its variable
+        and its step. It is normalised, but has another shape on the cells: above a tenth a
+        `GridWarning` has said so. Of a normal density with a standard deviation of s cells it is
+        4e^(−2π²s²), of Laplace's with a scale of b cells 1/(8b²), of a uniform one over n cells
+        1/n.
     refinements : tuple of Refinement
         One entry a resolution, if the grid was refined.
     converged : ndarray of bool
@@ -157,21 +162,21 @@ class GridStatus(Shown, Immutable):
 
     @property
     def much(self) -> bool:
-        """Whether more has left the bounds in a run than goes without a warning."""
+        """Whether more than 10⁻³ of the probability has left the bounds in a run."""
         return bool((self.outside > MUCH).any())
 
     @property
     def sharp(self) -> Variable | None:
-        """A sensor narrower than half a cell; None if there is none."""
+        """The sensor that is sharper than half a cell; None if there is none."""
         return self.sharpest.variable if self.sharpest.cells > SHARP else None
 
     @property
     def coarse(self) -> bool:
-        """Whether the cells resolve the measurements of a run so little that it is to be told."""
+        """Whether narrower cells may change the log-evidence of a run by more than ¼ nat."""
         return bool((self.unresolved > COARSE).any())
 
     def refined(self, refinements: Sequence[Refinement], converged: bool) -> GridStatus:
-        """The same status, with the resolutions that were tried before."""
+        """The same status with the record of a refinement, and whether its figure has settled."""
         found = self.outside_by_step, self.added, self.unresolved, self._worst, self.split
         return GridStatus(*found, refinements, converged)
 
@@ -181,16 +186,16 @@ class GridStatus(Shown, Immutable):
 
     @property
     def lost(self) -> bool:
-        """Whether enough probability may have been cut off to change the answer."""
+        """Whether more than 10⁻³ of a belief may have been cut off, so that the answer is wrong."""
         return self.cut.share > MUCH
 
     @property
     def rough(self) -> bool:
-        """Whether a density is too narrow for its shape to show on the cells."""
+        """Whether the sums of a density over centres vary by more than a tenth."""
         return self.uneven.share > ROUGH
 
     def warn(self, before: GridStatus | None = None) -> None:
-        """Warn of lost probability, and of a figure that has not settled.
+        """Warn of lost probability, cells that are too wide, and a figure that has not settled.
 
         Parameters
         ----------
@@ -243,6 +248,7 @@ class GridStatus(Shown, Immutable):
 
     @property
     def _sharpness(self) -> str:
+        """What is sharpest for the cells, in words: a sensor, or else the narrowest belief."""
         if self.sharp is None:
             near = self.narrowest
             return f"{near.component} at step {near.step} is known to {near.cells:.2g} cells"

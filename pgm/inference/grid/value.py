@@ -30,11 +30,12 @@ class Grid(InCode, Immutable):
 
     - c_k: the centres of cells: point masses stand there, and sensors are asked for the density
       of their measurements there;
-    - p_k: their probabilities, moved by kernels on the lattice whose means and variances are those
-      of the transition, exactly, where its variance is f(1 − f)h² or more: h is the width of a
-      cell, f the part by which a displacement goes past a whole number of them; ``status.added``
-      tells what is added where it is less. The density of a CPD that is not Gaussian is asked for
-      from each centre to each, and normalised; that of a mixture part by part.
+    - p_k: their probabilities. Those of Gaussian CPDs are moved by kernels on the lattice, which
+      have the mean and variance of the transition exactly where the variance is f(1 − f)h² or more:
+      h is the width of a cell, f the part by which a displacement goes past a whole number of
+      cells. Where it is less, ``status.added`` tells what the lattice adds to it. The density of
+      other CPDs is asked for from each centre to each, and normalised; a mixture is moved part by
+      part.
 
     Costs grow with the number of cells: three components, such as a pose in the plane, are
     practical.
@@ -47,22 +48,21 @@ class Grid(InCode, Immutable):
         its name; where states share it, as ``"x.east"``; a scalar may be named by its variable.
     dtype : numpy type
         Type of the beliefs that are kept, ``np.float64`` or ``np.float32``, which takes half the
-        memory; the arithmetic is the same.
+        memory; the arithmetic is in double precision either way.
     refine : str or callable, optional
-        A figure: ``"log_evidence"``, or a function of the posterior. The cells of all n axes are
-        doubled until the figure stays within the tolerance; each time takes about 2^n times the
-        time and memory of the one before.
+        The figure that is to settle: ``"log_evidence"``, or a function of the posterior. The cells
+        along all n axes are doubled until it changes by no more than the tolerance; each doubling
+        takes about 2^n times the time and memory of the one before.
     tolerance : float
-        The largest change of that figure, in its own units.
+        The largest change of a figure that has settled, in its own units.
     doublings : int
-        The most that are made; of a figure that has not settled by then ``status.converged`` is
-        False, and a `GridWarning` says so.
+        The most doublings; if the figure has not settled by then, ``status.converged`` is False,
+        and a `GridWarning` says so.
 
     Raises
     ------
     ModelError
-        If an extent is no such interval or number, the type is another one, or the figure, the
-        tolerance or the number of doublings is none.
+        If an extent is no such interval or number, or another argument is none of what it may be.
 
     References
     ----------
@@ -114,7 +114,7 @@ class Grid(InCode, Immutable):
         Raises
         ------
         ModelError
-            If it is no whole number, 1 or more.
+            If `times` is no whole number of 1 or more.
 
         Examples
         --------
@@ -156,7 +156,12 @@ class Grid(InCode, Immutable):
 
 
 def _extent(key: object, value: Any) -> Extent:
-    """The checked interval or circle of one axis."""
+    """Check a user's extent of one axis: (lo, hi, cells) of an interval, or the cells of a circle.
+
+    Returned are (float, float, int) or an int. Refused, by a ModelError, are a key that is no name
+    or variable, ends that are not finite or not lo < hi, less than 2 cells of an interval or 3 of a
+    circle, and cells too narrow for float64 at these ends.
+    """
     if not isinstance(key, str | Variable):
         raise ModelError(
             f'a grid\'s axes are components of states, named like "east" or "x.east", or scalar '

@@ -1,4 +1,10 @@
-"""CPDs at many points of a lattice, with a step's evidence bound: means, noise, densities."""
+"""Means, noise covariances and densities of CPDs at many points of a lattice, with evidence bound.
+
+In all functions `points` are the values (n, d) of hidden parents at n points, `known` the values
+(d,) of parents with evidence, both by variable, and `step` and `run` the place in time and in the
+batch, which choose the noise and name the place in errors. The root L of a covariance is lower
+triangular, cov = L Lᵀ.
+"""
 
 import copy
 from collections.abc import Iterator, Mapping
@@ -34,8 +40,10 @@ def mean_at(
 
     points: Values of hidden parents, (n, d).
     known: Values of the parents with evidence, (d,).
-    less: The parent of which the mean is a displacement: its value is taken off, of an affine CPD
-        without a loss of digits.
+    less: A hidden parent whose value is subtracted, which leaves the displacement from it; of an
+        affine CPD its matrix less the identity is used, so that no digits are lost.
+
+    A function with values that are NaN or infinite is refused by a LinearisationError.
     """
     count = next((len(values) for values in points.values()), 1)
     values = {}
@@ -72,7 +80,7 @@ def mean_at(
 
 
 def covariance_of(cpd: ConditionalGaussian, known: Known, step: int, run: int) -> Array:
-    """The noise covariance of a CPD, (d, d)."""
+    """The noise covariance (d, d) of a CPD in a run; a function for it is evaluated at `known`."""
     if isinstance(cpd.cov, Noise):
         given = {parent: known[parent][None] for parent in cpd.cov.given}
         cov: Array = evaluate(cpd, given, (1,), step, run)[0]
@@ -84,7 +92,11 @@ def covariance_of(cpd: ConditionalGaussian, known: Known, step: int, run: int) -
 
 
 def root_of(cpd: ConditionalGaussian, cov: Array, step: int) -> Array:
-    """The lower root of a covariance (d, d), zero columns where it is singular."""
+    """The lower triangular root L (d, d) of a CPD's noise covariance, cov = L Lᵀ.
+
+    The column of a component that those before it determine is zero. A covariance that is not
+    finite and positive semidefinite is refused by a NumericalError.
+    """
     lower = roots.root(cov)
     if not roots.is_proper(lower):
         raise NumericalError(
@@ -97,7 +109,10 @@ def root_of(cpd: ConditionalGaussian, cov: Array, step: int) -> Array:
 
 
 def require_noise(cpd: ConditionalGaussian, lower: Array, step: int) -> None:
-    """Refuse singular noise, as its density is zero at nearly every centre."""
+    """Refuse a CPD whose noise covariance is singular, by a ModelError: `lower` is its root (d, d).
+
+    The density of such noise is zero at nearly every centre.
+    """
     if not (np.diagonal(lower) > 0.0).all():
         raise ModelError(
             f"{cpd!r} has no noise in a component, or two that are one, at step {step}: "
@@ -110,7 +125,12 @@ def require_noise(cpd: ConditionalGaussian, lower: Array, step: int) -> None:
 
 
 def settled(cpd: CPD, known: Known, step: int, run: int) -> CPD:
-    """A CPD with the noise of a step, and of a run, for its density at many points."""
+    """A CPD with its noise evaluated for a step and a run, ready to be asked for many densities.
+
+    A covariance that is a function of observed parents becomes its value at `known`, a
+    `GaussianCPD` with axes of runs that of its run, and a mixture consists of such parts. Other
+    CPDs are returned as they are.
+    """
     if isinstance(cpd, MixtureCPD):
         return cpd._with(tuple(settled(part, known, step, run) for part in cpd.parts))
     if isinstance(cpd, GaussianCPD) and cpd._lead():
@@ -126,7 +146,7 @@ def settled(cpd: CPD, known: Known, step: int, run: int) -> CPD:
 
 
 def gaussian_parts(cpd: CPD) -> Iterator[ConditionalGaussian]:
-    """The Gaussian CPDs that a CPD is, or is a mixture of."""
+    """The CPD itself if it is Gaussian, or all Gaussian parts of a mixture; none of other CPDs."""
     if isinstance(cpd, MixtureCPD):
         for part in cpd.parts:
             yield from gaussian_parts(part)
@@ -137,7 +157,12 @@ def gaussian_parts(cpd: CPD) -> Iterator[ConditionalGaussian]:
 def deviations(
     cpd: ConditionalGaussian, gaps: Array, taken: Mask, known: Known, step: int, run: int
 ) -> float:
-    """The most deviations of its noise, in components taken, that differences (n, d) come to."""
+    """The largest of n differences of measurements, in standard deviations of a CPD's noise.
+
+    It is max ‖L⁻¹ g‖ over the rows g of `gaps` (n, d), of the components in the mask `taken` (d,),
+    angles the shorter way round; L Lᵀ is the noise covariance of these components. Infinite where
+    that is singular.
+    """
     gaps = np.where(cpd.child.angle_mask, wrap(gaps), gaps)[:, taken]
     cov = covariance_of(cpd, known, step, run)[np.ix_(taken, taken)]
     lower = root_of(cpd, cov, step)
@@ -148,14 +173,18 @@ def deviations(
 
 
 def at_a_time(cpd: CPD) -> int:
-    """The number of points for which a CPD is asked for densities at a time."""
+    """The most points at which a CPD is asked for densities in one call, to bound the memory."""
     return max(min(_NUMBERS // sum(v.dimension for v in cpd.scope), _POINTS), 1)
 
 
 def known_at(
     cpd: CPD, child: Array, points: Known, known: Known, step: int
 ) -> tuple[Array, cpd_values.Known]:
-    """The child (n, d) and the parents of a CPD at n points, as of `log_density_at`."""
+    """A CPD's arguments at n points: its child, broadcast to (n, d), and its parents as `Known`.
+
+    n is the number of the points, or of the rows of `child` (n, d) or (d,) where no parent is
+    hidden.
+    """
     hidden = (len(points[parent]) for parent in cpd.parents if parent in points)
     count = next(hidden, len(child) if child.ndim > 1 else 1)
     values = {}
@@ -171,10 +200,12 @@ def log_density_at(
 ) -> Array:
     """The log-densities of a CPD at n points, (n,); users' functions are called once with all.
 
-    cpd: As `settled` gives it.
-    child: (n, d), or (d,) for all.
+    cpd: A CPD of this step and run, as `settled` returns it.
+    child: Values of the child, (n, d), or (d,) for all points.
     points: Values of hidden parents, (n, d).
     known: Values of the parents with evidence, (d,).
+
+    Log-densities that are NaN or plus infinity are refused by a LinearisationError.
     """
     wide, given = known_at(cpd, child, points, known, step)
     level, values, count = cpd._log_density(wide, given), given.values, len(wide)

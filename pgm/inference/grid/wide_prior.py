@@ -1,4 +1,8 @@
-"""The correlated density of a prior at the centres, where it is wide for the cells."""
+"""The correlated density of a prior at the centres, where it is wide for the cells.
+
+A kernel along one axis after another has no correlations; a normal density that is wide for the
+cells is right by its values at the centres.
+"""
 
 import itertools
 
@@ -16,13 +20,18 @@ from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.lattice import Span
 
-# From this many cells on, of the deviation of each component given the others, the density at
+# From this standard deviation s on, in cells, of each component given the others, the density at
 # centres is a normal on the lattice: its sum and moments are right to e^(−2π²s²).
 _WIDE = 1.3
 
 
 def wide(group: Group, run: int, window: Window) -> Dense | None:
-    """The correlated density of a state without parents, where it is wide; otherwise None."""
+    """The weights of a prior's normal density at the centres, where it is wide; otherwise None.
+
+    They are (1, 1, cells of its axes). It is of a single `GaussianCPD` with a finite, regular and
+    correlated covariance, whose components have standard deviations, given the others, of 1.3 cells
+    or more.
+    """
     cpd, lattice = group.states[0], group.lattice
     if len(group.states) > 1 or not isinstance(cpd, GaussianCPD):
         return None

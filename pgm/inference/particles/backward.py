@@ -1,12 +1,15 @@
-r"""Backward simulation: trajectories drawn from the smoothing distribution.
+"""Backward simulation: trajectories drawn from the smoothing distribution.
 
 The last state is drawn from the filter's particles, and then, step by step, the one before from
 
     p(x_t | x_{t+1}, z_0..t) ≈ Σ_i w̃_i δ(x_t − x_t^i),    w̃_i ∝ w_t^i p(x_{t+1} | x_t^i),
 
 in full, which takes a density for each particle and trajectory, or by a Metropolis chain: begun at
-the particle's own ancestor, which is a draw of that distribution, moved by independent proposals
-i ~ w_t, each taken with the probability min(1, p(x_{t+1} | x_t^i) / p(x_{t+1} | x_t^now)).
+the particle's own ancestor, which is a draw of that distribution, moved by independent proposals i
+~ w_t, each accepted with the probability min(1, p(x_{t+1} | x_t^i) / p(x_{t+1} | x_t^now)).
+
+A particle's place is its index among those of all runs at its step, an array's last axis. Arrays
+over trajectories have those of run 0 first, then those of run 1, as many of each.
 
 Godsill, Doucet & West, Monte Carlo smoothing for nonlinear time series, 2004; Bunch & Godsill,
 Improved particle approximations to the joint smoothing distribution using Markov chain Monte Carlo,
@@ -35,10 +38,11 @@ _PAIRS = 2**20
 class Backward:
     """Trajectories by backward simulation through the clouds of a particle filter.
 
-    restarted: (T+1, runs): where particles were drawn from the prior instead of the step before, of
-        which they tell nothing then.
+    clouds: The filter's particles given the measurements up to each step, from 0 to T.
+    restarted: The mask (T+1, runs) of steps at which a run's particles were drawn from the prior
+        instead of the step before, of which they tell nothing then.
 
-    unmoved: (T, runs): by step the share of trajectories that stayed at their ancestor.
+    unmoved: The share of trajectories that stayed at their ancestor, by step, (T, runs).
     """
 
     def __init__(
@@ -57,7 +61,7 @@ class Backward:
         self._owner = None if runs == 1 else np.repeat(np.arange(runs), count)
 
     def smoothed(self) -> tuple[Cloud, ...]:
-        """The trajectories given all measurements, by step."""
+        """Trajectories given all measurements: the particles of each step, equally weighted."""
         last = len(self.clouds) - 1
         place = self._last(last, last)
         found = [self._cloud(last, place)]
@@ -67,7 +71,7 @@ class Backward:
         return tuple(reversed(found))
 
     def lagged(self, lag: int) -> tuple[Cloud, ...]:
-        """The particles of each step given the measurements up to a lag later."""
+        """The particles of each step given the measurements up to a lag later, equally weighted."""
         found = []
         for step in counted(range(len(self.clouds)), "trajectories"):
             last = min(step + lag, len(self.clouds) - 1)
@@ -80,18 +84,22 @@ class Backward:
         return tuple(found)
 
     def _generators(self, step: int, about: int) -> list[np.random.Generator]:
-        """The random streams of draws at a step, for trajectories that end at the step `about`."""
+        """The random streams of draws at a step, one a run.
+
+        about: The step whose belief the trajectories are for, which keeps the draws of a lag's
+            trajectories apart; of a smoother it is the step itself.
+        """
         first, seed = self.model.bound.first_run, self.particles.seed
         purpose = BACKWARD + step - about  # a lag's trajectories are none of another's
         return [stream(seed, first + run, step, purpose) for run in range(len(self._counts))]
 
     def _cloud(self, step: int, place: Integers) -> Cloud:
-        """The particles at these indices of a step, (trajectories,), with equal weights."""
+        """The particles at these places of a step, (trajectories,), with equal weights."""
         states = np.take(self.clouds[step].states, place, axis=1)
         return Cloud(states, uniform(self._counts), self._starts)
 
     def _last(self, step: int, about: int) -> Integers:
-        """The places of the last particles of trajectories, drawn by their filtered weights."""
+        """Draw the places of trajectories at their last step, by the filtered weights."""
         cloud, generators = self.clouds[step], self._generators(step, about)
         draw, found = RESAMPLERS[self.particles.resampling], []
         for run, generator in enumerate(generators):
@@ -101,11 +109,15 @@ class Backward:
         return np.concatenate(found)
 
     def _before(self, step: int, place: Integers, after: States, about: int) -> Integers:
-        """Indices of ancestors at a step, drawn by backward simulation given the states `after`.
+        """Draw the places of trajectories at a step, by backward simulation from the step after.
 
-        Each is drawn with probability ∝ w_i p(after | x_i), over all particles or by Metropolis
-        moves from the ancestor. A run that was begun anew at the next step has no such link: it is
-        drawn by w_i alone.
+        place: The trajectories' places at the step after.
+        after: Their states there, (d, trajectories).
+        about: The step that the trajectories are for; see `_generators`.
+
+        A particle is drawn with probability ∝ w_i p(after | x_i), over all particles or by
+        Metropolis moves from the ancestor. Where a run was begun anew at the step after, there is
+        no such link: it is drawn by w_i alone.
         """
         later, cloud = self.clouds[step + 1], self.clouds[step]
         generators = self._generators(step, about)
@@ -129,7 +141,10 @@ class Backward:
         ancestor: Integers,
         generators: list[np.random.Generator],
     ) -> tuple[Integers, Array]:
-        """Places after independent Metropolis moves, and which have moved at all."""
+        """Places after independent Metropolis moves, and the mask of trajectories that have moved.
+
+        ancestor: The places to begin at, (trajectories,).
+        """
         now, moved = ancestor.copy(), np.zeros(len(ancestor), dtype=bool)
         log_now = density.at(now)
         proposed, level = np.empty_like(now), np.empty(len(now))
@@ -146,11 +161,15 @@ class Backward:
         return now, moved
 
     def _of(self, run: int) -> slice:
-        """The slice of one run's trajectories in the array of all runs' trajectories."""
+        """The slice of one run in an array over the trajectories of all runs."""
         return slice(int(self._starts[run]), int(self._starts[run + 1]))
 
     def _drawn(self, cloud: Cloud, run: int, generator: np.random.Generator) -> Integers:
-        """The places of particles drawn by their weights, shuffled: each draw is independent."""
+        """The places of particles drawn by their weights, one for each trajectory of a run.
+
+        They are drawn systematically and shuffled: each by itself is a draw by the weights, and
+        together they cover these evenly.
+        """
         weights = cloud.weights[cloud.of(run)]
         drawn = indices(systematic(weights, int(self._counts[run]), generator))
         found: Integers = cloud.starts[run] + generator.permutation(drawn)
@@ -163,9 +182,10 @@ class Backward:
         ancestor: Integers,
         generators: list[np.random.Generator],
     ) -> Integers:
-        """Places drawn from all n particles, with probability ∝ w_i p(after | x_i).
+        """Places drawn from all particles of their run, with probability ∝ w_i p(after | x_i).
 
-        That costs n densities a trajectory.
+        That takes a density for each particle and trajectory. Where rounding makes all of these
+        zero, the ancestor (trajectories,) is taken.
         """
         found = []
         for run, generator in enumerate(generators):
@@ -188,6 +208,16 @@ class Backward:
 
 
 class _Density:
+    """The transition's log-density to trajectories at a step, from particles of the step before.
+
+    step: The step of the trajectories' states.
+    cloud: The particles of the step before.
+    after: The trajectories' states, (d, trajectories).
+    owner: The run of each trajectory; None where there is one run.
+
+    Means that depend on the step before alone are computed once, for all particles.
+    """
+
     def __init__(
         self,
         model: ParticleModel,
@@ -204,7 +234,11 @@ class _Density:
         ]
 
     def _mean(self, law: Law) -> tuple[States, Root] | None:
-        """The means of all particles at once, where they do not depend on the step's own slice."""
+        """A CPD's means at all particles, (d, particles), and the root of its noise.
+
+        None where the means depend on states of the same step, or the noise is singular or not
+        Gaussian.
+        """
         parents = [p for p in law.cpd.parents if p not in law.inputs]
         if not isinstance(law, GaussianLaw) or not all(p.lag for p in parents):
             return None
@@ -221,7 +255,10 @@ class _Density:
         return np.concatenate(means, axis=1), root
 
     def at(self, place: Integers, which: Integers | None = None) -> Array:
-        """The log-densities where particles at some places come before, of some trajectories."""
+        """The log-densities ln p(after | x), (m,), x being the particles at some places, (m,).
+
+        which: The trajectory that each place is paired with, (m,); without it, each in turn.
+        """
         after = self.after if which is None else self.after[:, which]
         owner = self.owner if which is None or self.owner is None else self.owner[which]
         some = Some(self.step, after, self.cloud.states[:, :0], owner)

@@ -1,4 +1,4 @@
-"""Particle beliefs and the figures read from them: means, quantiles, histograms."""
+"""Particle beliefs and the figures read from them: means, covariances, draws and histograms."""
 
 from __future__ import annotations
 
@@ -78,17 +78,17 @@ class ParticleBelief(PointMassBelief):
 
     @cached_property
     def number(self) -> Integers:
-        """The number of particles, (...)."""
+        """The number of particles of each belief, (...)."""
         return self._by_lead(np.stack([cloud.counts for cloud in self._clouds], axis=-1))
 
     @cached_property
     def effective(self) -> Array:
-        """The effective number of particles, 1 / Σ w², (...)."""
+        """The effective number of particles of each belief, 1 / Σ w², (...)."""
         return self._by_lead(np.stack([cloud.effective for cloud in self._clouds], axis=-1))
 
     @cached_property
     def states(self) -> npt.NDArray[Any]:
-        """The particles, (..., n, d); refused where their number differs."""
+        """The particles, (..., n, d); a ModelError refuses numbers n that differ."""
         self._require_equal("states")
         rows = self._rows
         found = np.stack([cloud.states[rows] for cloud in self._clouds], axis=0)
@@ -97,21 +97,21 @@ class ParticleBelief(PointMassBelief):
 
     @cached_property
     def weights(self) -> Array:
-        """The weights, (..., n), of sum one; refused where the number of particles differs."""
+        """The weights, (..., n), of sum one; a ModelError refuses numbers n that differ."""
         self._require_equal("weights")
         found = np.stack([cloud.weights for cloud in self._clouds], axis=0)
         return self._by_lead(found.reshape(len(found), self._count, -1), first=True)
 
     def _mean(self) -> Array:
-        """Weighted means, (..., d), with the user's leading axes."""
+        """The weighted means, (..., d)."""
         return self._by_lead(np.stack([mean for mean, _ in self._moments], axis=0), first=True)
 
     def _cov(self) -> Array:
-        """Weighted covariances, (..., d, d), with the user's leading axes."""
+        """The weighted covariances, (..., d, d)."""
         return self._by_lead(np.stack([cov for _, cov in self._moments], axis=0), first=True)
 
     def _over(self, places: tuple[int, ...]) -> ParticleBelief:
-        """The belief over some of the components, in this order."""
+        """The belief over the components at some places, in this order."""
         each = [self._parts[k] for k in places]
         return ParticleBelief(each, self._clouds, self._runs, self.steps)
 
@@ -142,7 +142,7 @@ class ParticleBelief(PointMassBelief):
         Raises
         ------
         ModelError
-            If the belief has leading axes, a component is none, or the bins are none.
+            If the belief has leading axes, it has no such component, or NumPy refuses the bins.
         """
         self._require_one("a histogram")
         places = list(places_of(self._parts, components, "a histogram"))
@@ -163,7 +163,7 @@ class ParticleBelief(PointMassBelief):
         return found, tuple(edges)
 
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """Draws with replacement by the weights, (count, ..., d)."""
+        """Draws with replacement by the weights, (count, *lead, d)."""
         rows = self._rows
         found = np.empty((len(self._clouds), self._clouds[0].runs, count, len(rows)))
         for step, cloud in enumerate(self._clouds):
@@ -178,7 +178,8 @@ class ParticleBelief(PointMassBelief):
     def _at(self, index: Any, chosen: Integers) -> ParticleBelief:
         """The belief at an index of the leading axes, by the flat places that it has chosen.
 
-        Steps have clouds of their own, so that only whole steps of whole runs can be taken out.
+        Steps have clouds of their own: an index may choose steps, and the same runs at each of
+        them; a ModelError refuses pairs of runs and steps.
         """
         if not chosen.size:
             raise ModelError(f"a belief with the leading axes {self.lead} has none at {index!r}")
@@ -195,7 +196,7 @@ class ParticleBelief(PointMassBelief):
         return ParticleBelief(self._parts, clouds, chosen.shape[:-1], self.steps[each[0]])
 
     def _gathered(self, place: int, runs: Integers) -> Cloud:
-        """The particles of one step, for some of the runs."""
+        """The particles of some of the runs, at the step with this place among the belief's."""
         cloud = self._clouds[place]
         if len(runs) == cloud.runs and (runs == np.arange(cloud.runs)).all():
             return cloud
@@ -209,19 +210,24 @@ class ParticleBelief(PointMassBelief):
 
     @property
     def _rows(self) -> list[int]:
+        """The rows of the belief's components in the states of its clouds."""
         return [part.row for part in self._parts]
 
     @property
     def _count(self) -> int:
+        """The number of runs."""
         return self._clouds[0].runs
 
     @cached_property
     def _moments(self) -> list[tuple[Array, Array]]:
-        """The mean and covariance of each step's cloud."""
+        """The means (runs, d) and covariances (runs, d, d) of each step's cloud."""
         return [self._moments_of(cloud) for cloud in self._clouds]
 
     def _moments_of(self, cloud: Cloud) -> tuple[Array, Array]:
-        """The means (runs, d) and covariances (runs, d, d) of a cloud."""
+        """The weighted means (runs, d) and covariances (runs, d, d) of a cloud's particles.
+
+        An angle's mean is its circular mean plus the mean difference from that, wrapped.
+        """
         weights, count = cloud.weights, len(self._parts)
         mean, apart = np.empty((count, cloud.runs)), np.empty((count, len(weights)))
         for k, part in enumerate(self._parts):
@@ -252,7 +258,7 @@ class ParticleBelief(PointMassBelief):
         return mean.T, cov.transpose(2, 0, 1)
 
     def _by_lead(self, values: npt.NDArray[Any], first: bool = False) -> npt.NDArray[Any]:
-        """Values (runs, steps, ...), or with steps first, by the leading axes; read-only."""
+        """Values (runs, steps, ...), or with steps first, reshaped to (*lead, ...); read-only."""
         if first:
             values = values.swapaxes(0, 1)
         return closed(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))

@@ -1,4 +1,4 @@
-"""Proposals over cells: particles drawn where a grid says that their step is likely."""
+"""Proposals over cells: particles drawn where measurements are likely at the cells' centres."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ class CellProposal(InCode, Immutable):
     .. math:: q(x) = \frac{p(z \mid c_k)^{τ}}{V \sum_j p(z \mid c_j)^{τ}}
 
     - c_k: the centre of the cell in which x lies, V the volume of a cell;
-    - τ: `temper`, 1 for the likelihood, 0 for equal cells, between for cells that are so wide that
-      the likelihood at their centres says too much of them.
+    - τ: `temper`: 1 for the likelihood, 0 for equal cells, between them for cells that are so wide
+      that the likelihood at their centres says too much of them.
 
     Measurements that take part are those of sensors that depend on this state, and on no other.
-    Cells stand along the axes of the state, and cover wherever it may be: where none is, nothing is
-    drawn, and as the start of a filter what the prior has there is missing. Of a map that is turned
-    in the world, cells of its poses would overlap.
+    The sides of cells are along the axes of the state, and the cells are to cover wherever it may
+    be: nothing is drawn elsewhere, and at the start of a filter what the prior has there is
+    missing. The poses of a map that is turned in the world have cells that would overlap.
 
     Parameters
     ----------
     variable : Variable
         The state, d components.
     centres : array_like
-        (k, d), in its units; ``map.poses(...)`` has those of a map.
+        (k, d), in units of the state; ``map.poses(...)`` has those of a map.
     widths : array_like
-        (d,): of all cells, which must not overlap.
+        (d,): the widths of every cell; cells must not overlap.
     temper : float
-        From 0 to 1.
+        τ, from 0 to 1.
 
     Raises
     ------
@@ -105,11 +105,11 @@ class CellProposal(InCode, Immutable):
 
     @property
     def _log_volume(self) -> float:
-        """The logarithm of a cell's volume: minus the log-density of a uniform draw in it."""
+        """The logarithm of a cell's volume, minus the log-density of a uniform draw in it."""
         return float(np.log(self.widths).sum())
 
     def sensors(self, model: ParticleModel, step: int) -> list[Sensor]:
-        """The sensors with measurements at a step that depend on this state alone."""
+        """The sensors with measurements at a step whose only hidden parent is this state."""
         found = []
         for sensor in model.sensors:
             hidden = [v for v in sensor.law.cpd.parents if v in model.places]
@@ -120,9 +120,11 @@ class CellProposal(InCode, Immutable):
     def drawn(
         self, model: ParticleModel, step: int, run: int, count: int, rng: np.random.Generator
     ) -> tuple[States, Array]:
-        """Draws (d, count) for a run from the measurements of a step, and their log-densities.
+        """Draw states for a run, by a step's measurements: (d, count), and their log-densities.
 
-        Places are drawn systematically; they come in the order of the cells.
+        Cells are drawn systematically by their probabilities, and come in their order; a state is
+        uniform in its cell. An EvidenceError is raised if no measurement can take part, or all
+        centres are impossible.
         """
         levels = np.zeros(len(self.centres))
         if self.temper > 0.0:
@@ -143,7 +145,10 @@ class CellProposal(InCode, Immutable):
         return points.T.astype(model.dtype), levels[chosen] - total - self._log_volume
 
     def _log_likelihood(self, model: ParticleModel, step: int, run: int) -> Array:
-        """The log-density of a step's measurements at each cell's centre, (cells,)."""
+        """The log-density of a step's measurements at the centre of each cell, (cells,).
+
+        An EvidenceError is raised if there is none that depends on this state alone.
+        """
         sensors = self.sensors(model, step)
         if not sensors:
             raise EvidenceError(
@@ -165,7 +170,7 @@ class CellProposal(InCode, Immutable):
         return found
 
     def require(self, model: DynamicBayesianNetwork) -> None:
-        """Refuse a network of which this is no state."""
+        """Refuse, by a ModelError, a network of which the proposal's variable is no state."""
         if self.variable not in model.states:
             raise ModelError(
                 f"{self!r}: {self.variable!r} is no state of the network; those are "
@@ -182,6 +187,11 @@ class CellProposal(InCode, Immutable):
 
 
 def _require_apart(what: str, places: Array, around: Array) -> None:
+    """Refuse cells that overlap, by a ModelError that begins with `what`.
+
+    places: The centres, (k, d), in widths of the cells.
+    around: The length of the circle of each angle, in widths, (d,); 0 of other components.
+    """
     from scipy.spatial import KDTree  # here, since it is slow to import
 
     if len(places) < 2:

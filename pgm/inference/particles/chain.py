@@ -1,11 +1,13 @@
-r"""The chain family of particles: a belief is a cloud of weighted draws.
+"""The chain family of particles: a belief is a cloud of weighted draws.
 
-At a step particles are drawn anew, if their weights have grown unequal, moved, and weighed,
+At a step particles are drawn anew (resampled), if their weights have grown unequal, moved, and
+weighed,
 
     x_t^i ~ q(x_t | x_{t−1}^a),    w_t^i ∝ w_{t−1}^a p(x_t^i | x_{t−1}^a) p(z_t | x_t^i) / q,
 
-a being the ancestor of each. The sum of what the weights are multiplied by estimates
-p(z_t | z_0..t−1) without bias (Del Moral, Feynman–Kac formulae, 2004, section 7.4).
+a being the ancestor of each, and q the transition or a proposal. The sum of what the weights are
+multiplied by estimates p(z_t | z_0..t−1) without bias (Del Moral, Feynman–Kac formulae, 2004,
+section 7.4).
 """
 
 from dataclasses import replace
@@ -39,10 +41,10 @@ Generators = list[np.random.Generator]
 
 
 class Placed(NamedTuple):
-    """A state of all particles, drawn elsewhere than from its prior.
+    """A state of all particles at step 0, drawn from a proposal over cells instead of its prior.
 
-    states: (d, particles).
-    log_density: (particles,): of the draws.
+    states: The draws, (d, particles).
+    log_density: The proposal's log-density at each of them, (particles,).
     """
 
     variable: Variable
@@ -51,7 +53,11 @@ class Placed(NamedTuple):
 
 
 class ParticleChain:
-    """The particle messages of all runs, step by step."""
+    """The forward sweep of particles, in all runs at once; see `sweep.Onwards`.
+
+    record: Is told of what happens at each step.
+    guide: Steers draws towards their step's measurements; None without a proposal.
+    """
 
     def __init__(
         self,
@@ -65,18 +71,21 @@ class ParticleChain:
         self.guide = None if proposal is None else Guide(graph, model, proposal)
 
     def generators(self, step: int, purpose: int = FORWARD) -> Generators:
-        """The streams of a step's draws, one a run."""
+        """The random streams of a step's draws for a purpose, one a run."""
         first = self.model.bound.first_run
         runs = range(first, first + self.model.bound.runs)
         return [stream(self.particles.seed, run, step, purpose) for run in runs]
 
     def start(self) -> Cloud:
-        """The particles of the prior, or of the cells that explain the first measurements."""
+        """The particles of step 0, from the prior, or from cells by the step's measurements."""
         counts = np.full(self.model.bound.runs, self.particles.n)
         return self._prior(counts, self.generators(0), self._placed(self.particles.n))
 
     def _placed(self, count: int) -> Placed | None:
-        """The draws of all runs from cells; None where no start from cells is due."""
+        """Draw a state from cells by the measurements of step 0, `count` times in each run.
+
+        None if the user asked for no such start, or there are no such measurements.
+        """
         cells = self.particles.start
         if cells is None or not cells.sensors(self.model, 0):
             return None
@@ -89,7 +98,11 @@ class ParticleChain:
     def _prior(
         self, counts: Integers, generators: Generators, placed: Placed | None = None
     ) -> Cloud:
-        """Draws of the prior. A placed state has the weight prior density over placing density."""
+        """Draws of the prior, `counts` (runs,) in each run.
+
+        A state that is `placed` is taken as it is; its weight is its prior density over the density
+        that it was drawn from.
+        """
         starts = np.concatenate([[0], np.cumsum(counts)])
         states = np.zeros((self.model.size, int(starts[-1])), dtype=self.particles.dtype)
         cloud = Cloud(states, uniform(counts), starts)
@@ -108,7 +121,11 @@ class ParticleChain:
         return cloud
 
     def predict(self, step: int, cloud: Cloud) -> Cloud:
-        """The particles of a step, drawn from the transition given the step before."""
+        """The particles of a step, drawn from the transition or a proposal, given the step before.
+
+        Those of a run are resampled first, if that is due; a number by likelihood draws until it is
+        met.
+        """
         generators = self.generators(step)
         number = self.particles.number
         if isinstance(number, LikelihoodSampling) and self.model.measured(step).any():
@@ -136,9 +153,11 @@ class ParticleChain:
     def _drawn_anew(
         self, step: int, cloud: Cloud, generators: Generators
     ) -> tuple[Integers | None, Integers, Array]:
-        """The particles to be moved to a step: which, where runs begin, and their log-weights.
+        """The particles to be moved to a step, those of some runs resampled.
 
-        None stands for all of them as they are.
+        Runs are resampled whose effective number is below the threshold, or all, as the user asked.
+        Returned are the places (particles,) of the particles to be moved, None for all as they are;
+        where each run begins, (runs + 1,); and the log-weights, which are equal after resampling.
         """
         due = cloud.effective < self.particles.threshold * cloud.counts
         number = self.particles.number
@@ -166,7 +185,11 @@ class ParticleChain:
     def _until_likely(
         self, step: int, cloud: Cloud, number: LikelihoodSampling, generators: Generators
     ) -> Cloud:
-        """The particles of a step, drawn until they explain its measurements together."""
+        """The particles of a step, drawn until their likelihoods sum to the user's threshold.
+
+        The likelihoods are shares of the largest that the measurements could have. A run without
+        measurements has as many particles as before.
+        """
         self.record.resampled[step] = True
         draw, peak = RESAMPLERS[self.particles.resampling], self.model.log_peak(step)
         states, source = list[States](), list[Integers]()
@@ -192,12 +215,15 @@ class ParticleChain:
         return Cloud(*moved, cloud.averages)
 
     def _move(self, row: int, some: Some, drawing: Drawing) -> None:
-        """Draw the next state of some particles, by the transition's CPDs at their row."""
+        """Draw the next states of some particles, in place, by the transition's CPDs at a row."""
         for law in self.model.transition:
             some.now[self.model.places[law.cpd.child]] = law.draw(row, some, drawing)
 
     def _chosen(self, states: States, weights: Array, rng: np.random.Generator) -> Integers:
-        """Resampled indices of one run's particles, by its weights (m,)."""
+        """The indices of one run's resampled particles, by its weights (m,).
+
+        There are m of them, or as many as KLD-sampling asks for.
+        """
         draw = RESAMPLERS[self.particles.resampling]
         number = self.particles.number
         if not isinstance(number, KLDSampling):
@@ -205,7 +231,10 @@ class ParticleChain:
         return number.drawn(states, self.model, lambda count: indices(draw(weights, count, rng)))
 
     def take(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
-        """The particles weighed by the measurements of their step, and the log-density of these."""
+        """The cloud weighed by its step's measurements, and ln p(z_t | z_0..t−1), (runs,).
+
+        Where likelihoods have dropped, some particles may then be injected elsewhere.
+        """
         if not self.model.read(step):
             return cloud, np.zeros(cloud.runs)
         known, log_density = self._weighed(step, cloud)
@@ -214,10 +243,10 @@ class ParticleChain:
         return known, log_density
 
     def _weighed(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
-        """The cloud after a step's measurements, and ln p(z_t | z_0..t−1), (runs,).
+        """The cloud weighed by a step's measurements, and ln p(z_t | z_0..t−1), (runs,).
 
-        Where no particle of a run explains them, they are refused, ignored, or the run begins anew
-        from its prior, as the user asked; the log-density is −∞.
+        Where no particle of a run explains these, they are refused by an EvidenceError, ignored, or
+        the run begins anew from its prior, as the user asked; the log-density is −∞ then.
         """
         log_weights = cloud.log_weights + self._log_likelihood(step, cloud)
         impossible = np.isneginf(np.maximum.reduceat(log_weights, cloud.starts[:-1]))
@@ -237,7 +266,12 @@ class ParticleChain:
         return known, log_density
 
     def _injected(self, step: int, cloud: Cloud, log_density: Array, injection: Injection) -> Cloud:
-        """The cloud with some particles drawn afresh where likelihoods have dropped."""
+        """The cloud with some particles drawn afresh from cells, where likelihoods have dropped.
+
+        log_density: ln p(z_t | z_0..t−1), (runs,), from which the averages go on.
+
+        A run with any such particle is resampled, and its weights are equal.
+        """
         measured, cells = self.model.measured(step), injection.cells
         averages = injection.averaged(cloud.averages, log_density, measured)
         cloud = replace(cloud, averages=averages)
@@ -265,7 +299,7 @@ class ParticleChain:
         return replace(cloud, states=states, log_weights=log_weights, ancestors=None)
 
     def _log_likelihood(self, step: int, cloud: Cloud) -> Array:
-        """The log-density of a step's measurements at all particles, (m,), block by block."""
+        """The log-density of a step's measurements at each particle of a cloud, (particles,)."""
         found = np.empty(len(cloud.log_weights))
         for block in cloud.blocks():
             place = slice(block.first, block.last)
@@ -274,7 +308,14 @@ class ParticleChain:
         return found
 
     def _after_impossible(self, step: int, cloud: Cloud, impossible: Mask) -> Cloud:
-        """The cloud with which the `impossible` runs go on, no particle of which was possible."""
+        """The cloud to go on with, where no particle of some runs explains a step's measurements.
+
+        impossible: The mask of these runs, (runs,).
+
+        They are drawn from the prior if they are to restart, or if none of their particles was
+        possible before the measurements either; otherwise they stay. An EvidenceError is raised if
+        the user asked for no way on.
+        """
         if self.particles.impossible == RAISE:
             run = int(impossible.argmax())
             nowhere = np.isneginf(cloud.log_weights[cloud.of(run)]).all()
@@ -296,6 +337,7 @@ class ParticleChain:
         return replace(cloud, states=states, log_weights=log_weights)
 
     def _refuse(self, step: int, run: int, besides: str = "") -> NoReturn:
+        """Raise the EvidenceError for measurements that none of a run's particles explains."""
         run += self.model.bound.first_run
         read = self.model.read(step)
         raise EvidenceError(
@@ -308,6 +350,6 @@ class ParticleChain:
         )
 
     def _some(self, cloud: Cloud, step: int, first: int, last: int, before: Array) -> Some:
-        """The particles from first to last, with their states before, and whose runs they are."""
+        """The particles at places from `first` to `last`, with their states at the step before."""
         owner = None if cloud.runs == 1 else cloud.owner[first:last]
         return Some(step, cloud.states[:, first:last], before, owner)

@@ -1,4 +1,7 @@
-"""The particles of all runs at one step, and the streams of random numbers that draw them."""
+"""The particles of all runs at one step, and the streams of random numbers that draw them.
+
+A particle's place is its index along the last axis, over all runs: those of run 0 come first.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,11 @@ BLOCK = 2**14
 
 
 class Block(NamedTuple):
-    """Particles that are worked on together: whole runs, or a part of one run."""
+    """Particles that are worked on together: whole runs, or a part of one run.
+
+    first, last: Their places, from the first up to, but without, the last.
+    runs: The numbers of the runs.
+    """
 
     first: int
     last: int
@@ -31,11 +38,12 @@ class Block(NamedTuple):
 class Cloud:
     """The particles of all runs at one step, one run after another.
 
-    states: (d, particles): the components of the slice's variables.
-    log_weights: (particles,): normalised in each run.
-    starts: (runs + 1,): where each run begins, and the end.
-    ancestors: (particles,): the place of each particle's parent, a step before.
-    averages: (2, runs): long-term and short-term averages, of an `Injection`.
+    states: The components of the slice's variables, (d, particles).
+    log_weights: The logarithms of weights that sum to one in each run, (particles,).
+    starts: The place at which each run begins, and the end, (runs + 1,).
+    ancestors: The place of each particle's ancestor in the cloud of the step before, (particles,);
+        None where each is at its own place.
+    averages: The logarithms of the long-term and short-term averages of an `Injection`, (2, runs).
     """
 
     states: npt.NDArray[Any]
@@ -51,7 +59,7 @@ class Cloud:
 
     @cached_property
     def counts(self) -> Integers:
-        """The number of particles of each run."""
+        """The number of particles of each run, (runs,)."""
         return np.diff(self.starts)
 
     @cached_property
@@ -63,23 +71,26 @@ class Cloud:
 
     @cached_property
     def owner(self) -> Integers:
-        """The run of each particle."""
+        """The run of each particle, (particles,)."""
         return np.repeat(np.arange(self.runs), self.counts)
 
     def of(self, run: int) -> slice:
-        """The place of a run's particles."""
+        """The slice of a run's particles, in an array over all."""
         return slice(int(self.starts[run]), int(self.starts[run + 1]))
 
     def summed(self, values: npt.NDArray[Any]) -> Array:
-        """The sums of (..., particles) over the particles of each run, (..., runs)."""
+        """The sums of values (..., particles) over the particles of each run, (..., runs)."""
         return np.add.reduceat(values, self.starts[:-1], axis=-1, dtype=np.float64)
 
     def spread(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The values of runs, (runs,), at their particles, to which they broadcast."""
+        """The values (runs,) of runs at each of their particles, (particles,); (1,) of one run."""
         return values if self.runs == 1 else np.repeat(values, self.counts)
 
     def normalised(self, log_weights: Array) -> tuple[Cloud, Array]:
-        """The cloud with weights that sum to one in each run, and the log of their former sum."""
+        """The cloud with log-weights normalised in each run, and the logarithm of their sum.
+
+        The latter is (runs,), of the weights as they are given.
+        """
         largest = np.maximum.reduceat(log_weights, self.starts[:-1])
         each = log_weights - self.spread(largest)
         log_total = largest + np.log(self.summed(np.exp(each, out=each)))
@@ -92,15 +103,15 @@ class Cloud:
         return found
 
     def weighed(self, log_weights: Array) -> Cloud:
-        """The same particles with new log-weights."""
+        """The same particles with other log-weights, (particles,)."""
         return replace(self, log_weights=log_weights)
 
     def blocks(self) -> Iterator[Block]:
-        """The particles by blocks, each run's cut as if it were alone."""
+        """The particles in blocks to be worked on together; see `blocks`."""
         return blocks(self.starts)
 
     def run(self, run: int) -> Cloud:
-        """The particles of one run."""
+        """The particles of one run; their ancestors keep their places among all runs."""
         place = self.of(run)
         ancestors = None if self.ancestors is None else self.ancestors[place]
         starts = np.array([0, place.stop - place.start])
@@ -108,7 +119,10 @@ class Cloud:
 
 
 def blocks(starts: Integers) -> Iterator[Block]:
-    """Blocks of particles, whole runs together or a long one cut."""
+    """Blocks of at most 2^14 particles: whole runs together, or parts of a longer one.
+
+    starts: The place at which each run begins, and the end, (runs + 1,).
+    """
     edges = starts.tolist()
     run = 0
     while run + 1 < len(edges):
@@ -124,7 +138,7 @@ def blocks(starts: Integers) -> Iterator[Block]:
 
 
 def uniform(counts: Integers) -> Array:
-    """The log-weights of particles that all weigh the same in their run."""
+    """The log-weights (particles,) of runs with these counts, equal in each run."""
     return np.repeat(-np.log(counts), counts)
 
 
@@ -133,6 +147,6 @@ FORWARD, RESTARTED, BACKWARD, STARTED, INJECTED = range(5)
 
 
 def stream(seed: int, run: int, step: int, purpose: int = FORWARD) -> np.random.Generator:
-    """The generator of a run's draws at a step."""
+    """The generator of a run's draws at a step, for a purpose: each is a stream of its own."""
     key = np.random.SeedSequence(seed, spawn_key=(run, step, purpose))
     return np.random.Generator(np.random.SFC64(key))

@@ -1,4 +1,4 @@
-"""The components of a slice by name."""
+"""The components of a belief's variables, by name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ from pgm.variables import Variable
 
 
 class Part(NamedTuple):
-    """One component of a belief."""
+    """One component of a belief.
+
+    component: The index of the component in its variable.
+    label: The component's name, after that of its variable where others share it.
+    row: The row of the component in arrays of states, (d, particles).
+    """
 
     variable: Variable
     component: int
@@ -19,12 +24,12 @@ class Part(NamedTuple):
 
     @property
     def angle(self) -> bool:
-        """Whether it is an angle."""
+        """Whether the component is an angle."""
         return bool(self.variable.angle_mask[self.component])
 
 
 def parts(places: Sequence[tuple[Variable, int]]) -> list[Part]:
-    """The components of variables whose first rows are given, with a name for each."""
+    """The components of some variables, by (variable, row of its first component)."""
     label = iter(distinct_labels(variable for variable, _ in places))
     return [
         Part(variable, k, next(label), first + k)

@@ -1,14 +1,15 @@
 r"""Guided proposals: particles drawn where the measurements of their step are.
 
-The noise of the transition is white noise w under its root, x_t = f(x_{t−1}) + L w, CPD by CPD. A
-lineariser makes of each particle a chain of one step, begun at the particle, whose Gaussian belief
-given the measurements is one of w,
+The transition of a particle is a function of white noise w, drawn from N(0, I): x_t = f(x_{t−1}) +
+L w, CPD by CPD, L being the root of its noise covariance. Beginning at the particle, a lineariser
+makes a Gaussian belief of its next slice given the measurements, which is one of w:
 
 .. math:: q(w) = N(w;\, A^{-1}(μ^+ - μ^-),\, A^{-1} P^+ A^{-T}), \qquad P^- = A A^T,
 
-μ⁻, P⁻ and μ⁺, P⁺ being the moments of the slice before and after its measurements. w is drawn from
-it, goes through the transition as it is, and counts N(w; 0, I) / q(w): weights are exact, however
-bad the linearisation, and a component without noise stays a function of the others.
+μ⁻, P⁻ and μ⁺, P⁺ being the mean and covariance of the slice before and after its measurements. w is
+drawn from q and goes through the transition as it is; the particle's weight is multiplied by
+N(w; 0, I) / q(w). Weights are exact, however bad the linearisation, and a component without noise
+stays a function of the others. m is the number of particles, n that of the slice's components.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _ROUNDING = 1e-6
 
 
 class Guide:
-    """The guided proposals of one model, p(x_t | x_{t−1}, z_t) by a Gaussian for each particle."""
+    """The guided proposals of a model: for each particle a Gaussian near p(x_t | x_{t−1}, z_t)."""
 
     def __init__(self, graph: DynamicGraph, model: ParticleModel, lineariser: Lineariser) -> None:
         self.graph, self.model, self.lineariser = graph, model, lineariser
@@ -53,11 +54,19 @@ class Guide:
 
     @property
     def _sensors(self) -> list[Any]:
+        """The sensors of Gaussian noise that have evidence."""
         sensors = self.model.sensors
         return [s for s in sensors if isinstance(s.reading.cpd, ConditionalGaussian)]
 
     def steered(self, row: int, some: Some, drawing: Drawing) -> tuple[Steered, Array]:
-        """White noise for particles to be moved to a step, and ln N(w; 0, I) / q(w) of each."""
+        """White noise w that moves particles to a step, and ln N(w; 0, I) / q(w) of each, (m,).
+
+        row: The row of the step's inputs.
+        some: The particles, with their states at the step before.
+        drawing: Their generators; the `Drawing` returned gives out w instead.
+
+        A NumericalError is raised if q is not finite, or singular: weights would be infinite.
+        """
         before, after = self._moments(row, some)
         lower = roots.root(before.cov)
         free = ~roots.determined(lower)
@@ -81,7 +90,11 @@ class Guide:
 
     @quiet()
     def _moments(self, row: int, some: Some) -> tuple[Moments, Moments]:
-        """The moments (m, n), (m, n, n) of each particle's slice before and after measurements."""
+        """Each particle's moments of the slice, before and after its measurements, runs first.
+
+        Means are (m, n), covariances (m, n, n). Errors of a user's function name the proposal and
+        the step.
+        """
         plan = self._plan(row, some)
         chain = MomentChain(plan, _ONCE, keep=False, check=True)
         layout, places = self.graph.layout, self.model.places
@@ -101,12 +114,18 @@ class Guide:
         return Moments(*before.by_run), Moments(*after.by_run)
 
     def _plan(self, row: int, some: Some) -> ChainPlan:
-        """A plan of one step whose runs are the particles."""
+        """The plan of a chain of one step for the lineariser, with a run for each particle.
+
+        row: The row of the step's inputs.
+        some: The particles, at the step.
+        """
 
         def own(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            """Values (rows, runs or 1, d) of each particle's run, (rows, m or 1, d)."""
             return values if values.shape[1] == 1 or some.owner is None else values[:, some.owner]
 
         def reading(found: Reading, rows: range) -> Reading:
+            """Some rows of a reading, with the values of each particle's run, at step 1."""
             chosen = slice(rows.start, rows.stop)
             return replace(
                 found,
@@ -133,21 +152,25 @@ class Guide:
 
 
 class Steered(Drawing):
-    """White noise that was drawn beforehand, (components, m), given out CPD by CPD."""
+    """White noise that was drawn beforehand, (components, m), given out CPD by CPD in order."""
 
     def __init__(self, white: States) -> None:
         super().__init__(())
         self._left = white
 
     def white(self, components: int, count: int, dtype: Any) -> States:
-        """The next components."""
+        """The next components of the noise, (components, m)."""
         del count, dtype
         found, self._left = self._left[:components].copy(), self._left[components:]
         return found
 
 
 def require_guidable(model: DynamicBayesianNetwork) -> None:
-    """Refuse a network whose transition gives no Gaussian proposal."""
+    """Refuse, by a ModelError, a network for which a lineariser gives no proposal.
+
+    Its transition has to be Gaussian, without robust noise, and no CPD may have axes of runs of its
+    own.
+    """
     require_gaussian(model.transition, "proposals of a lineariser")
     require_plain(model.transition)
     every: Sequence[CPD] = (*model.transition, *model.observation)
@@ -162,7 +185,10 @@ def require_guidable(model: DynamicBayesianNetwork) -> None:
 
 
 def _whitened(lower: Array, cov: Array) -> Array:
-    """A⁻¹ P A⁻ᵀ, zero in determined components."""
+    """A⁻¹ P A⁻ᵀ of roots A, `lower`, and covariances P, `cov`, (m, n, n).
+
+    Rows and columns of components that those before them determine, by A, are zero.
+    """
     free = ~roots.determined(lower)
     half = solving.solve_lower(lower, cov) * free[..., None]
     found: Array = solving.solve_lower(lower, half.swapaxes(-1, -2)) * free[..., None]

@@ -1,6 +1,9 @@
-"""CPDs at their rows, a step's or a measurement's: draws of particles, and their densities.
+"""CPDs with their inputs, at many particles: draws of the child, and its density.
 
-Arrays have components first, (d, particles); functions of users see (particles, d).
+A law is a CPD with the values of its observed parents, which have a row for each step of the
+transition, or for each measurement of a sensor. Arrays over m particles have components first, (d,
+m); functions of users see (m, d). A root L of a noise covariance is lower triangular, cov = L Lᵀ; a
+component has noise of its own where the diagonal of L, its pivot, is not zero.
 """
 
 from __future__ import annotations
@@ -32,8 +35,9 @@ States = npt.NDArray[Any]
 class Some(NamedTuple):
     """Particles at a step, the points at which CPDs are evaluated.
 
-    now, before: (d, m): the slice of the step, as far as it is drawn, and the one before.
-    owner: (m,): the run of each; None where there is one.
+    now: The components of the step's slice, as far as they have been drawn, (d, m).
+    before: Those of the slice before, (d, m).
+    owner: The run of each particle, (m,); None where there is one run.
     """
 
     step: int
@@ -47,15 +51,15 @@ class Some(NamedTuple):
         return int(self.now.shape[1])
 
     def chosen(self, which: Mask) -> Some:
-        """The particles of a mask."""
+        """The particles that a mask (m,) has."""
         owner = None if self.owner is None else self.owner[which]
         return Some(self.step, self.now[:, which], self.before[:, which], owner)
 
 
 class Drawing:
-    """The generators for the particles of a block, in order.
+    """The generators of random numbers for the particles of a block.
 
-    pieces: Places in the block, each of one run.
+    pieces: Slices of the block that follow one another, each of one run, with that run's generator.
     """
 
     def __init__(self, pieces: Sequence[tuple[slice, np.random.Generator]]) -> None:
@@ -65,7 +69,10 @@ class Drawing:
     def of(
         cls, block: Block, starts: Integers, generators: Sequence[np.random.Generator]
     ) -> Drawing:
-        """The generators of the runs of a block."""
+        """The drawing of a block, from the generators of all runs.
+
+        starts: The place at which each run begins, and the end, (runs + 1,).
+        """
         found = []
         for run in block.runs:
             first = max(int(starts[run]), block.first) - block.first
@@ -74,7 +81,7 @@ class Drawing:
         return cls(found)
 
     def chosen(self, which: Mask) -> Drawing:
-        """The same drawing for some of the particles."""
+        """The drawing for the particles that a mask (m,) of the block has."""
         found, first = [], 0
         for place, rng in self.pieces:
             count = int(which[place].sum())
@@ -96,7 +103,13 @@ class Drawing:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A CPD at its rows, by its own sampler and density."""
+    """A CPD with its inputs, by its own sampler and density.
+
+    inputs: By observed parent, its values (rows, runs or 1, d).
+    places: By hidden variable, the rows of its components in arrays of states.
+    dtype: The type of the states, float64 or float32.
+    first_run: The number of the first run, for messages.
+    """
 
     cpd: CPD
     inputs: Mapping[Variable, States]
@@ -105,7 +118,7 @@ class Law:
     first_run: int
 
     def given(self, row: int, some: Some) -> dict[Variable, States]:
-        """Values of the parents, (m, d), read-only."""
+        """By parent, its values (m, d) at particles, read-only; of observed ones at a row."""
         found = {}
         for parent in self.cpd.parents:
             if parent in self.inputs:
@@ -121,7 +134,7 @@ class Law:
         return found
 
     def draw(self, row: int, some: Some, drawing: Drawing) -> States:
-        """Draws of the child, (d, m)."""
+        """Draws of the child at particles, (d, m)."""
         values = self.given(row, some)
         found = np.empty((self.cpd.child.dimension, some.size), dtype=self.dtype)
         for place, rng in drawing.pieces:
@@ -132,7 +145,11 @@ class Law:
         return found
 
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
-        """The log-densities (m,) of a child (d, m), or (d, 1) for all."""
+        """The log-densities (m,) of a child (d, m), or (d, 1) for all particles.
+
+        taken: The mask (d,) of the components that were measured; the density is given NaN for the
+            others.
+        """
         values = self.given(row, some)
         if taken is not None and not taken.all():
             child = np.where(taken[:, None], child, np.nan)
@@ -141,15 +158,15 @@ class Law:
         return self.cpd._log_density(wide, known)
 
     def open(self, row: int, step: int) -> Integers:
-        """The number of components with noise of their own, (runs or 1,): all, as far as known."""
+        """The number of components with noise of their own, (1,): all, of a density of any kind."""
         return np.array([self.cpd.child.dimension])
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse a sensor that has no noise at one of the steps of its rows, if that is known."""
+        """Refuse a sensor that has singular noise at one of its steps; here that is not known."""
 
 
 class GaussianLaw(Law):
-    """A CPD of Gaussian noise at its rows."""
+    """A CPD of Gaussian noise, with its inputs: x = mean(parents) + L w, w standard normal."""
 
     cpd: ConditionalGaussian
 
@@ -167,7 +184,11 @@ class GaussianLaw(Law):
         return white
 
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
-        """The log-densities (m,) of a child (d, m), or (d, 1) for all, or of components taken."""
+        """The log-densities (m,) of a child (d, m), or (d, 1) for all particles.
+
+        taken: The mask (d,) of the components that were measured; the density is their marginal.
+            Under singular noise, which no sensor may have, it is ignored.
+        """
         root = self.root(row, some.step)
         if not root.regular:
             return self._within(root, row, some, child)
@@ -181,7 +202,12 @@ class GaussianLaw(Law):
         return root.log_density(residual, some)
 
     def _within(self, root: Root, row: int, some: Some, child: States) -> Array:
-        """The log-densities (m,) where some components have no noise; −∞ beyond rounding."""
+        """The log-densities (m,) under singular noise; −∞ where a child is off it beyond rounding.
+
+        They are densities of the components with noise of their own, which determine the others.
+        The child (d, m) may be off by a rounding of its own type; residuals of angles count as they
+        are or wrapped.
+        """
         # That of the child alone: a particle is what the law made of another, and others are near.
         mean, error = self.mean(row, some), np.finfo(self.dtype).eps * np.abs(child)
         residual = np.subtract(child, mean, dtype=np.float64)
@@ -194,11 +220,14 @@ class GaussianLaw(Law):
         return found
 
     def open(self, row: int, step: int) -> Integers:
-        """The number of components with noise of their own, (runs or 1,)."""
+        """The number of components with noise of their own, at a row, (runs or 1,)."""
         return self.root(row, step).open
 
     def mean(self, row: int, some: Some) -> States:
-        """The means, (d, m), or (d, 1) where they are equal."""
+        """The means at particles, (d, m), or (d, 1) where they are equal.
+
+        A function with values that are NaN or infinite is refused by a LinearisationError.
+        """
         values = self.given(row, some)
         if isinstance(self.cpd, AffineCPD):
             offset = self._offset if some.owner is None else self._offset[:, self._runs_of(some)]
@@ -217,7 +246,11 @@ class GaussianLaw(Law):
         return mean.T
 
     def _called(self, arguments: list[States], due: tuple[int, ...], call: Call) -> States:
-        """The value of the function, (particles, d); of float32 states in their precision."""
+        """The value of the user's function, (m, d), for arguments (m, d).
+
+        A value of the states' type and of the shape `due` is returned as it is, so that float32
+        stays float32; others are converted, or refused by an error of the `call`.
+        """
         function = getattr(self.cpd, "function", None)
         if function is None:
             known = dict(zip(self.cpd.given, arguments, strict=True))
@@ -231,7 +264,7 @@ class GaussianLaw(Law):
         return call.array(function, arguments, value, due)
 
     def _refuse(self, mean: States, values: Mapping[Variable, States], some: Some) -> None:
-        """Refuse a mean that is not finite, naming the first particle that has one."""
+        """Raise the LinearisationError for means (m, d) that are not finite, naming a particle."""
         index = int(np.flatnonzero(~np.isfinite(mean).all(axis=-1))[0])
         run = self.first_run + (0 if some.owner is None else int(some.owner[index]))
         at = {v: a[index].tolist() for v, a in values.items()}
@@ -245,7 +278,7 @@ class GaussianLaw(Law):
         )
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse a sensor without noise at one of the steps of its rows."""
+        """Refuse, by a ModelError, a sensor that has singular noise at one of its rows' steps."""
         for row, step in enumerate(steps.tolist()):
             if not self.root(row, step).regular:
                 raise ModelError(
@@ -259,7 +292,7 @@ class GaussianLaw(Law):
                 break
 
     def root(self, row: int, step: int) -> Root:
-        """The root of the noise at a row."""
+        """The roots of the noise covariance at a row, of all runs or of each."""
         if not isinstance(self.cpd.cov, Noise):
             return self._constant
         known = {v: np.asarray(self.inputs[v][row], dtype=np.float64) for v in self.cpd.cov.given}
@@ -269,11 +302,16 @@ class GaussianLaw(Law):
 
     @cached_property
     def _constant(self) -> Root:
+        """The roots of a noise covariance that is the same at all rows."""
         lower = self.cpd._lower
         return self._root(lower.reshape(-1, *lower.shape[-2:]), None)
 
     def _root(self, lower: Array, step: int | None) -> Root:
-        """The root of a noise covariance; one that is not semidefinite is refused."""
+        """The `Root` of lower triangular roots (runs or 1, d, d) of noise covariances.
+
+        NaN, which marks a covariance that is not finite and semidefinite, is refused by a
+        NumericalError.
+        """
         if not roots.is_proper(lower):
             raise NumericalError(
                 f"{self.cpd!r}: its noise cannot be used: {IMPROPER}",
@@ -285,25 +323,29 @@ class GaussianLaw(Law):
 
     @cached_property
     def _offset(self) -> States:
+        """The offset of an affine CPD, (d, runs or 1)."""
         assert isinstance(self.cpd, AffineCPD)
         return self.cpd.offset.reshape(-1, self.cpd.child.dimension).T.astype(self.dtype)
 
     def _runs_of(self, some: Some) -> Integers | slice:
+        """The index of the offsets of the particles' runs."""
         return slice(None) if self._offset.shape[1] == 1 or some.owner is None else some.owner
 
     @cached_property
     def _matrices(self) -> dict[Variable, States]:
+        """By parent, the matrix of an affine CPD, (d, parent's d)."""
         assert isinstance(self.cpd, AffineCPD)
         return {v: matrix.astype(self.dtype) for v, matrix in self.cpd.matrices.items()}
 
 
 class Root:
-    """The roots of a noise covariance, of all runs or of each.
+    """The lower triangular root L of a noise covariance L Lᵀ, one for all runs or one for each.
 
-    lower: (runs or 1, d, d).
-    diagonal: (d, runs or 1): deviations, where components are independent.
-    regular: Whether all components have noise of their own.
-    open: (runs or 1,): how many have.
+    lower: The roots, (runs or 1, d, d).
+    diagonal: The standard deviations, (d, runs or 1), where components are independent; otherwise
+        None.
+    regular: Whether all components have noise of their own, in all runs.
+    open: How many components have noise of their own, (runs or 1,).
     """
 
     def __init__(self, lower: Array, dtype: Any) -> None:
@@ -316,25 +358,25 @@ class Root:
         self._pivots = deviations
 
     def of(self, some: Some) -> Integers:
-        """The root of each particle."""
+        """The index of each particle's root, (m,)."""
         if len(self.lower) == 1 or some.owner is None:
             return np.zeros(some.size, dtype=np.intp)
         return some.owner
 
     def marginal(self, taken: Mask) -> Root:
-        """The roots of the covariance of some components."""
+        """The roots of the covariance of the components in a mask (d,)."""
         part = self.lower[:, taken]
         return Root(roots.root(part @ part.swapaxes(-1, -2)), self.dtype)
 
     @cached_property
     def constant(self) -> Array:
-        """The log-density at no residual, (runs or 1,)."""
+        """The log-density at zero residual, (runs or 1,), of regular noise."""
         count = self.lower.shape[-1]
         found: Array = -np.log(self._pivots).sum(axis=-1) - 0.5 * count * LOG_2PI
         return found
 
     def log_density(self, residual: States, some: Some) -> Array:
-        """The log-densities of residuals (d, m), which are overwritten."""
+        """The log-densities (m,) of residuals (d, m), which are overwritten; of regular noise."""
         which = slice(None) if len(self.lower) == 1 else self.of(some)
         if self.diagonal is not None:
             residual /= self.diagonal[:, which]
@@ -347,7 +389,11 @@ class Root:
         return found
 
     def within(self, residual: Array, error: Array, some: Some) -> Array:
-        """Log-densities of residuals (d, m); −∞ off the subspace of singular noise."""
+        """The log-densities (m,) of residuals (d, m) under singular noise, by its open components.
+
+        error: By how much rounding may have changed the residuals, (d, m) or (d, 1). Where a
+            residual is further off the subspace of the noise, the log-density is −∞.
+        """
         lower = self.lower[0] if len(self.lower) == 1 else self.lower[self.of(some)]
         points = (-1, 1, len(residual)) if lower.ndim > 2 else (-1, len(residual))
         wide = np.broadcast_to(residual, (len(residual), some.size)).T.reshape(points)
@@ -360,9 +406,12 @@ class Root:
 
 
 def by_pattern(taken: Mask, owner: Integers | None) -> Iterator[tuple[Mask, Mask | None]]:
-    """Each pattern of measured components, with the particles of the runs that have it.
+    """Each pattern (d,) of measured components, with the mask (m,) of the particles that have it.
 
-    None stands for all particles. Nothing comes of runs in which none were.
+    taken: The mask of measured components, (runs or 1, d).
+    owner: The run of each particle, (m,); None where there is one run.
+
+    None stands for all particles. Runs in which nothing was measured are left out.
     """
     if len(taken) == 1 or owner is None or (taken == taken[0]).all():
         if taken[0].any():

@@ -1,4 +1,4 @@
-"""Draws and log-densities of a CPD at particles; a mixture's come from its parts."""
+"""The law of a CPD: Gaussian, a mixture's from those of its parts, or by sampler and density."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False)
 class MixtureLaw(Law):
-    """A mixture at its rows."""
+    """A mixture CPD with its inputs, as the laws of its parts."""
 
     cpd: MixtureCPD
     parts: tuple[Law, ...]
 
     def draw(self, row: int, some: Some, drawing: Drawing) -> States:
-        """Draws of the child at particles, (d, m); each comes from one part."""
+        """Draws of the child at particles, (d, m), each from a part drawn by the weights."""
         which = np.empty(some.size, dtype=np.intp)
         for place, rng in drawing.pieces:
             which[place] = chosen(self.cpd.weights, (place.stop - place.start,), rng)
@@ -37,13 +37,19 @@ class MixtureLaw(Law):
         return found
 
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
-        """The log-densities of a child at particles, ln Σ_k w_k p_k, (m,)."""
+        """The log-densities (m,) of a child (d, m), or (d, 1) for all: ln Σ_k w_k p_k.
+
+        taken: The mask (d,) of the components that were measured.
+        """
         self.open(row, some.step)
         terms = (part.log_density(row, some, child, taken) for part in self.parts)
         return log_mixed(self.cpd.weights, terms)
 
     def open(self, row: int, step: int) -> Integers:
-        """The number of components with noise of their own; refused where parts differ in it."""
+        """The number of components with noise of their own, at a row, (runs or 1,).
+
+        Parts that differ in it have no density in common, and are refused by a ModelError.
+        """
         first, *others = (part.open(row, step) for part in self.parts)
         if any((other != first).any() for other in others):
             raise ModelError(
@@ -57,7 +63,7 @@ class MixtureLaw(Law):
         return first
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse a part without noise."""
+        """Refuse, by a ModelError, a sensor with a part of singular noise at one of its steps."""
         for part in self.parts:
             part.require_noise(steps)
 
@@ -69,7 +75,10 @@ def law(
     dtype: Any,
     first_run: int,
 ) -> Law:
-    """The law of a CPD: by its Gaussian noise, its parts, or its own sampler and density."""
+    """The law of a CPD with its inputs, by its kind; the arguments are those of `Law`.
+
+    A Gaussian CPD with robust noise, and others, are asked for draws and densities themselves.
+    """
     rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
     about = rows, places, dtype, first_run
     require_density([cpd] if isinstance(cpd, ConditionalGaussian) else [], "particles")

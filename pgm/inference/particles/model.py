@@ -1,4 +1,9 @@
-"""A dynamic network with its evidence, as particles ask for it."""
+"""A dynamic network with its evidence, as particles ask for it.
+
+The slice has the states and then the hidden controls: its components are the rows of arrays of
+states, (d, particles). A measurement is given by its row in the sensor's `Reading`, where rows are
+sorted by step. m particles may be of several runs.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +29,13 @@ from pgm.variables import Variable
 
 
 class ParticleModel:
-    """A model with its evidence, CPD by CPD.
+    """A network with its evidence, as the laws of its CPDs.
 
+    dtype: The type of the states, float64 or float32.
     first: The step before the first of the evidence for the transition.
 
-    places: The components of each state and hidden control, in this order.
+    places: By state and hidden control, the rows of its components.
+    size: The number of components of the slice, d.
     """
 
     def __init__(
@@ -44,29 +51,29 @@ class ParticleModel:
 
     @cached_property
     def angles(self) -> Mask:
-        """Which components are angles, (d,)."""
+        """The mask of the components that are angles, (d,)."""
         masks = [variable.angle_mask for variable in self.places]
         return np.concatenate(masks) if masks else np.zeros(0, dtype=bool)
 
     @cached_property
     def parts(self) -> list[Part]:
-        """The components of the slice, by name."""
+        """The components of the slice, with their names and rows."""
         return parts([(variable, place.start) for variable, place in self.places.items()])
 
     @cached_property
     def prior(self) -> list[Law]:
-        """The prior of each state."""
+        """The laws of the states' priors."""
         return [self._law(by_run(cpd, self.bound.lead), {}) for cpd in self.model.prior]
 
     @cached_property
     def transition(self) -> list[Law]:
-        """The transition of each state and hidden control, row k of step first + k + 1."""
+        """The laws of states' and hidden controls' transitions; row k is of step first + k + 1."""
         pairs = zip(self.model.transition, self.bound.transition, strict=True)
         return [self._law(cpd, inputs) for cpd, inputs in pairs]
 
     @cached_property
     def sensors(self) -> list[Sensor]:
-        """The sensors that have evidence."""
+        """The sensors that have evidence, each with its measurements."""
         found = []
         for reading in self.bound.readings:
             cpd = by_run(reading.cpd, self.bound.lead)
@@ -77,15 +84,18 @@ class ParticleModel:
         return law(cpd, inputs, self.places, self.dtype, self.bound.first_run)
 
     def row(self, step: int) -> int:
-        """The row of the transition to a step."""
+        """The row of the transition's inputs for a step."""
         return step - self.first - 1
 
     def read(self, step: int) -> list[Variable]:
-        """The sensors with measurements at a step."""
+        """The variables of the sensors with measurements at a step."""
         return [s.reading.cpd.child for s in self.sensors if len(s.rows(step))]
 
     def measured(self, step: int) -> Array:
-        """The number of components that a step's measurements have, (runs,), as densities weigh."""
+        """How many components were measured at a step, (runs,), as the densities count them.
+
+        Of a scan they are the beams in use times their weight.
+        """
         found = np.zeros(self.bound.runs)
         for sensor in self.sensors:
             for row in sensor.rows(step):
@@ -93,7 +103,7 @@ class ParticleModel:
         return found
 
     def log_peak(self, step: int) -> Array:
-        """The largest log-density that a step's measurements could have, (runs,)."""
+        """The largest log-density that a step's measurements could have at any state, (runs,)."""
         found = np.zeros(self.bound.runs)
         for sensor in self.sensors:
             for row in sensor.rows(step):
@@ -101,7 +111,7 @@ class ParticleModel:
         return found
 
     def log_likelihood(self, some: Some) -> Array:
-        """The log-density of a step's measurements at particles, (m,)."""
+        """The log-density of a step's measurements at each of some particles, (m,)."""
         found = np.zeros(some.size)
         for sensor in self.sensors:
             for row in sensor.rows(some.step):
@@ -110,7 +120,7 @@ class ParticleModel:
 
 
 class Sensor:
-    """A sensor with its measurements."""
+    """A sensor's law with its measurements; a ModelError refuses one of singular noise."""
 
     def __init__(self, law: Law, reading: Reading) -> None:
         self.law, self.reading = law, reading
@@ -119,13 +129,18 @@ class Sensor:
         law.require_noise(reading.step)
 
     def rows(self, step: int) -> range:
-        """The measurements of a step."""
+        """The rows of the measurements of a step."""
         steps = self.reading.step
         first, last = np.searchsorted(steps, [step, step + 1]).tolist()
         return range(first, last)
 
     def add(self, row: int, some: Some, total: Array) -> None:
-        """Add the log-density of one measurement at particles."""
+        """Add the log-density of one measurement at particles to their totals (m,), in place.
+
+        Where runs were measured in different components, each pattern of these is worked on by
+        itself. Components that the density cannot leave out, and log-densities that are NaN or plus
+        infinity, are refused.
+        """
         rows, taken = self.values[row], self.reading.taken[row]
         patterns = by_pattern(taken, some.owner)
         if type(self.law) is Law and self.reading.cpd.partial and taken.any():
@@ -143,7 +158,11 @@ class Sensor:
                 total[which] += found
 
     def responsibilities(self, row: int, some: Some) -> Array:
-        """The probability of each candidate for an open sighting, at particles, (k + 2, m)."""
+        """The associations of an open sighting at particles, (k + 2, m).
+
+        They are the probabilities of each of k candidates, of a spurious sighting and of a new
+        thing; NaN where nothing was measured.
+        """
         cpd, reading = self.law.cpd, self.reading
         assert isinstance(cpd, UnidentifiedCPD)
         values = np.where(reading.taken[row], reading.values[row], np.nan)
@@ -155,7 +174,11 @@ class Sensor:
         return found
 
     def log_peak(self, row: int, step: int, runs: int) -> Array:
-        """The largest log-density that one measurement could have, (runs,)."""
+        """The largest log-density that one measurement could have at any state, (runs,).
+
+        Of normal noise that is the log-density at zero residual; 0 where nothing was measured. A
+        density that does not tell its largest value is refused by a ModelError.
+        """
         found, owner, taken = np.zeros(runs), np.arange(runs), self.reading.taken[row]
         if not isinstance(self.law, GaussianLaw):
             peaks = self.reading.cpd._log_peak(np.where(taken, self.reading.values[row], np.nan))
@@ -168,7 +191,7 @@ class Sensor:
         return found
 
     def _require_density(self, found: Array, some: Some) -> None:
-        """Refuse log-densities that are NaN or plus infinity."""
+        """Refuse log-densities (m,) that are NaN or plus infinity, by a LinearisationError."""
         total = found.sum()
         if np.isfinite(total) or not (np.isnan(found) | (found == np.inf)).any():
             return

@@ -1,4 +1,4 @@
-"""How many particles there are: as many as their spread, or the measurements, need."""
+"""How many particles a run has: as many as their spread, or the measurements, ask for."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class KLDSampling(InCode, Immutable):
 
     .. math:: n \ge \frac{q_{1-δ}(k)}{2 ε}
 
-    - ε: the divergence KL(drawn ‖ belief) over the bins, in nats;
-    - δ: the probability of a larger one;
-    - q: the quantile of twice n times the divergence, for any distribution over k bins.
+    - ε: the largest divergence KL(drawn ‖ belief) over the bins, in nats;
+    - δ: the probability that the divergence is larger all the same;
+    - q_{1−δ}(k): the quantile 1 − δ of 2 n KL(drawn ‖ belief), for any distribution over k bins.
 
     Parameters
     ----------
@@ -42,6 +42,7 @@ class KLDSampling(InCode, Immutable):
         so that they go round the circle. Components that are not named are not divided. A component
         is called by its name; where states share it, as ``"x.east"``.
     epsilon, delta : float
+        ε, more than 0, and δ, between 0 and 1.
     least, most : int
         Bounds of the number of particles of a run; where the most is reached, the divergence may be
         larger than ε.
@@ -49,7 +50,7 @@ class KLDSampling(InCode, Immutable):
     Raises
     ------
     ModelError
-        If one of these is no such number; where it is used, if a component is none of the states'.
+        If one of these is no such number; in a filter, if a name is that of no component.
 
     References
     ----------
@@ -107,7 +108,13 @@ class KLDSampling(InCode, Immutable):
     def drawn(
         self, states: States, model: ParticleModel, draw: Callable[[int], Integers]
     ) -> Integers:
-        """Places of particles (d, n), the model's, by ``draw(count)``, until they are enough."""
+        """The places of resampled particles, drawn until there are enough for the bins they occupy.
+
+        states: The particles to draw from, (d, n), with the components of the model's slice.
+        draw: A function of a count, which draws so many places, (count,).
+
+        A particle so far from zero that its bin has no number is refused by a ModelError.
+        """
         rows, widths = self._rows(model)
         bins = keys(np.asarray(states[rows], dtype=np.float64), widths, model.angles[rows])
         if bins is None:
@@ -124,7 +131,10 @@ class KLDSampling(InCode, Immutable):
             found = np.concatenate([found, draw(min(due, len(found)))])
 
     def _rows(self, model: ParticleModel) -> tuple[list[int], Array]:
-        """The rows of the components that are binned, and their bin widths."""
+        """The rows of the components that are divided into bins, and the widths of their bins.
+
+        A name that is no component's is refused by a ModelError.
+        """
         parts = model.parts
         labels = [part.label for part in parts]
         for name in self.widths:
@@ -162,7 +172,7 @@ class LikelihoodSampling(InCode, Immutable):
     .. math:: \sum_i \frac{p(z_t \mid x_t^i)}{\max_x p(z_t \mid x)} \ge L
 
     Few are drawn where all of them are where the measurements say, and many where most are
-    elsewhere. The largest density is that of normal noise at no residual, and that of a
+    elsewhere. The largest density is that of normal noise at zero residual, and that of a
     `LikelihoodField` where all beams end at obstacles; sensors of other densities are
     refused. At steps without measurements the number stays.
 
@@ -205,7 +215,13 @@ class LikelihoodSampling(InCode, Immutable):
         self._set(total=float(total), least=int(least), most=int(most))
 
     def more(self, count: int, found: float) -> int:
-        """How many particles to draw next, given `drawn` ones and their summed shares."""
+        """How many particles to draw next; 0 if there are enough.
+
+        count: How many have been drawn.
+        found: The sum of their likelihoods, as shares of the largest possible.
+
+        It is as many again, up to `most` in all.
+        """
         if found >= self.total:
             return 0
         return min(count, self.most - count)

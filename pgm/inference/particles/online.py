@@ -73,7 +73,7 @@ class OnlineParticleBelief(Shown, NoArray):
 
     @property
     def lead(self) -> tuple[int, ...]:
-        """The axes of runs."""
+        """The shape of the axes of runs."""
         return self.log_evidence.shape
 
     def __getitem__(self, variable: Variable) -> ParticleBelief:
@@ -111,9 +111,9 @@ class OnlineParticleBelief(Shown, NoArray):
 class OnlineParticles(PointFilter[OnlineParticleBelief]):
     """A particle filter for one step at a time; made by ``OnlineFilter(model, belief=particles)``.
 
-    Draws are keyed by seed, run and step, so that they are those of `pgm.filter`. Where inputs or
-    measurements have runs only from some step on, a belief that was one until then is that of each
-    of them, with the same particles.
+    Draws are keyed by seed, run and step, so that they are those of `pgm.filter`. A belief of one
+    run, whose next inputs or measurements have several, becomes that of each of these, with the
+    same particles.
 
     Parameters
     ----------
@@ -154,9 +154,10 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     def _predicted(
         self, belief: OnlineParticleBelief, bound: BoundEvidence
     ) -> OnlineParticleBelief:
-        """The belief one step on.
+        """The belief one step later.
 
-        It keeps the cloud before, where the next measurements are to move the particles.
+        Where the next measurements are to choose the draws, it keeps the particles before, to be
+        moved again.
         """
         step, before = belief.step + 1, self._spread(belief, bound)
         chain, record = self._chain(bound, belief.step)
@@ -168,8 +169,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     def _updated(self, belief: OnlineParticleBelief, bound: BoundEvidence) -> OnlineParticleBelief:
         """The belief given a step's measurements.
 
-        Where particles are proposed by these, the prediction is drawn again, from the belief before
-        it.
+        Where these choose the draws, the prediction is drawn again, from the particles before it.
         """
         step = belief.step
         cloud = self._spread(belief, bound)
@@ -186,13 +186,14 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         return self._belief(step, FILTERED, known, chain.model, bound, log_evidence, record)
 
     def _chain(self, bound: BoundEvidence, first: int) -> tuple[ParticleChain, Record]:
+        """A chain from the step `first`, with the record of it and of the step after."""
         model = ParticleModel(self.model, bound, self.belief.dtype, first)
         record = Record(first + 1, bound.runs)
         return ParticleChain(self._graph, model, self.belief, record), record
 
     @property
     def _looks(self) -> bool:
-        """Whether the proposal depends on the measurements of its step."""
+        """Whether a step's measurements choose its draws: a proposal, or a number by likelihood."""
         by_likelihood = isinstance(self.belief.number, LikelihoodSampling)
         return self.belief.proposal is not None or by_likelihood
 
@@ -203,7 +204,11 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     def _spread(
         self, belief: OnlineParticleBelief, bound: BoundEvidence, cloud: Cloud | None = None
     ) -> Cloud:
-        """The cloud of the belief, or of the step before, broadcast to the runs of the evidence."""
+        """The particles of a belief, or those of a given cloud, in the runs of the evidence.
+
+        One run becomes each of the evidence's, with the same particles; of the prior each run draws
+        its own. Runs of another number are refused by an EvidenceError.
+        """
         cloud, runs = belief._cloud if cloud is None else cloud, bound.runs
         if cloud.runs == runs:
             return cloud
@@ -237,7 +242,13 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         record: Record,
         before: tuple[Cloud, BoundEvidence] | None = None,
     ) -> OnlineParticleBelief:
-        """The user's belief, of a cloud, its log-evidence (runs,) and the record of its steps."""
+        """The user's belief at a step, with its status, of which a warning may be given.
+
+        log_evidence: ln p of all measurements so far, (runs,).
+        record: What has happened at the step.
+        before: The particles of the step before and the inputs that moved them, if they are to be
+            moved again.
+        """
         record.effective[step], record.number[step] = cloud.effective, cloud.counts
         status = record.status(bound.lead).at(step)
         status.warn(step)

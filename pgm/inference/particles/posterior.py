@@ -93,7 +93,10 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         )
 
     def _responsible(self, sensor: Sensor) -> Iterator[Array]:
-        """The probability of each candidate for each sighting, (runs, k + 2)."""
+        """The associations (runs, k + 2) of each open sighting of a sensor, one after another.
+
+        They are averaged over the particles of its step, by their weights.
+        """
         for row, step in enumerate(sensor.reading.step.tolist()):
             cloud = self._clouds[step]
             total = list[Array]()
@@ -108,7 +111,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
 
     @property
     def filtered(self) -> ParticlePosterior:
-        """The beliefs of the forward sweep."""
+        """The filtered beliefs, those of the forward sweep; itself, of a filter."""
         if self.kind == FILTERED:
             return self
         return replace(self, kind=FILTERED, _clouds=self._filtered)

@@ -1,4 +1,4 @@
-"""The record of a sweep of particles: clouds by step, and what happened to them."""
+"""The record of a forward sweep of particles: clouds by step, and what happened to them."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from pgm.kernels.arrays import Array
 
 
 class Record:
-    """The clouds of steps, and events of each step and run, (T+1, runs), as of `ParticleStatus`.
+    """The clouds of all steps, and what happened at each step in each run, (T+1, runs).
 
-    clouds: Given the measurements up to each step.
+    clouds: The particles given the measurements up to each step.
     log_density: ln p(z_t | z_0..t−1), estimated.
+
+    The other arrays are those of `ParticleStatus`, with the runs last.
     """
 
     def __init__(self, steps: int, runs: int) -> None:
@@ -28,16 +30,20 @@ class Record:
         self.ignored, self.restarted = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
 
     def keep(self, step: int, predicted: Cloud, known: Cloud, log_density: Array | float) -> None:
-        """Keep a step's cloud given its measurements."""
+        """Keep a step's cloud given its measurements, and their log-density, (runs,)."""
         del predicted
         self.clouds.append(known)
         self.log_density[step] = log_density
         self.effective[step], self.number[step] = known.effective, known.counts
 
     def status(self, lead: tuple[int, ...], unmoved: Array | None = None) -> ParticleStatus:
-        """The status of the sweep, and of trajectories drawn backwards, if there are any."""
+        """The status of the sweep, for runs of the user's leading axes.
+
+        unmoved: Of a smoother, the share of trajectories that stayed at their ancestor, (T, runs).
+        """
 
         def by_run(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            """Values (steps, runs) as (*lead, steps)."""
             return np.ascontiguousarray(values.T).reshape(*lead, -1)
 
         return ParticleStatus(

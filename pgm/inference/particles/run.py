@@ -1,4 +1,4 @@
-"""Running a schedule with particles."""
+"""Running a schedule with particles: a filter, and backward simulation where it smooths."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ from pgm.resources import gibibytes, require_memory
 def run(
     graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, particles: Particles
 ) -> ParticlePosterior:
-    """Run a schedule with particles, and warn of faults that the status shows."""
+    """The posterior of bound evidence as particles, for a schedule, by default a smoother's.
+
+    Warnings say what the status has found at fault.
+    """
     require_chain(graph, "particles")
     kind = kind_of(schedule, "particles")
     require_fitting(particles, graph.model)
@@ -51,7 +54,7 @@ def run(
 
 
 def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None:
-    """Refuse particles that do not fit a network."""
+    """Refuse, by a ModelError, particles whose proposals do not fit a network."""
     if particles.proposal is not None:
         require_guidable(model)
     if particles.start is not None:
@@ -61,7 +64,11 @@ def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None
 
 
 def _require_possible(particles: Particles, model: ParticleModel, kind: Kind) -> None:
-    """Refuse trajectories through injections, and a start for which there are no measurements."""
+    """Refuse what particles cannot do with a model's evidence.
+
+    A ModelError refuses to smooth injected particles, an EvidenceError a start from cells for which
+    step 0 has no measurements.
+    """
     if particles.injection is not None and kind != FILTERED:
         raise ModelError(
             f"{particles!r}: injected particles have no past that a smoother could draw: filter, "
@@ -78,7 +85,11 @@ def _require_possible(particles: Particles, model: ParticleModel, kind: Kind) ->
 
 
 def require_room(size: int, particles: Particles, steps: int, runs: int, kind: Kind) -> None:
-    """Refuse particles of which all steps would not fit memory, before any is drawn."""
+    """Refuse, by a ModelError, particles that would not fit memory, before any are drawn.
+
+    size: The number of components of a particle.
+    steps, runs: How many of each are kept.
+    """
     share = np.dtype(particles.dtype).itemsize / 8
     # States, weights and ancestors of the filter; states and weights of trajectories.
     each = (size * share + 2) * particles.most

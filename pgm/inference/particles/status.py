@@ -1,4 +1,4 @@
-"""The status of particles: what their weights are worth."""
+"""The status of particles: how many are effective, and where measurements were impossible."""
 
 from __future__ import annotations
 
@@ -25,18 +25,19 @@ class ParticleStatus(Shown, Immutable):
     Attributes
     ----------
     effective : ndarray
-        (*runs, T+1): the number of equal particles that the weights given each step's measurements
-        are worth, 1 / Σ w². Below ten a `ParticleWarning` has said so: means of so few are hardly
-        better than a guess.
+        (*runs, T+1): the effective number of particles given each step's measurements, 1 / Σ w²:
+        so many particles of equal weight would do as well. Below ten a `ParticleWarning` has said
+        so: means of so few are hardly better than a guess.
     number : ndarray of int
-        (*runs, T+1): of particles.
+        (*runs, T+1): the number of particles.
     resampled : ndarray of bool
         (*runs, T+1): whether the particles were drawn anew on the way to the step.
     injected : ndarray of int
-        (*runs, T+1): how many were put elsewhere on the way to the step.
+        (*runs, T+1): how many particles an `Injection` put elsewhere, given the step's
+        measurements.
     ignored, restarted : ndarray of bool
-        (*runs, T+1): whether no particle explained the step's measurements, which were then left
-        out, or weighed particles of the prior; the log-evidence is −∞ then.
+        (*runs, T+1): whether no particle explained the step's measurements, so that they were left
+        out, or the run began anew from the prior; the log-evidence is −∞ then.
     unmoved : ndarray or None
         (*runs, T): of a smoother, by step the share of trajectories that have stayed at the
         filter's own ancestor; None of a filter.
@@ -84,30 +85,33 @@ class ParticleStatus(Shown, Immutable):
         self._set(**found)
 
     def at(self, step: int) -> ParticleStatus:
-        """The status of one step alone."""
+        """The status of one step alone, in arrays (*runs, 1), without `unmoved`."""
         names = "effective", "number", "resampled", "injected", "ignored", "restarted"
         return ParticleStatus(*(getattr(self, name)[..., step : step + 1] for name in names))
 
     @property
     def few(self) -> bool:
-        """Whether the effective sample size of a step is less than ten, (Σ w)² / Σ w² < 10."""
+        """Whether some step has few effective particles: less than ten, and than their number."""
         return bool(self._few.any())
 
     @property
     def _few(self) -> Mask:
-        """Steps whose effective sample size is below ten, and below the number of particles."""
+        """The mask (*runs, steps) of effective numbers below ten and below the number of particles.
+
+        That leaves out fewer than ten particles that weigh the same.
+        """
         found: Mask = self.effective < np.minimum(FEW, self.number) * (1.0 - _ROUNDING)
         return found
 
     @property
     def impossible(self) -> bool:
-        """Whether no particle explained the measurements of a step."""
+        """Whether, at some step of a run, no particle explained the measurements."""
         return bool(self.ignored.any() or self.restarted.any())
 
     def warn(self, first: int = 0) -> None:
-        """Tell the user, by a `ParticleWarning`, of too small weights and of impossible evidence.
+        """Warn of few effective particles, and of impossible measurements, by `ParticleWarning`s.
 
-        first: The step that the first of these stands for.
+        first: The step of the arrays' first entry, from which messages count.
         """
         if self.few:
             share = np.where(self._few, self.effective, np.inf)

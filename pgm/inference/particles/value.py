@@ -42,15 +42,15 @@ class Injection(InCode, Immutable):
     cells : CellProposal
         With ``temper=0`` draws are uniform.
     slow, fast : float
-        α_s and α_f, 0 < slow < fast <= 1: with a large `fast` one bad scan injects at once, with a
-        small one several have to come together.
+        α_s and α_f, 0 < slow < fast <= 1: with a large `fast` one bad scan injects particles at
+        once, with a small one it takes several in a row.
     most : float
         The largest share, 0 < most <= 1.
 
     Raises
     ------
     ModelError
-        If one of these is no such number, or the cells are none.
+        If one of these is no such number, or `cells` is no `CellProposal`.
 
     References
     ----------
@@ -86,11 +86,11 @@ class Injection(InCode, Immutable):
         self._set(cells=cells, slow=float(slow), fast=float(fast), most=float(most))
 
     def averaged(self, before: Array | None, log_density: Array, measured: Array) -> Array:
-        """The logarithms of long-term and short-term averages, (2, runs), with one more step.
+        """The logarithms of the long-term and short-term averages, (2, runs), after one more step.
 
-        before: Those of the step before; NaN in runs without any.
-        log_density: (runs,): of the step's measurements.
-        measured: (runs,): the number of their components; of runs with none the averages stay.
+        before: Those of the step before, NaN in runs without any measurement so far; None at first.
+        log_density: ln p of the step's measurements given those before, (runs,).
+        measured: The number b of components measured, (runs,); where it is 0 the averages stay.
         """
         runs = len(log_density)
         if before is None:
@@ -103,7 +103,10 @@ class Injection(InCode, Immutable):
         return np.where(measured > 0, later, before)
 
     def shares(self, averages: Array) -> Array:
-        """The share of particles to be replaced, (runs,)."""
+        """The share of particles to be replaced, (runs,): 1 − exp(short − long), from 0 to `most`.
+
+        averages: The logarithms of the long-term and short-term averages, (2, runs).
+        """
         with np.errstate(invalid="ignore"):
             found = -np.expm1(averages[1] - averages[0])
         return np.clip(np.where(np.isnan(found), 0.0, found), 0.0, self.most)
@@ -138,29 +141,30 @@ class Particles(InCode, Immutable):
     Parameters
     ----------
     n : int
-        How many, of each run.
+        The number of particles of each run; with `number`, at the start.
     seed : int
         The seed of the draws. Each run and step has a stream of its own: a run's particles are the
         same in any batch in which it has the same place, offline and online.
     proposal : Lineariser, optional
-        Particles are moved to where the step's measurements are, by Gaussian beliefs that a
-        lineariser makes of each, and weighed exactly for it: for measurements more precise than the
-        motion. Without, they are drawn from the transition. Measurements at step 0, and those of
+        Makes of each particle a Gaussian belief given the step's measurements, from which its next
+        state is drawn, and weighed exactly for it: for measurements more precise than the motion.
+        Without it, particles are drawn from the transition. Measurements at step 0, and those of
         sensors that are not Gaussian, weigh particles but guide none.
     resampling : str
         ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
     number : KLDSampling or LikelihoodSampling, optional
-        Chooses how many particles a run has, by how far they spread after each step's measurements,
-        or by how well they explain them, n being their number at the start; they are then drawn
-        anew at every step that it looks at.
+        Chooses how many particles a run has: `KLDSampling` by how far they spread, at every step,
+        `LikelihoodSampling` by how well they explain the measurements, at steps that have some.
+        Particles are drawn anew at each of these steps.
     start : CellProposal, optional
-        Draws of a state at step 0 from the likelihood of its measurements, weighed for its prior:
-        for a robot that may be anywhere.
+        Draws a state at step 0 from the likelihood of its measurements, and weighs it for its
+        prior: for a robot that may be anywhere.
     injection : Injection, optional
         Puts particles elsewhere when measurements are no longer explained: for a robot that may
         have been carried away. Filters only.
     threshold : float
-        The share of effective particles below which they are drawn anew: 1 at every step, 0 never.
+        The effective number of particles, as a share of their number, below which they are drawn
+        anew: 1 at every step, 0 never.
     smoothing : str
         ``"metropolis"``: backward trajectories are moved by independent proposals from the filtered
         particles, begun at each particle's own ancestor; ``"full"``: drawn from all n of them,
@@ -178,7 +182,7 @@ class Particles(InCode, Immutable):
     Raises
     ------
     ModelError
-        If one of these is of a wrong kind.
+        If an argument is none of what it may be, or a proposal comes with a `LikelihoodSampling`.
 
     References
     ----------
@@ -269,7 +273,7 @@ class Particles(InCode, Immutable):
 
     @property
     def most(self) -> int:
-        """The most particles of a run at a step."""
+        """The largest number of particles that a run may have at a step."""
         return self.n if self.number is None else max(self.n, self.number.most)
 
     def _whole(self, name: str, value: Any, least: int) -> None:
