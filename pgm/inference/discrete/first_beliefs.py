@@ -40,10 +40,9 @@ class FirstBeliefs:
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> FirstBeliefs | None:
         """Answer a graph's first question; the evidence has no axes of runs.
 
-        None, if the graph was asked before, if a number underflows, or if the evidence has
-        probability
-        zero: a plan then calibrates with logarithms, or finds out which evidence contradicts which.
-            Tables that are too large raise `GraphError`.
+        None, if the graph was asked before, if a number underflows, or if the evidence is
+        impossible: a plan then calibrates with logarithms, or finds out which evidence contradicts
+        which. Tables that are too large raise `GraphError`.
         """
         if not _first(graph):
             return None

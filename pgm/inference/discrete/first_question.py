@@ -218,7 +218,7 @@ class _Tree:
         return table
 
     def _distribute(self, tables: list[Array]) -> dict[Discrete, Array]:
-        """Send the messages back from the roots; the marginals of the variables not observed.
+        """Send the messages back from the roots; returns the marginals of variables not observed.
 
         From the roots down, a table is multiplied by the parent's joint of the shared variables
         over the message that went up, and so becomes the joint of its variables given the evidence.

@@ -118,7 +118,7 @@ class TableMessages:
         """Keep the messages of the last `propose`, in the runs that are active, (runs,).
 
         With damping d, a kept message is the new one to the power of 1 − d times the old one to the
-        power of d, normalised.
+        power of d, normalised. Runs that are `lost` need no care of their own.
         """
         for group in round:
             for outlet in group.outlets:

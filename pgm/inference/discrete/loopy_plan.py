@@ -103,8 +103,8 @@ class LoopyPlan:
     def _group(self, clusters: list[int], asked: dict[int, list[tuple[int, int]]]) -> Group:
         """The group of some clusters with equally many entries and neighbours.
 
-        `asked` gives, of each cluster, the messages that it is to send: (place in the round,
-        number).
+        `asked` gives, of each cluster, pairs (place in the round, number) of messages that it is to
+        send.
         """
         size = self.storage.graph.sizes[clusters[0]]
         total = size * len(clusters)

@@ -1,4 +1,8 @@
-"""The most probable assignment of a discrete network."""
+"""The most probable assignment of a discrete network.
+
+On a tree maxima go to the roots over the plan of `tree_plan`, which defines stacks, rows, columns
+and tops (scales). The *home* of a variable is the smallest cluster that holds it.
+"""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ LARGE = 2**13
 class Place:
     """A table's place in flat storage: its first index, and the strides of its axes.
 
-    steps: Of each variable, how many entries on its next state stands: its stride.
+    steps: Of each variable, the stride of its axis, in entries.
     large: Whether the table is contiguous and is used where it stands; the entries of others are
         gathered by their positions.
     """

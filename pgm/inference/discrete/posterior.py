@@ -105,8 +105,8 @@ class DiscretePosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> Table:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
-        Variables whose evidence is one state for all runs are put in; those whose evidence differs
-        by run keep their axis. Of a tree its scale carries the evidence that went into it; on a
+        A variable that is observed in the same state in all runs has no axis; one whose state
+        differs by run keeps it. Of a tree its scale carries the evidence that went into it; on a
         graph with loops messages sum to one.
         """
         i, j = self.graph.index(source), self.graph.index(target)
@@ -139,7 +139,8 @@ class DiscretePosterior(Posterior):
     def potential(self, cluster: int | Cluster) -> Table:
         """The potential of a cluster: the product of its CPDs, with their evidence put in.
 
-        Its axes are as of a message. States that are observed enter all clusters of their variable.
+        Its axes are as of a message. A state that is observed enters all clusters that hold its
+        variable; soft evidence enters the smallest of them.
         """
         index = self.graph.index(cluster)
         storage, evidence = self._beliefs.storage, self._beliefs.evidence

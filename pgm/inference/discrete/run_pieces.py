@@ -31,8 +31,8 @@ def at_once(entries: int, batch: int) -> int:
 def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
     """The evidence in consecutive parts, each of as many runs as a tree calibrates at once.
 
-    `entries` and `batch` are as of `at_once`. A part of one run is without what that does not
-    observe.
+    `entries` and `batch` are as of `at_once`. A part of one run leaves out variables that are not
+    observed in it.
     """
     for piece in pieces(evidence, at_once(entries, batch)):
         yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
@@ -71,10 +71,11 @@ CODES = 2**62
 
 @dataclass(frozen=True, eq=False)
 class Distinct:
-    """The runs of some evidence that differ, each once.
+    """The different runs of some evidence, each once.
 
-    evidence: That of the runs that differ.
-    which: (runs,): of each run, which of those it equals; None if none are equal or were compared.
+    evidence: That of the different runs.
+    which: (runs,): of each run, the place of its like in `evidence`; None if all are different, or
+        count as such.
     """
 
     evidence: BoundStates
@@ -82,7 +83,7 @@ class Distinct:
 
     @classmethod
     def of(cls, evidence: BoundStates) -> Distinct:
-        """Find the runs that differ; where soft evidence differs by run, all count as different."""
+        """Find the different runs; where soft evidence differs by run, all count as different."""
         if evidence.runs == 1 or any(len(weights) > 1 for weights in evidence.weights.values()):
             return cls(evidence, None)
         codes = np.zeros(evidence.runs, dtype=np.int64)

@@ -113,11 +113,11 @@ class Marginals:
 
     The marginals stand one after the other in an array (count, [runs]).
 
-    sums: What writes them all.
+    sums: Together they write all marginals.
     where: Of each variable, the slice of its marginal.
     first, widths: (variables,): of each marginal, its first place and its number of states.
-    count: The states of all variables.
-    matrix: (length of the storage, count): of zeros and ones, whose product with the tables are the
+    count: The number of states of all variables together.
+    matrix: (length of the storage, count): of zeros and ones, whose product with the tables is the
         marginals; None where it would be large.
     """
 

@@ -174,9 +174,9 @@ def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
 def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
     """The probabilities p(cluster | sepset to its parent) without evidence, (entries,).
 
-    They serve as potentials, for their product is that of all CPDs; but without evidence their
-    messages to the roots are one, so that messages are sent only from where there is some. Those of
-    a root sum to what the product of its tree's CPDs sums to. None if an entry underflows.
+    They serve as potentials, for their product is that of all CPDs; but their messages to the roots
+    are one where no evidence enters, so that none has to be sent there. Those of a root sum to what
+    the product of its tree's CPDs sums to. None if an entry underflows.
     """
     try:
         with np.errstate(all="raise"):
@@ -202,8 +202,8 @@ class Calibrated:
     """The tables of all clusters and sepsets after both passes, and the scales taken out.
 
     tables: (entries + columns, [runs]): probabilities given the evidence, of the clusters, then of
-        the sepsets. If the evidence of any run is impossible, they are no probabilities in any run:
-        they were not sent the messages back.
+        the sepsets. If the evidence of any run is impossible they are no probabilities, in any run:
+        no messages were sent back.
     log_tops: (tops, [runs]): the logarithms of the scales taken out of the messages to the roots,
         and of hubs' tables. Their sum over a tree is ln p(evidence in it), −∞ if that is
         impossible.

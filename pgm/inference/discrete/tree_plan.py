@@ -63,7 +63,7 @@ class Enumeration:
     def of(
         cls, storage: Storage, forest: Forest, sepsets: Sequence[States], first: Integers
     ) -> Enumeration | None:
-        """The joint of a network; None if it is not tiny or one tree, or if a number underflows.
+        """The joint of a network; None if it is not tiny, has several trees, or underflows.
 
         sepsets: Of each cluster, that with its parent.
         first: (clusters,): the first column of each cluster's message to its parent.
@@ -153,7 +153,10 @@ class Stack:
         return slice(self.tops.start, self.tops.start + self.clusters.size)
 
     def largest(self, columns: Array) -> Array:
-        """Of an array (columns, [runs]), the largest of each cluster, (clusters, [runs])."""
+        """The largest number in each cluster's columns, (clusters, [runs]).
+
+        `columns` is an array with a number for each column of the stack, (columns, [runs]).
+        """
         if self.narrow:
             return columns
         if self.single:

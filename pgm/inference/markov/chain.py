@@ -37,7 +37,7 @@ _CHUNK = 2**20
 
 
 class Behind(Protocol):
-    """The slices that a backward message goes along.
+    """The slices of a chain, as far as backward messages need them.
 
     Beliefs and messages are (*states, *runs), the states of a slice on one axis or on several, the
     runs flattened to one axis, or none of one run.
@@ -112,7 +112,10 @@ class BackwardChain:
         return scaled
 
     def _passed(self, step: int, message: Array) -> Array:
-        """The backward message to a step before scaling, from the next step's and measurements."""
+        """The backward message to a step before scaling, from that to the next one.
+
+        It takes in the measurements of the next step.
+        """
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
             message = self.semiring.times(message, weights)
@@ -166,7 +169,7 @@ class StateChain(BackwardChain):
         return self
 
     def start(self) -> Array:
-        """The prior."""
+        """The prior over the slice at step 0."""
         return self.slices.prior()
 
     def predict(self, step: int, belief: Array) -> Array:

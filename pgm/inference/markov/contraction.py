@@ -29,21 +29,23 @@ Label = int
 class Move(NamedTuple):
     """A table p(child | parent), to be applied as a matrix along the axis of one of the two.
 
-    maps: The matrices, each with the indices of its runs, (k,). Each run has one; or one matrix
-        with None is that of all runs.
+    maps: Pairs of a matrix and its runs, given as indices (k,); each run is in one pair. None in a
+        single pair stands for all runs.
     """
 
     maps: tuple[tuple[Transition, Integers | None], ...]
 
 
-# The table of a CPD at a step: an array, with an axis of runs last where it differs by run, or a map.
+# The table of a CPD at a step: an array, with a last axis of runs if it differs by run; or a map.
 Factor = Array | Move
 
 
 class Step(NamedTuple):
-    """The multiplication by one table, and the sums over the variables that none needs afterwards.
+    """The multiplication by one table, and sums over the variables that are not needed any more.
 
-    factor: Which of the tables it is.
+    Later tables and the result need the others.
+
+    factor: The place of the table among those of the contraction.
     labels: The variables of the table: parents, child.
     before, after: The variables of the array's axes before and after the step.
     axis: The axis along which the table is applied as a map; None where it is multiplied as a
@@ -61,8 +63,8 @@ class Contraction(NamedTuple):
     """The steps from an array over some variables to one over others.
 
     steps: The multiplications, in turn.
-    summed: Axes of the first array, summed out before: no table has their variables, which are not
-        wanted.
+    summed: The axes of the first array that are summed out before the steps: their variables are in
+        no table and not wanted.
     spread: The numbers of states of wanted variables that neither the array nor a table has. After
         the steps they get axes, behind the array's own, along which it is constant.
     order: The permutation for `transpose` that comes last: axis i of the result is axis
@@ -94,7 +96,7 @@ class Contraction(NamedTuple):
         *,
         back: bool = False,
     ) -> Contraction:
-        """Find the order in which tables are multiplied in, from an array over `first` to `last`.
+        """Find the order in which tables are multiplied into an array over `first`.
 
         first, last: The variables of the axes of the array that is given, and of the result.
         tables: The variables of each table: parents, child.
@@ -127,12 +129,11 @@ class Contraction(NamedTuple):
         map_: bool,
         back: bool,
     ) -> Step:
-        """Multiply one table in: as a matrix along an axis, or by a sum over the axes that end.
+        """The step that multiplies one table in: as a map along an axis, or as a table.
 
-        A table of two variables can be such a matrix if the one on the array's side, the parent, or
-        with `back` the child, is needed by nothing else, and the array does not have the other one
-        yet. `waiting` are the tables still to come, this one included, `last` the variables that
-        stay.
+        A table of two variables becomes a map if the one on the array's side, the parent, or with
+        `back` the child, is needed by nothing else, and the array does not have the other one yet.
+        `waiting` are the tables still to come, this one included, `last` the wanted variables.
         """
         labels = waiting[factor]
         needed = {x for k, table in waiting.items() if k != factor for x in table} | set(last)
@@ -193,7 +194,7 @@ def _mapped(each: Transition, array: Array, axis: int, semiring: Semiring, back:
 
 
 def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> Array:
-    """The product of an array and a table, over the variables that are left after the step.
+    """The product of an array and a table, summed to the variables that are left after a step.
 
     Axes behind those of the variables are kept.
     """
@@ -212,7 +213,7 @@ def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> A
 
 
 def _spread(array: Array, labels: Sequence[Label], axes: Sequence[Label], behind: int) -> Array:
-    """An array over `labels` with axes for other variables, in their order, and `behind` more axes.
+    """An array over `labels`, with an axis for each variable of `axes`, then `behind` more axes.
 
     An axis that it lacks has length one; of the axes behind it lacks the first ones.
     """

@@ -49,7 +49,10 @@ class StateMarginals(Shown, NoArray):
         return Table._plain(discrete((template,)), frozen(rows.reshape(shape)))
 
     def _summed(self, belief: Array, variable: Variable, steps: int = 0) -> Array:
-        """The marginal of a variable, (size, *runs), of a belief behind some axes of steps."""
+        """The marginal of a variable, (size, *runs), from a belief over the slice.
+
+        The belief may have one leading axis of steps, which is kept: then `steps` is 1.
+        """
         if len(self.plan.slice) == 1:
             return belief
         own = self.plan.labels[variable]

@@ -109,9 +109,9 @@ def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Inte
 
 
 def _columns(move: Move, children: Integers, parents: Integers | None) -> Array:
-    """The values ln p(child | parent) of a map at each run's child, (runs, parents).
+    """The values ln p(child | parent) of a map, (runs, parents), at each run's state of the child.
 
-    With `parents`, (runs,), it is at each run's parent too, and (runs,).
+    With `parents`, (runs,), they are (runs,), at each run's state of the parent too.
     """
     runs = len(children)
     found: Array | None = None

@@ -167,7 +167,7 @@ class OnlineTables(InCode, Immutable):
         return held, np.asarray(semiring.logs(totals) + scale)
 
     def _spread(self, belief: OnlineStates, lead: tuple[int, ...]) -> OnlineStates:
-        """The belief with the leading axes of runs that it is to have, copied to all of them."""
+        """The belief and those of its past steps, with their runs broadcast to the axes `lead`."""
         if belief.lead == lead:
             return belief
         axes = len(self._plan.slice)

@@ -42,8 +42,8 @@ class SlicePlan:
     slice: The hidden variables of a step, states and controls: the axes of a belief. Controls have
         length one at step 0.
     states: Those of the slice that are states, in its order.
-    labels: The number of each variable: its axis in the slice, or for a state before, numbers
-        behind.
+    labels: The number of each variable: of one in the slice its axis, of a state at the step before
+        one that is higher than all of these.
     sizes: The number of states by label.
     shape, first_shape: Of a belief without runs, at steps from 1 on and at step 0.
     """
@@ -78,20 +78,20 @@ class SlicePlan:
 
     @cached_property
     def onward(self) -> Contraction:
-        """The forward message: Σ over the states before of p(slice | states before) belief."""
+        """The contraction of a forward message: Σ_x' p(x | x') belief(x'), x' the states before."""
         return Contraction.of(
             self._before, range(len(self.slice)), self._tables, self.sizes, self._maps
         )
 
     @cached_property
     def back(self) -> Contraction:
-        """The backward message: Σ over the slice of p(slice | states before) message."""
+        """The contraction of a backward message: Σ_x p(x | x') message(x), x' the states before."""
         now = range(len(self.slice))
         return Contraction.of(now, self._before, self._tables, self.sizes, self._maps, back=True)
 
     @cached_property
     def pairs(self) -> Contraction:
-        """The joint of neighbours, (states before, slice): p(slice | states before) belief."""
+        """The contraction of a joint of neighbours, p(x | x') belief(x'), with axes x', then x."""
         both = (*self._before, *range(len(self.slice)))
         return Contraction.of(
             self._before, both, self._tables, self.sizes, [False] * len(self._tables)
@@ -104,7 +104,7 @@ class SlicePlan:
 
     @cached_property
     def prior(self) -> Contraction:
-        """The product of the prior's CPDs over the states at step 0, from an array without axes."""
+        """The contraction of the prior's CPDs to the states at step 0, from an array of no axes."""
         tables = [self.hidden(cpd) for cpd in self.model.prior]
         states = [self.labels[v] for v in self.states]
         return Contraction.of((), states, tables, self.sizes, [False] * len(tables))

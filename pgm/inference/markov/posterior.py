@@ -131,7 +131,9 @@ class StatePosterior(Posterior):
         return "exact"
 
     def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
-        """The joint of hidden variables at steps, ``x.at(3)``, given the latest's measurements.
+        """The joint of hidden variables at steps, ``x.at(3)``.
+
+        It is given the measurements that the belief at the latest of these steps knows.
 
         Raises
         ------
@@ -233,7 +235,10 @@ class StatePosterior(Posterior):
         return message
 
     def _states(self, values: Array, *, total: bool = True) -> Array:
-        """Values over a slice without axes of controls: summed, or if not `total` of length one."""
+        """Values over a slice, without controls: their axes are summed, or if not `total` dropped.
+
+        Axes that are dropped have length one.
+        """
         axes = self._plan.controls
         if not axes:
             return values
@@ -284,7 +289,7 @@ class StatePosterior(Posterior):
         return self._table(discrete(tuple(v.at(step) for v in scope)), values, scale)
 
     def _table(self, scope: Any, values: Array, weight: Array) -> Table:
-        """A table of values (sizes..., [runs]), times exp(weight), (runs,)."""
+        """An unnormalised table: values (sizes..., [runs]) times exp(weight), weight (runs,)."""
         scale = weight.reshape(self._lead) if self._lead else weight.reshape(())
         return Table._make(scope, self._over_runs(values, len(scope)), scale)
 

@@ -41,9 +41,10 @@ def solved(slices: TableSlices) -> StateChain:
 
 
 def _in_numbers(slices: TableSlices) -> StateChain | None:
-    """The chain after its forward sweep in plain numbers; None where these may have lost a state.
+    """The chain after its forward sweep in plain numbers; None if these may have lost a state.
 
-    A state is lost to underflow. Impossible evidence is refused only where no number was so small.
+    A state is lost to underflow. Evidence that seems impossible is refused with an `EvidenceError`
+    if no number is so small that this may be the reason.
     """
     with np.errstate(under="ignore"):
         if slices.single and slices.steps:

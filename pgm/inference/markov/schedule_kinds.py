@@ -10,9 +10,9 @@ from pgm.inference.status import Kind
 
 
 def require_chain(graph: DynamicGraph, beliefs: str) -> None:
-    """Raise `GraphError` for a balanced tree of slices: beliefs sweep along a chain.
+    """Raise `GraphError` for a balanced tree of slices, where beliefs sweep along a chain.
 
-    `beliefs` is what messages call them.
+    The error calls them `beliefs`.
     """
     if isinstance(graph, BalancedGraph):
         raise GraphError(
@@ -24,8 +24,8 @@ def require_chain(graph: DynamicGraph, beliefs: str) -> None:
 def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
     """The kind of beliefs that a schedule gives; smoothed without a schedule.
 
-    A schedule of another kind, or one with a gate, iterations or damping, raises `ModelError`.
-    `beliefs` is what messages call the beliefs.
+    A schedule of another kind, or one with a gate, iterations or damping, raises a `ModelError`,
+    which calls the beliefs `beliefs`.
     """
     if schedule is None or type(schedule) is Calibration:
         schedule = Smoothing() if schedule is None else Smoothing(schedule.iterations)

@@ -95,7 +95,7 @@ class DirectChain(StateChain):
 
     @cached_property
     def _parts(self) -> list[range]:
-        """The steps 1..T in parts whose weights have at most `ROOM` entries, or of one step."""
+        """The steps 1..T in parts, each of one step, or with weights of at most `ROOM` entries."""
         steps = self.slices.steps
         size = max(1, ROOM // max(1, self.known[0].size))
         return [range(at, min(at + size, steps + 1)) for at in range(1, steps + 1, size)]
@@ -200,9 +200,10 @@ class DirectChain(StateChain):
 
 
 def _joined(messages: Array, known: Array) -> bool:
-    """Multiply backward messages by filtered beliefs, in place, and divide by sums.
+    """Make backward messages posteriors, in place: times filtered beliefs, divided by sums.
 
-    Both are (steps, states, [runs]). False, and not done, where numbers may lose a state.
+    Both are (steps, states, [runs]). False where numbers may lose a state: the result is not to be
+    used.
     """
     if not markov.masses(messages).min() > TINY:
         return False

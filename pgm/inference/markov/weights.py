@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Weights:
     """The likelihood weights p(z | x) of one sensor's measurements, on the axes of a belief.
 
-    Row k is of the k-th measurement in the order of steps.
+    A *row* is the place of a measurement among the sensor's, which are sorted by step.
 
     batch: Whether beliefs have an axis of runs.
     observed: The sensor's parents that evidence gives.
