@@ -89,7 +89,7 @@ class MostProbable(Shown, Immutable):
         Returns
         -------
         str or ndarray of str
-            An array (...) where the evidence has axes of runs.
+            An array where `assignment` has indices, and of the same shape.
 
         Raises
         ------

@@ -80,7 +80,7 @@ class TreeBeliefs:
     def _marginals(self) -> Array:
         """The marginals of all variables one after the other, (states of all variables, [runs]).
 
-        The runs are those that differ.
+        The runs are the different ones, of `_distinct`.
         """
         given = self._read(self.plan.marginals.read) if self._given is None else self._given
         # Tables of parts of it are handed out as they are.

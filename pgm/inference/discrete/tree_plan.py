@@ -331,8 +331,9 @@ class _Planner:
     def _kind(self, cluster: int) -> tuple[int, ...]:
         """The depth and shape that the clusters of a stack share; a large one has a stack alone.
 
-        The numbers of rows and children, and of the parent's entries for each column; then the
-        cluster, if its table or the parent's is large, else −1.
+        In order: the depth, the rows, the children, and the entries of the parent's table for each
+        column (0 of a root), all as numbers; the cluster itself if its table or the parent's is
+        large, else −1.
         """
         parent = int(self.forest.parent[cluster])
         above = self.graph.sizes[parent] // self.width[cluster] if parent >= 0 else 0
