@@ -1,4 +1,8 @@
-"""Discrete networks: messages as tables, laid out once for a graph that is asked again."""
+"""Inference in discrete networks: potentials, messages and beliefs are tables.
+
+A *run* is one set of evidence of a batch. In shapes, [runs] is an axis that a single run lacks. A
+*plan* lays a graph's computations out once, for all later evidence.
+"""
 
 from pgm.inference.discrete.run import run
 

@@ -1,4 +1,8 @@
-"""Runs whose evidence has probability zero: refused, or allowed, with −∞ and beliefs of NaN."""
+"""Runs whose evidence has probability zero: refused, or given ln p = −∞ and beliefs of NaN.
+
+Such evidence is called impossible, and its runs *lost*. A run is one set of evidence of a batch; in
+shapes, [runs] is an axis that a single run lacks.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,10 @@ RAISE, ALLOW = "raise", "allow"
 
 
 def allows(impossible: object) -> bool:
-    """Whether impossible evidence is allowed, from the user's ``"raise"`` or ``"allow"``."""
+    """Whether impossible evidence is allowed, from the user's ``"raise"`` or ``"allow"``.
+
+    Any other value raises `ModelError`.
+    """
     if impossible not in (RAISE, ALLOW):
         raise ModelError(f'impossible is "{RAISE}" or "{ALLOW}", not {impossible!r}')
     return impossible == ALLOW
@@ -30,9 +37,11 @@ def allows(impossible: object) -> bool:
 def beliefs_of(
     graph: ClusterGraph, evidence: BoundStates, room: Room, *, allow: bool
 ) -> TreeBeliefs | AllowedBeliefs:
-    """Calibrate a tree.
+    """Calibrate a graph without loops: the beliefs of all clusters given the evidence.
 
-    With `allow`, runs of impossible evidence are calibrated without their evidence.
+    Evidence of probability zero in some run raises `ImpossibleEvidence`. With `allow`, such runs
+    are calibrated without evidence instead, and `AllowedBeliefs` are returned, which give NaN for
+    them.
     """
     try:
         return TreeBeliefs.of(graph, evidence, room)
@@ -44,7 +53,10 @@ def beliefs_of(
 
 
 def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
-    """The evidence with nothing observed in the `lost` runs, (runs,)."""
+    """The evidence of the other runs; the `lost` ones, a mask (runs,), have none.
+
+    Their states are −1, "not observed", and their soft weights one.
+    """
     if lost.all():
         return BoundStates(evidence.lead, {}, {})
     states = {v: np.where(lost, -1, state) for v, state in evidence.states.items()}
@@ -56,8 +68,8 @@ def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
 class AllowedBeliefs:
     """The calibrated beliefs of a tree, where some runs have impossible evidence.
 
-    possible: The beliefs of all runs, those that are lost without any evidence.
-    evidence: As it was given.
+    possible: The beliefs of all runs, for which lost runs were calibrated without evidence.
+    evidence: As it was given, that of lost runs included.
     lost: (runs,): which runs have evidence of probability zero.
     """
 
@@ -67,30 +79,42 @@ class AllowedBeliefs:
 
     @property
     def storage(self) -> Storage:
-        """The layout of the tables that `read` is given."""
+        """The layout of the flat tables that `read` hands to its reader."""
         return self.possible.storage
 
     def marginal(self, variable: Discrete) -> Array:
-        """The probabilities of a variable, (states, [runs])."""
+        """The probabilities of a variable, (states, [runs]); NaN in lost runs."""
         return self._where_lost(np.nan, self.possible.marginal(variable))
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of a function of the tables, whose last axis, if any, is of runs."""
+        """The result of a function of the calibrated tables, NaN in lost runs.
+
+        `reader` takes flat tables in the layout of `storage`, (entries, [runs]), and returns an
+        array whose last axis is that of runs, if there is one; it may be called for some of the
+        runs at a time.
+        """
         return self._where_lost(np.nan, self.possible.read(reader))
 
     def log_evidence(self) -> Array:
-        """The value ln p(evidence), ([runs])."""
+        """The value ln p(evidence), ([runs]); −∞ in lost runs."""
         return self._where_lost(-np.inf, self.possible.log_evidence())
 
     def log_total(self, cluster: int) -> Array:
-        """The logarithm of p(evidence) of a cluster's tree, ([runs]); −∞ if of any tree it is."""
+        """The value ln p(evidence in a cluster's tree), ([runs]); −∞ in all lost runs.
+
+        It is −∞ there even if the evidence in another tree alone is impossible.
+        """
         return self._where_lost(-np.inf, self.possible.log_total(cluster))
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
-        """The message from one cluster to a neighbour, (sizes..., runs), and its log-scale."""
+        """The message from one cluster to a neighbour, (sizes..., runs), and log-scale, (runs,).
+
+        The message is the values times exp(log-scale). In lost runs the values are NaN.
+        """
         values, log_scale = self.possible.message(source, target)
         return self._where_lost(np.nan, values), log_scale
 
     def _where_lost(self, value: float, found: Array) -> Array:
+        """An array (..., [runs]) with one value in place of what was `found` in lost runs."""
         lost = self.lost if self.lost.size > 1 else self.lost[0]
         return np.where(lost, value, found)

@@ -1,6 +1,8 @@
-"""Evidence entered into a graph's tables.
+"""Evidence multiplied into the tables of a graph, in place.
 
-Soft weights multiply an axis; an observed axis keeps one state.
+An observed state makes the entries of all other states zero; soft evidence w multiplies the entries
+of each state x by w(x). The *home* of a variable is the smallest cluster that holds it. All arrays
+of tables hold the entries of a semiring: numbers or logarithms.
 """
 
 from __future__ import annotations
@@ -16,7 +18,10 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
 
 
 def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: Semiring) -> None:
-    """Multiply evidence into tables, (entries, [runs])."""
+    """Multiply the evidence of each variable into its home's table, in place.
+
+    `tables` is the flat storage, (entries or more, [runs]), in the entries of the semiring.
+    """
     for variable, state in evidence.states.items():
         table = storage.by_state[variable].of(tables)
         if isinstance(state, int):
@@ -31,16 +36,19 @@ def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: S
 
 
 def _weigh(table: Array, weights: Array, semiring: Semiring) -> None:
-    """Multiply weights (states, [runs]) into a table (states, others..., [runs])."""
+    """Multiply weights (states, [runs]) into a table (states, others..., [runs]), in place.
+
+    Weights are numbers, the table has entries of the semiring.
+    """
     shape = (len(weights), *(1,) * (table.ndim - weights.ndim), *weights.shape[1:])
     semiring.times(table, semiring.entries(weights.reshape(shape)), table)
 
 
 def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
-    """Logarithms of the potentials times the evidence, (entries, runs).
+    """Logarithms of all clusters' potentials times the evidence, (entries, runs).
 
-    States enter every cluster that has the variable, so that no message has to bring them; weights
-    enter one.
+    An observed state enters every cluster that holds its variable, so that no message has to bring
+    it; soft evidence, which must count once, enters its variable's home alone.
     """
     tables = np.repeat(storage.logs[:, None], evidence.runs, axis=1)
     for variable, state in evidence.states.items():
@@ -53,7 +61,10 @@ def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
 
 
 def entered(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
-    """Logarithms of one cluster's potential times its evidence, (sizes..., runs)."""
+    """Logarithms of one cluster's potential times the evidence that enters it, (sizes..., runs).
+
+    It is the cluster's table of `enter_everywhere`, with an axis for each variable of its scope.
+    """
     scope = storage.scopes[cluster]
     table = np.repeat(storage.table(storage.logs, cluster)[..., None], evidence.runs, axis=-1)
     for variable, state in evidence.states.items():
@@ -67,17 +78,24 @@ def entered(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
 
 
 def one_hot(states: Integers, size: int) -> Array:
-    """One-hot columns (size, runs) of observed states; all ones where nothing is observed."""
+    """One-hot columns, (size, runs), of observed states (runs,); all ones where a state is −1.
+
+    −1 stands for "not observed in this run".
+    """
     found: Array = ((states == np.arange(size)[:, None]) | (states < 0)).astype(float)
     return found
 
 
 def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
-    """The index that fixes axes whose observed state is equal in all runs."""
+    """The index into a table over `scope` at the states that are observed alike in all runs.
+
+    The axes of these variables are dropped. Those of all others are kept, even where each run
+    observes a state of its own.
+    """
     states = evidence.states
     return tuple(s if isinstance(s := states.get(v), int) else slice(None) for v in scope)
 
 
 def axes_left(evidence: BoundStates, scope: States) -> States:
-    """The variables that stay axes of messages and beliefs after `put_in`."""
+    """The variables of `scope` whose axes `put_in` keeps, which messages and beliefs are over."""
     return tuple(v for v in scope if not isinstance(evidence.states.get(v), int))

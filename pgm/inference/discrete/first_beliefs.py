@@ -1,4 +1,9 @@
-"""A graph's first question is answered directly; later questions are answered by a plan."""
+"""Beliefs of the first question that is asked of a graph, answered without a plan.
+
+A *question* is one inference with its evidence. A *plan* lays tables and messages out once for many
+questions; `first_question` answers the first one without. What its answer lacks is computed by a
+plan on request.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +25,10 @@ from pgm.variables import Discrete
 
 @dataclass(frozen=True, eq=False)
 class FirstBeliefs:
-    """Beliefs of one run, from a graph's first question; other requests are passed to a plan.
+    """Beliefs of one run, from a graph's first question.
 
-    Marginals and log-evidence are there; joints, messages and beliefs of clusters are read from
-    tables that are laid out and calibrated when the first of them is asked for.
+    Marginals and ln p(evidence) are there. Joints, messages and beliefs of clusters are read from
+    tables that a plan lays out and calibrates when the first of them is asked for.
     """
 
     graph: ClusterGraph
@@ -33,10 +38,11 @@ class FirstBeliefs:
 
     @classmethod
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> FirstBeliefs | None:
-        """Answer a graph's first question, of evidence without leading axes.
+        """Answer a graph's first question; the evidence has no axes of runs.
 
-        None, if it is not the first; or where numbers do not do, or the evidence is impossible:
-        then logarithms serve, or tell what contradicts what.
+        None, if the graph was asked before, if a number underflows, or if the evidence is
+        impossible: a plan then calibrates with logarithms, or finds out which evidence contradicts
+        which. Tables that are too large raise `GraphError`.
         """
         if not _first(graph):
             return None
@@ -59,24 +65,24 @@ class FirstBeliefs:
 
     @property
     def storage(self) -> Storage:
-        """The layout of the tables that `read` is given."""
+        """The layout of the flat tables that `read` hands to its reader."""
         return self._planned.storage
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of a function of the tables."""
+        """The result of `reader`, called with the calibrated flat tables, (entries or more,)."""
         return self._planned.read(reader)
 
     def log_total(self, cluster: int) -> Array:
-        """The logarithm of p(evidence) of a cluster's tree, ()."""
+        """The value ln p(evidence in a cluster's tree), ()."""
         return self._planned.log_total(cluster)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
-        """The message from one cluster to a neighbour, (sizes..., 1), and its log-scale."""
+        """The message from one cluster to a neighbour, (sizes..., 1), and its log-scale, (1,)."""
         return self._planned.message(source, target)
 
 
 def _first(graph: ClusterGraph) -> bool:
-    """Whether this is a graph's first question, and no plan exists; marks it as asked."""
+    """Whether nothing was asked of a graph and no plan was made of it; marks it as asked."""
     if graph._derived:
         return False
     graph.derived(_asked)
@@ -84,5 +90,5 @@ def _first(graph: ClusterGraph) -> bool:
 
 
 def _asked(graph: ClusterGraph) -> bool:
-    """The mark that a graph was asked: `derived` keeps it."""
+    """The mark that a graph was asked, which ``graph.derived`` keeps."""
     return True

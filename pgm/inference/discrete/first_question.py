@@ -1,13 +1,13 @@
-"""The first question of a graph without loops: one run, answered before anything is laid out.
+"""The first question of a graph without loops: one set of evidence, answered without a plan.
 
-A plan serves many questions, and making it takes as long as a dozen of them. The first one does
-without: each cluster's table is made where it is needed, of its CPDs and the messages to it, and
-goes when the answer is there. A graph that is asked again is worth a plan.
+A plan serves many sets of evidence, and making it takes as long as a dozen of them. The first one
+does without: each cluster's table is made when it is needed, from its CPDs and the messages to it.
+A graph that is asked again is worth a plan.
 
-Variables are numbers, their places in the network. One that is observed keeps an axis of one state.
-All tables have their axes in one order, in which the variables that a cluster does not share with
-its parent stand first: a message to the root is the sum of the rows of a matrix, and the message
-back a factor of each of its rows.
+Variables are denoted by numbers, their places in the network. One that is observed keeps an axis of
+length one. All tables have their axes in one order, in which a cluster's *own* variables, those
+that it does not share with its parent, stand first. A table is thus a matrix (own, shared): the
+message to the root is the sum of its rows, and the message back multiplies each row by one vector.
 """
 
 from __future__ import annotations
@@ -26,18 +26,20 @@ from pgm.evidence.static import BoundStates
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete
 
-# Entries of a table, from which on it is summed over one axis after the other: over several at once
-# the loops inside are as short as its last axes.
+# A table of at least so many entries is summed over one axis after the other: summed over several
+# axes at once, its inner loops are as short as its last axes.
 LONG = 2**8
-# Of so few variables, whose joint has so few entries, one cluster holds all.
+# In a network of at most `FEW` variables, whose joint has at most `TINY` entries, one cluster holds
+# them all.
 FEW, TINY = 16, 2**7
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Calibrated beliefs of one run: the answer to a graph's first question.
+    """The marginals and log-evidence of one run: the answer to a graph's first question.
 
-    marginals: (states,): of the variables that are not observed.
+    marginals: Of each variable that is not observed, its probabilities, (states,).
+    log_evidence: ln p(evidence).
     """
 
     marginals: Mapping[Discrete, Array]
@@ -49,12 +51,12 @@ Factor = tuple[Sequence[int], Array]
 
 
 def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
-    """Calibrated beliefs of one run; in logarithms if products underflow.
+    """The marginals and ln p(evidence) of one run, computed in plain numbers.
 
     graph: Without loops.
-    evidence: Without leading axes.
+    evidence: Without axes of runs.
 
-    Returns: None where a number is lost to underflow, or nothing is possible given the evidence.
+    Returns: None where a number underflows, or the evidence has probability zero.
     """
     try:
         return _answer(graph, evidence)
@@ -64,16 +66,23 @@ def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
 
 @np.errstate(all="raise")
 def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
-    """The beliefs of one run; an underflow raises `FloatingPointError`."""
+    """The beliefs of one run; underflow and impossible evidence raise `FloatingPointError`."""
     return _Tree(graph, evidence).answer()
 
 
 class _Tree:
-    """The working place of `answer`.
+    """The two passes of messages over the trees of a graph, for one set of evidence.
 
     order: The clusters, parents before children.
     parent: Of each cluster; −1 of a root.
-    scopes, shared: The variables of each cluster, and the last of them, which its parent has too.
+    scopes: Of each cluster, its variables in the order of the axes of its table.
+    shared: Of each cluster, the last ones of its scope, which its parent has too.
+    rank: Of each variable, a number below zero; axes stand in the order of rank.
+    shown: The state of each observed variable.
+    sizes: Of each variable, its number of states; 1 if it is observed.
+    factors: Of each cluster, what its table is the product of: CPDs, soft evidence, and messages
+        from its children as they come.
+    columns: Of each cluster, its message to the parent, (entries of shared variables,).
     """
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates) -> None:
@@ -103,7 +112,11 @@ class _Tree:
                 self.factors[homes[place]].append(self._of_weights(place, weights[0]))
 
     def _hang(self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]) -> None:
-        """Root each tree at a cluster, and order axes so that deep clusters come first."""
+        """Root each tree at its lowest cluster, and rank variables so that deep ones come first.
+
+        `joined` are each cluster's neighbours, `members` its variables. Sets `order`, `parent`,
+        `scopes`, `shared` and `rank`.
+        """
         self.order = list[int]()
         self.parent = parent = [UNSEEN] * len(joined)
         self.scopes, self.shared = [list[int]()] * len(joined), [list[int]()] * len(joined)
@@ -131,7 +144,10 @@ class _Tree:
                         waiting.append(other)
 
     def _of_cpd(self, family: Sequence[int], table: Array) -> Factor:
-        """A CPD as a factor, with its observed variables at their states, on axes of length one."""
+        """A CPD as a factor, with its observed variables at their states, on axes of length one.
+
+        `family` is the child, then the parents; the table has the child's axis last.
+        """
         given = [*family[1:], family[0]]
         if not self.shown.keys().isdisjoint(given):
             state = self.shown.get
@@ -143,17 +159,17 @@ class _Tree:
         return scope, table
 
     def _of_weights(self, place: int, weights: Array) -> Factor:
-        """Soft evidence of a variable, (states,), as a factor."""
+        """Soft evidence of a variable, (states,), as a factor: one entry, if it is observed too."""
         state = self.shown.get(place)
         return [place], weights if state is None else weights[state : state + 1]
 
     def answer(self) -> Answer:
-        """Send the messages to the roots and back.
+        """Send the messages to the roots and back, and read marginals and ln p(evidence).
 
         Raises
         ------
         FloatingPointError
-            If a number is lost, or the evidence is impossible.
+            If a number underflows, or the evidence has probability zero.
         """
         sizes = self.sizes
         shapes = [[sizes[place] for place in shared] for shared in self.shared]
@@ -166,10 +182,12 @@ class _Tree:
         return Answer(self._distribute(tables), log_evidence)
 
     def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
-        """Messages towards the roots: tables times all messages from below, and ln p(evidence).
+        """Send the messages to the roots; returns the clusters' tables, and ln p(evidence).
 
-        Tables are matrices (variables of its own, variables shared with its parent), whose rows a
-        message sums; `shapes` are those of the messages as factors of the parent.
+        The table of a cluster is the product of its factors, the messages from its children among
+        them, as a matrix (entries of own variables, entries of shared ones). The sum of its rows,
+        the message to the parent, is written to `columns`; ``shapes[k]`` is its shape with an axis
+        for each variable. A root's table keeps an axis for each variable and is divided by its sum.
         """
         tables: list[Array] = [NOTHING] * len(self.order)
         log_evidence = 0.0
@@ -200,10 +218,12 @@ class _Tree:
         return table
 
     def _distribute(self, tables: list[Array]) -> dict[Discrete, Array]:
-        """Messages back from the roots; marginals, each from the smallest table with the variable.
+        """Send the messages back from the roots; returns the marginals of variables not observed.
 
-        A table becomes the joint of its variables by the ratio of the parent's joint of the shared
-        ones and the message that went up.
+        From the roots down, a table is multiplied by the parent's joint of the shared variables
+        over the message that went up, and so becomes the joint of its variables given the evidence.
+        Each marginal is summed from the smallest table, of a cluster or of shared variables, that
+        has the variable.
         """
         sizes = self.sizes
         homes: list[Factor] = [((), NOTHING)] * len(sizes)
@@ -229,7 +249,7 @@ class _Tree:
         return self._normalised(hidden, [_to((place,), *homes[place]) for place in hidden])
 
     def _normalised(self, hidden: Sequence[int], sums: Sequence[Array]) -> dict[Discrete, Array]:
-        """The marginals of the hidden variables, divided by their sums."""
+        """The marginals of hidden variables: `sums`, (states,) of each, divided by their totals."""
         if not hidden:
             return {}
         widths = [self.sizes[place] for place in hidden]
@@ -250,7 +270,7 @@ NOTHING = np.empty(0)
 
 
 def _to(wanted: Sequence[int], scope: Sequence[int], table: Array) -> Array:
-    """A table summed to the wanted variables, in the table's order."""
+    """A table over `scope` summed to the wanted variables, which keep the table's order."""
     if len(wanted) == len(scope):
         return table
     axes = [axis for axis, place in enumerate(scope) if place not in wanted]

@@ -1,4 +1,4 @@
-"""Evidence of probability zero: where it contradicts the tables, for a message."""
+"""Errors for evidence of probability zero, which tell where it contradicts the tables."""
 
 import math
 from collections.abc import Iterable
@@ -21,12 +21,12 @@ ADVICE = (
 )
 
 
-# What else can be done where others of several runs are possible.
+# What the user can do besides where there are several runs.
 OF_RUNS = '; impossible="allow" gives such runs a log-evidence of −∞ and beliefs of NaN'
 
 
 class ImpossibleEvidence(EvidenceError):
-    """Evidence of probability zero; `lost` says in which runs, (runs,)."""
+    """The error for evidence of probability zero; `lost`, (runs,), marks the runs that have it."""
 
     def __init__(
         self,
@@ -45,9 +45,11 @@ class ImpossibleEvidence(EvidenceError):
 def require_possible(
     plan: TreePlan, evidence: BoundStates, log_tops: Array, of_runs: str = ""
 ) -> None:
-    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞.
+    """Raise `ImpossibleEvidence` if the evidence has probability zero in some run.
 
-    of_runs: What else can be done where there are several runs.
+    log_tops: (tops, [runs]): logarithms of the scales taken out of messages on the way to the
+        roots, of which one is −∞ where the evidence is impossible; see `tree_passes`.
+    of_runs: Advice that is added where the evidence has axes of runs.
     """
     # One sum finds out, whatever is infinite.
     if math.isfinite(np.add.reduce(log_tops, None)):
@@ -74,7 +76,11 @@ def require_possible(
 def _contradiction(
     plan: TreePlan, evidence: BoundStates, root: int
 ) -> tuple[Cluster, list[Discrete]]:
-    """The deepest cluster of a tree whose message upward is all zero, and the evidence below."""
+    """The deepest cluster of a tree whose message to its parent is zero throughout, else the root.
+
+    Also the variables with evidence among those of the clusters below it and its own, which
+    contradicts itself. The evidence is that of one run.
+    """
     forest, scopes = plan.forest, plan.storage.scopes
     messages = TreeMessages(plan.storage, evidence)
     upward = (
@@ -95,7 +101,13 @@ def _contradiction(
 
 
 def contradicted(empty: Mask, clusters: Iterable[Cluster], lead: tuple[int, ...]) -> EvidenceError:
-    """The error where sums over clusters' states, (clusters, runs), are zero."""
+    """The error for a message or belief of a graph with loops that is zero throughout.
+
+    empty: (rows, runs): where it is, one row for each message or belief; at least one entry is
+        true.
+    clusters: Of each row, the cluster that it is of.
+    lead: The user's axes of runs.
+    """
     runs = empty.any(axis=0)
     row = int(empty[:, runs.argmax()].argmax())
     cluster = list(clusters)[row]

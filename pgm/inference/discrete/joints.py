@@ -1,4 +1,8 @@
-"""Joint tables of variables of one cluster, or of several clusters of a tree."""
+"""Joint tables of variables of one cluster, or of several clusters of a tree.
+
+`tables` are the calibrated beliefs of all clusters in flat storage, (entries, [runs]), where [runs]
+is an axis that a single run lacks.
+"""
 
 import math
 from collections.abc import Sequence
@@ -15,22 +19,23 @@ from pgm.kernels.arrays import Array
 from pgm.resources import gibibytes
 from pgm.variables import Discrete
 
-# A factor: its axes, then that of the runs, if any.
+# The variables of a factor, and its values, (sizes..., [runs]).
 Factor = tuple[States, Array]
 
 
 def holder(storage: Storage, wanted: States) -> int | None:
-    """The smallest cluster that holds some variables, if one does."""
+    """The smallest cluster that holds all wanted variables; None if none does."""
     members: set[Discrete] = set(wanted)
     fits = [k for k, scope in enumerate(storage.scopes) if members.issubset(scope)]
     return min(fits, key=storage.graph.sizes.__getitem__, default=None)
 
 
 def joint(storage: Storage, tables: Array, scope: States) -> Array:
-    """The probabilities of some variables, (sizes..., [runs]), from one cluster or from a tree.
+    """The joint probabilities of the variables of a scope, in its order, (sizes..., [runs]).
 
-    Each cluster's belief given its sepset is multiplied into its parent's, along the smallest
-    subtree that holds the variables, and what is not asked for is summed out as soon as may be.
+    If no cluster holds them all, each cluster's belief given its sepset is multiplied into its
+    parent's, along the smallest subtree that holds them, and other variables are summed out as soon
+    as may be. Joints of several trees are multiplied.
     """
     one = holder(storage, scope)
     if one is not None:
@@ -48,7 +53,7 @@ def joint(storage: Storage, tables: Array, scope: States) -> Array:
 def _of_tree(
     storage: Storage, forest: Forest, tables: Array, scope: States, homes: set[int]
 ) -> Factor:
-    """The joint of some variables of one tree; `homes` are the clusters that hold their tables.
+    """The joint of some variables of one tree, in any order; `homes` are clusters that hold them.
 
     On the part of the tree that joins these clusters, each table is divided by its sepset with the
     parent, so that it is conditional, and is multiplied into the parent, of which only the wanted
@@ -78,7 +83,10 @@ def _of_tree(
 
 
 def _combined(factors: Sequence[Factor], keep: set[Discrete]) -> Factor:
-    """The product of some factors, each variable summed out as soon as no other factor has it."""
+    """The product of some factors, summed over all variables but those to `keep`.
+
+    Each variable is summed out as soon as no other factor has it.
+    """
     result, *others = factors
     while True:
         later = keep.union(*(scope for scope, _ in others))
@@ -90,7 +98,10 @@ def _combined(factors: Sequence[Factor], keep: set[Discrete]) -> Factor:
 
 
 def _given(factor: Factor, sepset: States) -> Array:
-    """Probabilities given the sepset; zero where that has probability zero."""
+    """A belief divided by its sums over all variables but the sepset's: p(cluster | sepset).
+
+    It is zero where p(sepset) is zero.
+    """
     scope, values = factor
     axes = tuple(k for k, v in enumerate(scope) if v not in sepset)
     total = values.sum(axis=axes, keepdims=True)
@@ -99,7 +110,7 @@ def _given(factor: Factor, sepset: States) -> Array:
 
 
 def _product(a: Factor, b: Factor) -> Factor:
-    """The product of two factors over all variables of both, refused where it is too large."""
+    """The product of two factors over all variables of both; `GraphError` where it is too large."""
     scope = a[0] + tuple(v for v in b[0] if v not in a[0])
     runs = a[1].shape[len(a[0]) :]
     entries = math.prod(sizes(scope)) * math.prod(runs)
@@ -114,14 +125,14 @@ def _product(a: Factor, b: Factor) -> Factor:
 
 
 def _arranged(factor: Factor, scope: States) -> Array:
-    """Values with an axis for each variable of a scope, of length one if new."""
+    """The values of a factor with an axis for each variable of a scope, of length one if new."""
     own, values = factor
     # Turned round, so that runs lead as in tables.
     return spread(values.T, own[::-1], scope[::-1]).T
 
 
 def _sum(factor: Factor, keep: States) -> Array:
-    """The sums of a factor over all variables but some, on axes in the order of these."""
+    """A factor summed over all variables but those to `keep`, whose order its axes get."""
     scope, values = factor
     total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
     return _arranged((tuple(v for v in scope if v in keep), total), keep)

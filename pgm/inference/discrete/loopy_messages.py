@@ -1,4 +1,8 @@
-"""Messages between the clusters of a discrete network whose graph has any shape."""
+"""Messages between the clusters of a discrete network whose graph has any shape.
+
+A message goes from a cluster to a neighbour, over their sepset. Arrays end in the axis of runs; one
+array holds all messages, in *columns*: one for each joint state of a message's sepset.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +26,15 @@ from pgm.variables import Discrete
 
 
 class TableMessages:
-    """The messages of a graph as logarithms; each sums to one. All arrays end in the axis of runs.
+    """The messages of a graph as logarithms of tables, each of which sums to one.
 
-    A message is the sum of the sender's potential times all messages to it but the receiver's,
-    each product made without division: it may have zeros.
+    A message is the product of the sender's potential and all messages to it but the receiver's,
+    summed over the variables outside the sepset. The product is made without dividing by the
+    receiver's message, which may have zeros.
+
+    potentials: (entries, runs): logarithms of potentials times evidence, in the order of `storage`.
+    logs: (columns, runs): logarithms of the messages; `plan` says where each one stands.
+    damping: The share of the old message in a new one, from 0.
     """
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates, damping: float) -> None:
@@ -43,19 +52,20 @@ class TableMessages:
 
     @property
     def bounded(self) -> bool:
-        """A probability changes by one at the most."""
+        """True: a message is of probabilities, which change by one at the most."""
         return True
 
     def round(self, messages: Sequence[int]) -> Sequence[Group]:
-        """Lay out the computation of some messages."""
+        """Lay out the computation of the messages of these numbers, in groups of like clusters."""
         if messages == range(len(self.directed)):
             return self.plan.everything(self.runs)
         return self.plan.lay_out(messages, self.runs)
 
     def propose(self, round: Sequence[Group]) -> Array:
-        """Compute a round's messages from the kept ones.
+        """Compute a round's messages from those kept, without keeping them; `accept` does.
 
-        Returns the largest change of each, (messages, runs).
+        Returns the largest change of a probability of each message, (messages, runs), in the order
+        in which the round was laid out.
         """
         count = sum(outlet.order.size for group in round for outlet in group.outlets)
         change = np.empty((count, self.runs))
@@ -70,9 +80,10 @@ class TableMessages:
         return change
 
     def _products(self, group: Group) -> Array:
-        """The potential times all incoming messages but one.
+        """Logarithms of the products of a group's potentials and all messages to them but one.
 
-        The message left out is each neighbour's in turn.
+        (neighbours · entries of the group, runs): the message of each neighbour in turn is left
+        out.
         """
         incoming = self.logs.take(group.incoming, 0)
         products = np.empty_like(incoming)
@@ -84,21 +95,31 @@ class TableMessages:
         return products.reshape(-1, self.runs)
 
     def _normalised(self, messages: Array, outlet: Outlet) -> Array:
-        """Log-messages (messages, columns, runs), each normalised to a sum of one."""
+        """Logarithms of messages, (messages, columns, runs), each divided by its sum.
+
+        A message of sum zero is refused with an `EvidenceError`, which names its sender.
+        """
         total = log_sum(messages, 1)
         self._require_possible(total, outlet.senders)
         normalised: Array = messages - total[:, None]
         return normalised
 
     def _require_possible(self, totals: Array, clusters: Integers) -> None:
-        """Refuse logarithms of sums, (clusters, runs), that are −∞: the evidence is impossible."""
+        """Raise `EvidenceError` if a logarithm of a sum, (rows, runs), is −∞.
+
+        The evidence is then impossible. `clusters`, (rows,), are those that the error names.
+        """
         empty = totals == -np.inf
         if empty.any():
             found = [self.storage.graph.clusters[k] for k in clusters.tolist()]
             raise contradicted(empty, found, self.evidence.lead)
 
     def accept(self, round: Sequence[Group], active: Mask, lost: Mask) -> None:
-        """Keep the proposed messages, damped, for the active runs, (runs,)."""
+        """Keep the messages of the last `propose`, in the runs that are active, (runs,).
+
+        With damping d, a kept message is the new one to the power of 1 − d times the old one to the
+        power of d, normalised. Runs that are `lost` need no care of their own.
+        """
         for group in round:
             for outlet in group.outlets:
                 new, old = self._proposed[outlet.columns], self.logs[outlet.columns]
@@ -107,13 +128,15 @@ class TableMessages:
                 self.logs[outlet.columns] = np.where(active, new, old)
 
     def relinearise(self, active: Mask) -> None:
-        """Tables have nothing to linearise."""
+        """Do nothing: tables have nothing to linearise."""
         return
 
     def beliefs(self) -> tuple[Array, Array]:
-        """The clusters' beliefs as probabilities, (entries, runs); logarithms of their sums.
+        """The clusters' beliefs as probabilities, (entries, runs), and logarithms of their sums.
 
-        The beliefs stand as in the storage; the sums are (clusters, runs).
+        A belief is the potential times all messages to the cluster. Its sum, by which it is
+        divided, is Z_cluster; the logarithms are (clusters, runs). The beliefs stand as in the
+        storage.
         """
         logs = self.potentials.copy()
         for group in self.plan.everything(self.runs):
@@ -124,7 +147,11 @@ class TableMessages:
         return exp(logs - totals.repeat(lengths, 0)), totals
 
     def log_evidence(self, totals: Array) -> Array:
-        """The Bethe value Σ ln Z_cluster − Σ ln Z_sepset, (runs,)."""
+        """The Bethe approximation of ln p(evidence), Σ ln Z_cluster − Σ ln Z_sepset, (runs,).
+
+        `totals` are ln Z_cluster, (clusters, runs), of `beliefs`. Z_sepset is the sum of the
+        product of the two messages over a sepset.
+        """
         value: Array = totals.sum(axis=0)
         widths = self.plan.widths
         if widths.size:
@@ -147,7 +174,7 @@ def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
 
 
 def _segments(logs: Array, lengths: Integers) -> Array:
-    """The value ln Σ exp over consecutive rows, (segments, runs)."""
+    """The values ln Σ exp over consecutive segments of rows, of these lengths, (segments, runs)."""
     first = np.cumsum(lengths) - lengths
     top = np.maximum.reduceat(logs, first, 0)
     top = np.where(top == -np.inf, 0.0, top)
@@ -158,7 +185,11 @@ def _segments(logs: Array, lengths: Integers) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LoopyBeliefs:
-    """The beliefs that messages make."""
+    """The beliefs of a graph with loops after messages were sent, for a posterior to read.
+
+    _tables: (entries, [runs]): the clusters' beliefs, of sum one; a single run has no axis.
+    _totals: (clusters, runs): the logarithms of their sums before they were normalised.
+    """
 
     messages: TableMessages
     storage: Storage
@@ -168,7 +199,7 @@ class LoopyBeliefs:
 
     @classmethod
     def of(cls, messages: TableMessages) -> LoopyBeliefs:
-        """Multiply the messages into the potentials."""
+        """The beliefs that the kept messages make: potentials times all messages to a cluster."""
         tables, totals = messages.beliefs()
         if messages.runs == 1:
             tables = tables[:, 0]
@@ -176,7 +207,7 @@ class LoopyBeliefs:
 
     @cached_property
     def _marginals(self) -> Array:
-        """The marginals of all variables, one after the other, (entries, runs)."""
+        """The marginals of all variables one after the other, (states of all variables, [runs])."""
         return self.storage.marginals.read(self._tables)
 
     def marginal(self, variable: Discrete) -> Array:
@@ -184,11 +215,15 @@ class LoopyBeliefs:
         return self._marginals[self.storage.marginals.where[variable]]
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of a function of the tables, whose last axis, if any, is of runs."""
+        """The result of `reader`, called with the clusters' beliefs in flat storage.
+
+        It takes them, (entries, [runs]), and returns an array whose last axis is that of runs, if
+        any.
+        """
         return reader(self._tables)
 
     def log_evidence(self) -> Array:
-        """The Bethe value, (runs,)."""
+        """The Bethe value, an approximation of ln p(evidence), (runs,)."""
         return self.messages.log_evidence(self._totals)
 
     def log_total(self, cluster: int) -> Array:
@@ -197,7 +232,10 @@ class LoopyBeliefs:
         return total
 
     def message(self, source: int, target: int) -> tuple[Array, None]:
-        """The message from one cluster to a neighbour, (sizes..., runs), which sums to one."""
+        """The message from one cluster to a neighbour, (sizes..., runs), of sum one, and None.
+
+        None stands for a log-scale, which it does not have.
+        """
         plan, graph = self.messages.plan, self.storage.graph
         edge = min(source, target), max(source, target)
         number = 2 * list(graph.sepsets).index(edge) + (source > target)

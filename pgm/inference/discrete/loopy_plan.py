@@ -1,4 +1,9 @@
-"""Rounds of messages on a graph of any shape, laid out: clusters of like shape in one call."""
+"""The layout of rounds of messages on a graph of any shape, with like clusters in one call.
+
+Message 2e goes along sepset e, from the lower cluster to the higher, 2e + 1 back. A *round* is some
+messages that are computed together, from those kept. One array keeps all messages, in *columns*:
+one for each joint state of a message's sepset, in C order.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +21,7 @@ from pgm.inference.discrete.storage import contiguous
 from pgm.inference.loopy import Directed
 from pgm.kernels.arrays import Integers
 
-# Which axes of a cluster its sepset has.
+# Of each axis of a cluster, whether its variable is in the sepset.
 Kept = tuple[bool, ...]
 
 
@@ -24,9 +29,10 @@ Kept = tuple[bool, ...]
 class Outlet:
     """The outgoing messages of equal shape from a group of clusters.
 
-    index: (rows, messages · columns): the entries, of all but one neighbour's product, to sum.
+    index: (rows, messages · columns): the messages are the sums over the first axis of these rows
+        of `TableMessages._products`.
     columns: (messages, columns): where the messages are kept.
-    order: (messages,): which of the round's messages they are.
+    order: (messages,): the place of each in the round, from 0.
     senders: (messages,): the clusters that send them.
     """
 
@@ -40,8 +46,10 @@ class Outlet:
 class Group:
     """Clusters with equally many neighbours and entries, computed in one batch, and their messages.
 
-    entries: (clusters · entries,): where their tables stand.
-    incoming: (neighbours, clusters · entries): the columns of messages that meet each entry.
+    entries: (clusters · entries,): where the entries of their tables stand in the flat storage.
+    incoming: (neighbours, clusters · entries): of each entry, the column of each neighbour's
+        message that multiplies it.
+    outlets: The messages that they send in the round.
     """
 
     entries: Integers
@@ -50,7 +58,11 @@ class Group:
 
 
 class LoopyPlan:
-    """Lays out rounds of messages of a graph."""
+    """The layout of a graph's messages and of its rounds.
+
+    sepsets: Of each message, the variables that it is over.
+    widths, first: (messages,): the number of its columns, and the first of them.
+    """
 
     def __init__(self, graph: ClusterGraph) -> None:
         self.storage, self.directed = contiguous(graph), Directed.of(graph)
@@ -63,13 +75,17 @@ class LoopyPlan:
         self._shapes: dict[tuple[tuple[int, ...], Kept], tuple[Integers, Integers]] = {}
 
     def everything(self, runs: int) -> list[Group]:
-        """All messages; laid out once for a number of runs."""
+        """The round of all messages, laid out once for a number of runs."""
         if self._all is None or self._all[0] != runs:
             self._all = runs, self.lay_out(range(len(self.directed)), runs)
         return self._all[1]
 
     def lay_out(self, messages: Sequence[int], runs: int) -> list[Group]:
-        """Group the sources of some messages by shape."""
+        """The groups of clusters that compute some messages, given by number.
+
+        Their senders are grouped by their numbers of neighbours and of entries. A group has as many
+        clusters as keep its products, over all of `runs`, within a limit, or one.
+        """
         asked: dict[int, list[tuple[int, int]]] = {}
         for order, message in enumerate(messages):
             asked.setdefault(int(self.directed.source[message]), []).append((order, message))
@@ -85,9 +101,10 @@ class LoopyPlan:
         return groups
 
     def _group(self, clusters: list[int], asked: dict[int, list[tuple[int, int]]]) -> Group:
-        """A group of clusters of one size: their entries, and the messages to and from them.
+        """The group of some clusters with equally many entries and neighbours.
 
-        `asked` has the messages of each cluster, with their places in the order of a round.
+        `asked` gives, of each cluster, pairs (place in the round, number) of messages that it is to
+        send.
         """
         size = self.storage.graph.sizes[clusters[0]]
         total = size * len(clusters)
@@ -112,7 +129,7 @@ class LoopyPlan:
         return Group(np.concatenate(entries), np.concatenate(incoming, axis=1), outlets)
 
     def _incoming(self, cluster: int) -> Integers:
-        """The columns of messages to a cluster that meet its entries, (messages, entries)."""
+        """The columns of messages to a cluster that multiply its entries, (messages, entries)."""
         return np.array(
             [
                 self.first[message ^ 1] + self._shape(cluster, message)[1]
@@ -121,9 +138,11 @@ class LoopyPlan:
         )
 
     def _shape(self, cluster: int, message: int) -> tuple[Integers, Integers]:
-        """The sum of a cluster's entries to a sepset, and the column that meets each.
+        """How a cluster's entries are summed to a message, and which column meets each entry.
 
-        Entries (rows, columns), and columns (entries,); they depend on shapes alone.
+        The first is a matrix of entries (rows, columns), whose sum over rows is the message over
+        the sepset; the second the column of each entry, (entries,), counted from the message's
+        first. Both depend on shapes alone and are cached by these.
         """
         scope, sepset = self.storage.scopes[cluster], self.sepsets[message]
         kept = tuple(v in sepset for v in scope)

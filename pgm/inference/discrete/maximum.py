@@ -1,4 +1,8 @@
-"""The most probable assignment of a discrete network."""
+"""The most probable assignment of a discrete network.
+
+On a tree maxima go to the roots over the plan of `tree_plan`, which defines stacks, rows, columns
+and tops (scales). The *home* of a variable is the smallest cluster that holds it.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +89,7 @@ class MostProbable(Shown, Immutable):
         Returns
         -------
         str or ndarray of str
-            An array (...) where the evidence has axes of runs.
+            An array where `assignment` has indices, and of the same shape.
 
         Raises
         ------
@@ -252,7 +256,11 @@ def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """A search for the most probable assignment of some runs, in batches that fit."""
+    """A search for the most probable assignment of some runs, in pieces that fit into memory.
+
+    runs: How many runs the whole search has, its other parts included: the plan depends on it.
+    batch: How many table entries, times runs, are computed at once.
+    """
 
     graph: ClusterGraph
     evidence: BoundStates
@@ -261,7 +269,7 @@ class _Search:
 
 
 def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
-    """The assignments by part of the runs, one for each worker."""
+    """The results of `_search` for consecutive parts of the runs, one for each worker."""
     runs = search.runs
     edges = [runs * k // workers.count for k in range(workers.count + 1)]
     parts = [slice(*pair) for pair in pairwise(edges) if pair[0] < pair[1]]
@@ -273,7 +281,11 @@ def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
 
 
 def _search(search: _Search) -> tuple[Integers, Array]:
-    """States of all variables, in as few bytes as hold them, and logarithms of the maxima."""
+    """The most probable states, (variables, runs), and the logarithms of the scales, (tops, runs).
+
+    Variables are in the order of ``plan.storage.homes``, states in the smallest integers that hold
+    them. The logarithms of a run sum to ln p(assignment, evidence).
+    """
     plan = plan_for(search.graph, search.runs, search.batch)
     homes = plan.storage.homes
     least = np.min_scalar_type(max((variable.size for variable in homes), default=1) - 1)
@@ -286,7 +298,10 @@ def _search(search: _Search) -> tuple[Integers, Array]:
 def _assignment(
     plan: TreePlan, evidence: BoundStates, states: Integers
 ) -> dict[Discrete, str | Integers]:
-    """States (variables, runs) in the order of homes, as names or as arrays of indices."""
+    """States (variables, runs), in the order of homes, by variable in the network's order.
+
+    A state is its name, or where the evidence has axes of runs an array of indices, (...).
+    """
     found: dict[Discrete, str | Integers] = {}
     place = {variable: k for k, variable in enumerate(plan.storage.homes)}
     for variable in discrete(plan.graph.network.variables):
@@ -296,7 +311,12 @@ def _assignment(
 
 
 def _maximise(plan: TreePlan, evidence: BoundStates) -> tuple[Integers, Array]:
-    """States of all variables, (variables, runs); the logarithms of the roots' maxima."""
+    """The most probable states of some runs, (variables, runs), and log-maxima, (tops, runs).
+
+    Maxima go to the roots. Then, parents before children, the states of the variables that a
+    cluster shares with its parent pick a column of its table, whose largest entry gives the other
+    states. The log-maxima are those of the roots' tables; those that are not of roots are 0.
+    """
     runs = evidence.runs
     start = enter(plan, evidence, MAX_PRODUCT)
     done = collect(plan, start, MAX_PRODUCT)
@@ -318,7 +338,11 @@ def _maximise(plan: TreePlan, evidence: BoundStates) -> tuple[Integers, Array]:
 
 
 def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
-    """The row of the largest entry of a column of each cluster, the first of equals."""
+    """The row of the largest entry in one column of each cluster's table, (clusters, runs).
+
+    It is the first of equals. `entries`, (entries, runs), are the stack's tables; `column`,
+    (clusters, runs), counts the columns of the stack's matrix.
+    """
     runs = entries.shape[1]
     matrix = entries.reshape(*stack.shape, runs)
     by_column = matrix if stack.axis else matrix.swapaxes(0, 1)
@@ -327,7 +351,11 @@ def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
 
 
 def _decode(plan: TreePlan, entry: Integers) -> Integers:
-    """The states of all variables, (variables, runs), at entries of their homes' tables."""
+    """The states of all variables, (variables, runs), in the order of homes.
+
+    `entry`, (clusters, runs), is an entry of each cluster's table, counted in C order of the scope
+    of its place.
+    """
     homes = plan.storage.homes
     scopes = {home: plan.storage.places[home].scope for home in homes.values()}
     strides = np.array([steps(scopes[home], 1)[variable] for variable, home in homes.items()])

@@ -1,4 +1,8 @@
-"""A table's place in flat storage: its first index, and the strides of its axes."""
+"""A table's place in flat storage: its first index, and the strides of its axes.
+
+The flat storage holds the tables of all clusters, (entries, [runs]), in C order; [runs] is an axis
+that a single run lacks. Strides count entries, of a single run.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +27,9 @@ LARGE = 2**13
 class Place:
     """A table's place in flat storage: its first index, and the strides of its axes.
 
-    steps: How many entries on the next state of a variable is.
-    large: Whether it stands by itself and is used where it stands.
+    steps: Of each variable, the stride of its axis, in entries.
+    large: Whether the table is contiguous and is used where it stands; the entries of others are
+        gathered by their positions.
     """
 
     scope: States
@@ -34,36 +39,40 @@ class Place:
 
     @classmethod
     def of(cls, scope: States, start: int, least: int) -> Place:
-        """A view of the table in flat storage, with its axes, and an axis of runs if any."""
+        """The place of a contiguous table in C order of a scope; large from `least` entries on."""
         return cls(scope, start, steps(scope, 1), math.prod(sizes(scope)) >= least)
 
     @cached_property
     def size(self) -> int:
-        """The number of its entries."""
+        """The number of the table's entries."""
         return math.prod(sizes(self.scope))
 
     @property
     def entries(self) -> slice:
-        """The slice of a table that is contiguous."""
+        """The slice of flat storage that a contiguous table takes."""
         return slice(self.start, self.start + self.size)
 
     @property
     def stored(self) -> States:
-        """The axes of a contiguous table, the last one with entries side by side."""
+        """The variables of a contiguous table in the order of its axes, which are in C order."""
         return tuple(sorted(self.scope, key=self.steps.__getitem__, reverse=True))
 
     def positions(self, scope: States) -> Integers:
-        """The positions of its entries, with an axis for each variable of a scope."""
+        """The positions of the table's entries, with an axis for each variable of a scope.
+
+        They count entries of the flat storage, and repeat along the axis of a variable that the
+        table does not have.
+        """
         return positions(self.start, self.steps, scope)
 
     def view(self, scope: States) -> View:
-        """The view of the table with an axis for each variable of a scope."""
+        """The view of the table with an axis for each variable of a scope, its own in any order."""
         entry = np.dtype(np.float64).itemsize
         strides = tuple(entry * self.steps[variable] for variable in scope)
         return View(sizes(scope), entry * self.start, strides)
 
     def merged(self, wanted: States) -> Merged:
-        """The axes of a contiguous table, as few as tell some variables apart."""
+        """A contiguous table with neighbouring axes merged, where all are wanted or none is."""
         stored = self.stored
         runs = [list(same) for _, same in groupby(stored, wanted.__contains__)]
         order = [v for v in stored if v in wanted]
@@ -77,10 +86,11 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A view of a table with its axes in some order.
+    """A view of a table in flat storage, with its axes in some order.
 
-    start: Where its first entry is, in bytes, of a single run.
-    strides: How many bytes on the next state of each variable is.
+    shape: The numbers of states along these axes.
+    start: The offset of its first entry in bytes, in storage of a single run.
+    strides: The strides of the axes in bytes, in storage of a single run.
     """
 
     shape: tuple[int, ...]
@@ -88,7 +98,7 @@ class View:
     strides: tuple[int, ...]
 
     def of(self, tables: Array) -> Array:
-        """A view of the table with these axes, and an axis of runs if any."""
+        """The table as a view of flat storage, (entries, [runs]): these axes, then that of runs."""
         if tables.ndim == 1:
             return np.ndarray(self.shape, np.float64, tables, self.start, self.strides)
         runs = tables.shape[1]
@@ -102,7 +112,7 @@ def by_state(place: Place, variable: Discrete) -> View:
 
 
 def steps(scope: States, last: int) -> dict[Discrete, int]:
-    """Strides of axes in C order, given the stride of the last."""
+    """The strides of axes in C order, in entries, given the stride of the last."""
     found: dict[Discrete, int] = {}
     for variable in reversed(scope):
         found[variable] = last
@@ -111,9 +121,9 @@ def steps(scope: States, last: int) -> dict[Discrete, int]:
 
 
 def positions(start: int, step: Mapping[Discrete, int], scope: States) -> Integers:
-    """Entries that steps lead to from a first one, with an axis for each variable of a scope.
+    """The indices start + Σ step · state, with an axis for each variable of a scope.
 
-    A variable that has no step leads nowhere.
+    A variable without a step has step 0.
     """
     found: Integers = np.array(start)
     for variable in scope:
@@ -123,11 +133,12 @@ def positions(start: int, step: Mapping[Discrete, int], scope: States) -> Intege
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """A table with neighbouring axes made one, where they are all wanted or all others.
+    """A contiguous table with neighbouring axes merged, where all are wanted or none is.
 
-    others: The axes that are not wanted.
-    sizes: Of the wanted variables, as they are stored.
-    order: The place among these of each wanted variable.
+    shape: Of the table with merged axes, without runs.
+    others: The merged axes that are not of wanted variables.
+    sizes: The numbers of states of the wanted variables, in the order in which they are stored.
+    order: Of each wanted variable, in the order asked for, its place among those stored.
     """
 
     shape: tuple[int, ...]
@@ -136,11 +147,18 @@ class Merged:
     order: tuple[int, ...]
 
     def axes(self, tail: int) -> tuple[int, ...]:
-        """The permutation of wanted variables from the stored order to that asked for."""
+        """The permutation for `transpose` of an array (sizes..., [runs]) to the order asked for.
+
+        `tail` is its number of axes behind those of the wanted variables: one of runs, or none.
+        """
         return (*self.order, *range(len(self.order), len(self.order) + tail))
 
     def spread(self, values: Array) -> Array:
-        """Values (entries of the wanted variables, [runs]), to be combined with the table."""
+        """Values over the wanted variables, reshaped to broadcast with the table of merged axes.
+
+        They are (joint states in the order asked for, [runs]), and become (shape with 1 for
+        `others`..., [runs]).
+        """
         tail = values.shape[1:]
         asked = [self.sizes[k] for k in self.order]
         stored = np.argsort(self.order).tolist()

@@ -33,8 +33,8 @@ class DiscretePosterior(Posterior):
     """The beliefs of a discrete network; leading axes are runs.
 
     ``posterior[v]`` and ``posterior.joint(v, w)`` are a `Table` of probabilities. Of a tree they
-    are exact, of a graph with loops approximate. A variable that is observed in some runs alone
-    has one for its state there.
+    are exact, of a graph with loops approximate. A variable that is observed in only some runs has
+    in these probability one for its state.
 
     On a tree, runs of equal evidence are computed once, those that differ in pieces, or one by one
     where less than 64 would fit. Half the ``memory`` given to `pgm.infer`, 128 MiB, is for a piece,
@@ -54,7 +54,7 @@ class DiscretePosterior(Posterior):
         return self._table((wanted,), self._beliefs.marginal(wanted))
 
     def _require_hidden(self, variable: Variable) -> Discrete:
-        """Refuse a variable that is not of the network, or observed in all runs."""
+        """The variable itself; `EvidenceError` if it is unknown, or observed in all runs."""
         require_variable(variable)
         if variable not in self.graph.network._places or not isinstance(variable, Discrete):
             raise EvidenceError(
@@ -97,7 +97,7 @@ class DiscretePosterior(Posterior):
         return self._table(scope, self._beliefs.read(lambda t: joint(storage, t, scope)))
 
     def _require_room(self, scope: States, what: str) -> None:
-        """Refuse a result over some variables that would not fit for all runs."""
+        """Raise `GraphError` if a table over a scope is too large for all runs; `what` names it."""
         runs = self._beliefs.evidence.runs
         if runs > 1:
             limits.require_runs(math.prod(sizes(scope)), runs, what)
@@ -105,8 +105,8 @@ class DiscretePosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> Table:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
-        Variables whose evidence is one state for all runs are put in; those whose evidence differs
-        by run keep their axis. Of a tree its scale carries the evidence that went into it; on a
+        A variable that is observed in the same state in all runs has no axis; one whose state
+        differs by run keeps it. Of a tree its scale carries the evidence that went into it; on a
         graph with loops messages sum to one.
         """
         i, j = self.graph.index(source), self.graph.index(target)
@@ -139,7 +139,8 @@ class DiscretePosterior(Posterior):
     def potential(self, cluster: int | Cluster) -> Table:
         """The potential of a cluster: the product of its CPDs, with their evidence put in.
 
-        Its axes are as of a message. States that are observed enter all clusters of their variable.
+        Its axes are as of a message. A state that is observed enters all clusters that hold its
+        variable; soft evidence enters the smallest of them.
         """
         index = self.graph.index(cluster)
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
@@ -152,7 +153,10 @@ class DiscretePosterior(Posterior):
         return self._table(scope, exp(logs - top), top)
 
     def _table(self, scope: States, values: Array, log_scale: Array | None = None) -> Table:
-        """Values (sizes..., [runs]) as a table with the leading axes of runs."""
+        """A table of values (sizes..., [runs]), with the user's axes of runs first.
+
+        `log_scale`, (runs,), is that of an unnormalised table; None where it is zero.
+        """
         lead = self._beliefs.evidence.lead
         if values.ndim > len(scope):
             values = np.moveaxis(values, -1, 0)
@@ -169,7 +173,7 @@ class DiscretePosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """Exact of a tree whose messages have settled, else bethe."""
+        """``"exact"`` of a tree whose messages have settled, else ``"bethe"``."""
         return "exact" if self.graph.is_tree and self.status.converged.all() else "bethe"
 
     @property

@@ -1,4 +1,10 @@
-"""Messages multiplied into tables: the map of table entries to message columns."""
+"""Messages multiplied into tables: the map of table entries to message columns.
+
+Flat storage holds the tables, (entries, [runs]), where [runs] is an axis that a single run lacks.
+An array of *columns*, (columns, [runs]), holds all messages to the roots: one column for each joint
+state of a message's sepset. A *stack* is some clusters of like shape, whose tables stand one after
+the other.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +18,28 @@ from pgm.inference.discrete.place import Merged, Place
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import Semiring
 
-# A product whose last axis is shorter is a loop over so few entries; the message is written out for
-# blocks of at most so many.
+# NumPy loops over the last axis. Where that is shorter than `SHORT`, a message is copied out along
+# last axes of at most `WIDE` entries together, so that loops are over these.
 SHORT, WIDE = 8, 128
 
 
 @dataclass(frozen=True, eq=False)
 class GatheredProduct:
-    """Messages to the tables of a stack, of any kind.
+    """Messages to the tables of a stack, where each entry looks its columns up.
 
     children: (messages, clusters): the senders, for each cluster of the stack.
-    index: (messages, entries): the columns.
+    index: (messages, entries): of each entry of the stack, the column of each message.
     """
 
     children: Integers
     index: Integers
 
     def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
-        """Multiply entries and messages; the entries may be those that the products replace."""
+        """Write entries times messages to `out`, which may be the entries' own array.
+
+        source: (entries of the stack, [runs or 1]).
+        messages: (columns, [runs]): all messages, in the entries of the semiring.
+        """
         if len(self.index) == 1:
             product = messages.take(self.index[0], 0)
         else:
@@ -37,16 +47,24 @@ class GatheredProduct:
         semiring.times(source, product, out)
 
     def columns(self, at: Integers) -> Integers:
-        """The columns that meet some entries, (clusters, runs): (messages, clusters, runs)."""
+        """The columns of the messages, (messages, clusters, runs), at an entry of each cluster.
+
+        `at`, (clusters, runs), counts the entries of the stack.
+        """
         return self.index.take(at, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class BlockProduct:
-    """A message to a contiguous table.
+    """One message to a large table, which is contiguous: it is broadcast, and nothing is looked up.
 
     children: (1, 1): the sender.
-    wide: The axis from which on the message of a single run is written out for all entries.
+    place: Of the table.
+    sepset: The variables of the message, in the order of its columns.
+    view: The table with neighbouring axes merged, if all are of the sepset or none.
+    source: The columns of the message.
+    wide: In a single run the message is copied out along the axes of `view` from this one on, so
+        that products have no short loops.
     """
 
     children: Integers
@@ -68,7 +86,11 @@ class BlockProduct:
         return cls(np.array([[child]]), place, sepset, view, source, wide)
 
     def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
-        """Multiply entries and the message; the entries may be those that the products replace."""
+        """Write entries times the message to `out`, which may be the entries' own array.
+
+        source: (entries of the table, [runs or 1]).
+        messages: (columns, [runs]): all messages, in the entries of the semiring.
+        """
         table = source.reshape((*self.view.shape, *source.shape[1:]))
         message = self.view.spread(messages[self.source])
         if message.ndim == len(self.view.shape):
@@ -77,7 +99,7 @@ class BlockProduct:
         semiring.times(table, message, out.reshape((*self.view.shape, *out.shape[1:])))
 
     def columns(self, at: Integers) -> Integers:
-        """The columns that meet some entries."""
+        """The column of the message, (1, 1, runs), at an entry of the table, (1, runs)."""
         stored = self.place.stored
         states = np.unravel_index(at, sizes(stored))
         own = tuple(states[stored.index(v)] for v in self.sepset)

@@ -24,7 +24,10 @@ def run(
     memory: float | None = None,
     impossible: str = RAISE,
 ) -> DiscretePosterior:
-    """Send the messages of a schedule; see `pgm.infer`."""
+    """The posterior after a schedule of messages; the arguments are those of `pgm.infer`.
+
+    On graphs with loops `memory` and ``impossible="allow"`` are refused with a `GraphError`.
+    """
     bound = bind_discrete(graph.network._places.keys(), evidence)
     allow = allows(impossible)
     if isinstance(schedule, Loopy):
@@ -51,7 +54,7 @@ def run(
 def of_tree(
     graph: ClusterGraph, bound: BoundStates, room: Room, *, allow: bool = False
 ) -> DiscretePosterior:
-    """The posterior of a graph without loops, of evidence that is bound."""
+    """The posterior of a graph without loops, of evidence that `bind_discrete` has made."""
     beliefs = beliefs_of(graph, bound, room, allow=allow)
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
 

@@ -1,4 +1,7 @@
-"""Many runs of evidence in pieces that fit into memory, and each different one once."""
+"""Batches of evidence: pieces that fit into memory, and runs that differ, each computed once.
+
+A run is one set of evidence of a batch.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +14,26 @@ from pgm.evidence.static import BoundStates
 from pgm.kernels.arrays import Array, Integers
 from pgm.progress import counted
 
-# Runs at once, less than which are computed one by one: loops over a few are short, and the tables
-# of one run stay nearer the processor.
+# If fewer runs than this fit at once, they are computed one by one: loops over a few are short, and
+# the tables of one run stay nearer the processor.
 FEW = 64
 
 
 def at_once(entries: int, batch: int) -> int:
-    """How many of a tree's runs are calibrated at once: as many as fit, or one."""
+    """How many runs of a tree are calibrated at once: as many as fit, or one.
+
+    `entries` are those of its tables, `batch` the limit on entries times runs.
+    """
     size = batch // entries
     return size if size >= FEW else 1
 
 
 def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
-    """The evidence in parts of as many runs as a tree calibrates at once."""
+    """The evidence in consecutive parts, each of as many runs as a tree calibrates at once.
+
+    `entries` and `batch` are as of `at_once`. A part of one run leaves out variables that are not
+    observed in it.
+    """
     for piece in pieces(evidence, at_once(entries, batch)):
         yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
 
@@ -36,7 +46,7 @@ def _of_one(evidence: BoundStates) -> BoundStates:
 
 
 def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
-    """The evidence in parts of `size` runs."""
+    """The evidence in consecutive parts of `size` runs or fewer; as it is, if one part will do."""
     size = max(1, size)
     if evidence.runs <= size:
         yield evidence
@@ -46,7 +56,7 @@ def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
 
 
 def some_runs(evidence: BoundStates, which: slice | Integers) -> BoundStates:
-    """The evidence of some runs."""
+    """The evidence of some runs, chosen by a slice or by indices, with one axis of runs."""
     count = np.arange(evidence.runs)[which].size
     states = {
         v: s if isinstance(s, int) or s.size == 1 else s[which] for v, s in evidence.states.items()
@@ -55,15 +65,17 @@ def some_runs(evidence: BoundStates, which: slice | Integers) -> BoundStates:
     return BoundStates((count,), states, weights)
 
 
-# Codes of runs are whole numbers of 64 bits.
+# Runs are compared by codes of their states: whole numbers below this, for 64 bits.
 CODES = 2**62
 
 
 @dataclass(frozen=True, eq=False)
 class Distinct:
-    """The runs of some evidence, each different one once.
+    """The different runs of some evidence, each once.
 
-    which: (runs,): which of them each run is; None if all differ.
+    evidence: That of the different runs.
+    which: (runs,): of each run, the place of its like in `evidence`; None if all are different, or
+        count as such.
     """
 
     evidence: BoundStates
@@ -71,7 +83,7 @@ class Distinct:
 
     @classmethod
     def of(cls, evidence: BoundStates) -> Distinct:
-        """Find distinct runs; runs with their own soft weights count as distinct."""
+        """Find the different runs; where soft evidence differs by run, all count as different."""
         if evidence.runs == 1 or any(len(weights) > 1 for weights in evidence.weights.values()):
             return cls(evidence, None)
         codes = np.zeros(evidence.runs, dtype=np.int64)

@@ -1,4 +1,8 @@
-"""The layout of a graph's tables in one flat array, whose last axis is of runs."""
+"""The layout of a graph's tables in one flat array, whose last axis is of runs.
+
+The array is (entries, [runs]), where [runs] is an axis that a single run lacks. The *home* of a
+variable is the smallest cluster that holds it.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +26,17 @@ from pgm.variables import Discrete
 
 @dataclass(frozen=True, eq=False)
 class Storage:
-    """The flat array of a graph's tables."""
+    """Where the tables of a graph's clusters stand in one flat array.
+
+    places: Of each cluster, where its table stands.
+    """
 
     graph: ClusterGraph
     places: Sequence[Place]
 
     @cached_property
     def entries(self) -> int:
-        """The length of the array."""
+        """The number of entries of all tables."""
         return sum(self.graph.sizes)
 
     @cached_property
@@ -38,7 +45,10 @@ class Storage:
         return tuple(discrete(cluster.scope) for cluster in self.graph.clusters)
 
     def table(self, entries: Array, cluster: int) -> Array:
-        """A view of a cluster's table, with an axis for each variable, then of the runs, if any."""
+        """A view of a cluster's table, with an axis for each variable, then one of runs, if any.
+
+        `entries` is the flat array, (entries or more, [runs]).
+        """
         return self.places[cluster].view(self.scopes[cluster]).of(entries)
 
     @cached_property
@@ -58,27 +68,29 @@ class Storage:
 
     @cached_property
     def by_state(self) -> dict[Discrete, View]:
-        """The home of each variable, with the axis of the variable first."""
+        """Of each variable, the view of its home's table, with the variable's axis first."""
         return {v: by_state(self.places[home], v) for v, home in self.homes.items()}
 
     @cached_property
     def logs(self) -> Array:
-        """The logarithms of the clusters' potentials."""
+        """The logarithms of the clusters' potentials, (entries,)."""
         return self.potentials(LOG_SUM_PRODUCT)
 
     @cached_property
     def marginals(self) -> Marginals:
-        """The sums of the tables to the probabilities of each variable."""
+        """The sums that make the marginals of all variables, each from its home's table."""
         homes = {variable: self.places[home] for variable, home in self.homes.items()}
         return Marginals.of(homes, self.entries)
 
     def potentials(self, semiring: Semiring, room: int = 0) -> Array:
-        """The product of each cluster's CPDs, (entries + room,).
+        """The product of each cluster's CPDs, in entries of a semiring, (entries + room,).
+
+        The `room` behind them is filled with the semiring's one.
 
         Raises
         ------
         FloatingPointError
-            If numbers are wanted, and one is below what a number holds.
+            If the semiring is of numbers, and a product underflows.
         """
         flat = np.full(self.entries + room, semiring.one)
         for cluster, scope in zip(self.graph.clusters, self.scopes, strict=True):
@@ -91,12 +103,12 @@ class Storage:
 
 
 def contiguous(graph: ClusterGraph) -> Storage:
-    """One table after the other, each in the order of its cluster's scope."""
+    """The storage with one table after the other, each in C order of its cluster's scope."""
     starts = accumulate(graph.sizes, initial=0)
     clusters = zip(graph.clusters, starts, strict=False)
     return Storage(graph, [Place.of(discrete(c.scope), start, LARGE) for c, start in clusters])
 
 
 def sepset_between(graph: ClusterGraph, i: int, j: int) -> States:
-    """The variables that two neighbours share; none, where one is the parent of a root, −1."""
+    """The sepset of two neighbours; no variables, where one is −1, the parent of a root."""
     return discrete(graph.sepsets[min(i, j), max(i, j)]) if min(i, j) >= 0 else ()

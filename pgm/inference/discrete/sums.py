@@ -1,4 +1,9 @@
-"""Sums of the entries of tables in the flat storage, over the axes that a message leaves out."""
+"""Sums of the entries of tables in flat storage, over the axes that a message leaves out.
+
+Flat storage holds tables, (entries, [runs]), where [runs] is an axis that a single run lacks. Each
+*sum* writes its results to a slice of an array, its *target*. The semiring says what a sum is: in
+max-product it is a maximum.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +19,17 @@ from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
-# Entries of a matrix that sums the storage to all marginals, at the most.
+# The most entries of a matrix that sums the storage to all marginals.
 SMALL = 2**12
 
 
 @dataclass(frozen=True, eq=False)
 class GatheredSum:
-    """Many sums of equal length, of entries anywhere, in one call.
+    """Many sums of equally many entries, which stand anywhere, in one call.
 
-    index: (rows, sums), or (sums, rows) where `axis` is 1.
+    index: The positions of the entries, (rows, sums), or (sums, rows) where `axis` is 1.
+    axis: The axis of `index` that is summed.
+    target: Where the results go, (sums,).
     """
 
     index: Integers
@@ -31,7 +38,11 @@ class GatheredSum:
 
     @classmethod
     def of(cls, sources: Sequence[tuple[Place, States]], start: int) -> GatheredSum:
-        """The sums of tables over all but the wanted variables of each, kept from `start` on."""
+        """Sum each of some tables to its wanted variables, with results from `start` on.
+
+        sources: Of each table, its place and the wanted variables, whose C order the results have.
+            All have equally many entries for each joint state of these.
+        """
         matrices = []
         for place, wanted in sources:
             positions = place.positions((*without(place.scope, wanted), *wanted))
@@ -43,7 +54,7 @@ class GatheredSum:
         return cls(index, axis, slice(start, start + columns))
 
     def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
-        """Sum into a part of an array, which is returned."""
+        """Sum entries of the storage into the target slice of `out`, and return that slice."""
         into = out[self.target]
         if self.index.shape[self.axis] == 1:
             return storage.take(self.index.ravel(), 0, into, "clip")
@@ -52,7 +63,13 @@ class GatheredSum:
 
 @dataclass(frozen=True, eq=False)
 class BlockSum:
-    """A contiguous table, summed to some of its variables in place."""
+    """The sum of a large table, which is contiguous, to some of its variables.
+
+    entries: Where the table stands.
+    view: The table with neighbouring axes merged, if all are wanted or none.
+    sums: The sum over the axes of `view` that are not wanted.
+    target: Where the results go.
+    """
 
     entries: slice
     view: Merged
@@ -61,13 +78,13 @@ class BlockSum:
 
     @classmethod
     def of(cls, place: Place, wanted: States, start: int) -> BlockSum:
-        """The sums of one large table over all but the wanted variables, stored from `start` on."""
+        """Sum a large table to its wanted variables, with results from `start` on, in C order."""
         target = slice(start, start + math.prod(sizes(wanted)))
         view = place.merged(wanted)
         return cls(place.entries, view, AxisSums.of(view.shape, view.others), target)
 
     def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
-        """Sum into a part of an array, which is returned."""
+        """Sum the table in the storage into the target slice of `out`, and return that slice."""
         tail = storage.shape[1:]
         table = storage[self.entries].reshape((*self.view.shape, *tail))
         total = self.sums.total(table, semiring)
@@ -81,9 +98,10 @@ Sum = GatheredSum | BlockSum
 
 
 def summed(sources: Sequence[tuple[Place, States]], start: int) -> Sum:
-    """The sums of some tables, or of a contiguous one, from a place on.
+    """Sum each of some tables to its wanted variables, with results from `start` on.
 
-    sources: Each to some of its variables, with equally many entries for each entry of these.
+    sources: Of each table, its place and the wanted variables. One large table, or several small
+        ones that have equally many entries for each joint state of the wanted variables.
     """
     place, wanted = sources[0]
     return BlockSum.of(place, wanted, start) if place.large else GatheredSum.of(sources, start)
@@ -91,10 +109,16 @@ def summed(sources: Sequence[tuple[Place, States]], start: int) -> Sum:
 
 @dataclass(frozen=True, eq=False)
 class Marginals:
-    """The probabilities of all variables, one after the other.
+    """The sums of tables that make the marginals of all variables.
 
-    first, widths: (variables,): where they begin, and their numbers.
-    matrix: (length of the storage, count): of zeros and ones, where it is small.
+    The marginals stand one after the other in an array (count, [runs]).
+
+    sums: Together they write all marginals.
+    where: Of each variable, the slice of its marginal.
+    first, widths: (variables,): of each marginal, its first place and its number of states.
+    count: The number of states of all variables together.
+    matrix: (length of the storage, count): of zeros and ones, whose product with the tables is the
+        marginals; None where it would be large.
     """
 
     sums: Sequence[Sum]
@@ -106,7 +130,11 @@ class Marginals:
 
     @classmethod
     def of(cls, sources: Mapping[Discrete, Place], length: int) -> Marginals:
-        """The sums of the marginals of all variables, each from the table of its home."""
+        """Lay out the sums that make the marginals of all variables.
+
+        sources: Of each variable, the place of the table from which its marginal is summed.
+        length: Of the flat storage, in entries, those of sepsets behind the clusters' included.
+        """
         # A large table is summed by itself, others with those of as many entries for each state.
         together: dict[Discrete | int, list[tuple[Place, States]]] = {}
         for variable, place in sources.items():
@@ -130,7 +158,10 @@ class Marginals:
         return cls(sums, where, np.cumsum(widths) - widths, widths, stop, matrix)
 
     def read(self, tables: Array) -> Array:
-        """The probabilities, (states of all variables, [runs])."""
+        """The marginals, (count, [runs]), of calibrated tables, (length of the storage, [runs]).
+
+        Each is divided by its sum.
+        """
         out = np.empty((self.count, *tables.shape[1:]))
         if self.matrix is not None and tables.ndim == 1:
             tables.dot(self.matrix, out)
@@ -142,9 +173,9 @@ class Marginals:
         return out
 
 
-# Entries behind the last axis, from which on one call sums all axes.
+# If at least so many entries lie behind the last axis that is summed, one call sums all axes.
 LONG = 128
-# Of the last axes that are summed by a product of matrices: entries, and sums of them.
+# Last axes of at most so many entries, with so many sums, are summed by a product of matrices.
 ENTRIES, SUMS = 128, 8
 
 
@@ -153,7 +184,10 @@ class AxisSums:
     """A sum over some axes of a table.
 
     shape: Of the table, without the axis of runs.
-    last: A matrix of zeros and ones that sums the last axes, if they have few entries.
+    axes: Those that are summed.
+    last: A matrix of zeros and ones, (entries, sums), whose product with the table sums its last
+        axes; None where these have many entries.
+    front: The axes that are summed one by one before that product.
     """
 
     shape: tuple[int, ...]
@@ -174,7 +208,10 @@ class AxisSums:
         return cls(shape, axes, None, axes)
 
     def total(self, table: Array, semiring: Semiring) -> Array:
-        """The sums, in any shape; the table has an axis of runs or none."""
+        """The sums, in C order of the axes that are left, in any shape.
+
+        The table has an axis of runs behind its own, or none.
+        """
         tail = table.shape[len(self.shape) :]
         if not self.axes:
             return table

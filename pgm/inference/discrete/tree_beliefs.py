@@ -1,4 +1,7 @@
-"""The calibrated beliefs of a tree, for as many runs at once as fit."""
+"""The calibrated beliefs of a tree, for as many runs at once as fit into memory.
+
+A run is one set of evidence of a batch. In shapes, [runs] is an axis that a single run lacks.
+"""
 
 from __future__ import annotations
 
@@ -24,22 +27,32 @@ from pgm.variables import Discrete
 
 @dataclass(frozen=True, eq=False)
 class TreeBeliefs:
-    """The calibrated beliefs of a graph without loops."""
+    """The calibrated beliefs of a graph without loops.
+
+    Runs of equal evidence are computed once. Their tables are kept if they fit; else marginals
+    alone are, and the tables are calibrated anew, some runs at a time, whenever they are read.
+    """
 
     plan: TreePlan
     storage: Storage
     evidence: BoundStates
     _room: Room
-    # What follows is of the runs that differ.
+    # The runs that differ, which all that follows is of.
     _distinct: Distinct
-    # Some runs after the other; None where all would take too much room.
+    # The tables of consecutive parts of the runs, and their numbers of runs; None where they would
+    # take too much room.
     _kept: Sequence[tuple[Calibrated, int]] | None
+    # The marginals, (states of all variables, [runs]), where tables are not kept.
     _given: Array | None
+    # Logarithms of the scales taken out of messages, (tops, [runs]); they sum to ln p(evidence).
     _log_tops: Array
 
     @classmethod
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> TreeBeliefs:
-        """Calibrate a graph without loops."""
+        """Calibrate a graph without loops, some runs at a time.
+
+        Evidence of probability zero in some run raises `ImpossibleEvidence`.
+        """
         distinct = Distinct.of(evidence)
         runs = distinct.evidence.runs
         plan = plan_for(graph, runs, room.batch)
@@ -65,7 +78,10 @@ class TreeBeliefs:
 
     @cached_property
     def _marginals(self) -> Array:
-        """The marginals of all variables one after the other, (entries, distinct runs)."""
+        """The marginals of all variables one after the other, (states of all variables, [runs]).
+
+        The runs are the different ones, of `_distinct`.
+        """
         given = self._read(self.plan.marginals.read) if self._given is None else self._given
         # Tables of parts of it are handed out as they are.
         given.flags.writeable = False
@@ -76,11 +92,16 @@ class TreeBeliefs:
         return self._distinct.spread(self._marginals[self.plan.marginals.where[variable]])
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of a function of the tables, whose last axis, if any, is of runs."""
+        """The result of a function of the calibrated tables, for all runs.
+
+        `reader` takes the tables of some runs, (entries + columns, [runs]), in the layout of
+        `storage`, with those of sepsets behind; it returns an array whose last axis is that of the
+        runs, if there is one.
+        """
         return self._distinct.spread(self._read(reader))
 
     def _read(self, reader: Callable[[Array], Array]) -> Array:
-        """The results of a function of the calibrated tables for all distinct runs, in pieces."""
+        """The result of `read` for the runs that differ."""
         found = _Gathered(self._distinct.evidence.runs)
         if self._kept is not None:
             for done, runs in self._kept:
@@ -96,17 +117,20 @@ class TreeBeliefs:
         return self._distinct.spread(np.asarray(self._log_tops.sum(axis=0)))
 
     def log_total(self, cluster: int) -> Array:
-        """The logarithm of p(evidence) of a cluster's tree, ([runs])."""
+        """The value ln p(evidence in a cluster's tree), ([runs])."""
         mine = self.plan.tree_of_top == self.plan.forest.roots[cluster]
         return self._distinct.spread(np.asarray(self._log_tops[mine].sum(axis=0)))
 
     @cached_property
     def _whole(self) -> TreeMessages:
-        """The messages by their definition, of all distinct runs."""
+        """The messages between clusters for all runs that differ, each computed on request."""
         return TreeMessages(self.storage, self._distinct.evidence)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
-        """The message from one cluster to a neighbour, (sizes..., runs), and its log-scale."""
+        """The message from one cluster to a neighbour, (sizes..., runs), and log-scale, (runs,).
+
+        The message is the values, whose largest is one, times exp(log-scale).
+        """
         evidence, parts = self._distinct.evidence, []
         for piece in pieces(evidence, self._room.batch // self.storage.entries):
             several = piece is not evidence
@@ -121,9 +145,9 @@ class TreeBeliefs:
 
 
 class _Gathered:
-    """The results of batches of runs, (..., [runs]), gathered in one array.
+    """The results of consecutive parts of the runs, (..., [runs]), gathered in one array, `whole`.
 
-    runs: Of all; of a single one there is no axis.
+    runs: How many there are in all.
     """
 
     whole: Array
@@ -133,7 +157,7 @@ class _Gathered:
         self.done = 0
 
     def add(self, values: Array, runs: int) -> None:
-        """Add the values of the next runs, (..., runs)."""
+        """Add the results of the next `runs` runs, (..., [runs])."""
         if runs == self.runs:
             self.whole = values
             return

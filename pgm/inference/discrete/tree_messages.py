@@ -1,4 +1,8 @@
-"""The messages of a tree of tables by their definition, made on request."""
+"""The messages of a tree of tables, computed from the potentials on request.
+
+The message from i to j is μ_ij = Σ ψ_i Π μ_ki: ψ_i is the potential of i times its evidence, k are
+the neighbours of i but j, and the sum is over the variables of i that j does not share.
+"""
 
 from collections.abc import Iterable
 
@@ -10,10 +14,7 @@ from pgm.kernels.semirings import log_sum
 
 
 class TreeMessages:
-    """Messages of a graph without loops, each from the potential and the other messages.
-
-    All are logarithms, with an axis for each variable, and one of runs.
-    """
+    """The messages of a graph without loops, as logarithms, (sizes of the sepset..., runs)."""
 
     def __init__(self, storage: Storage, evidence: BoundStates) -> None:
         self.storage = storage
@@ -21,7 +22,7 @@ class TreeMessages:
         self._messages: dict[tuple[int, int], Array] = {}
 
     def message(self, source: int, target: int) -> Array:
-        """The message from one cluster to a neighbour; it and its upstream messages are kept."""
+        """The message from one cluster to a neighbour, kept, as are all that it is made from."""
         waiting = [] if (source, target) in self._messages else [(source, target)]
         while waiting:
             i, j = waiting[-1]
@@ -34,10 +35,7 @@ class TreeMessages:
         return self._messages[source, target]
 
     def _sent(self, i: int, j: int, inputs: Iterable[tuple[int, int]]) -> Array:
-        """The logarithm of the message from cluster i to j: Σ potential of i · messages to i.
-
-        The edges `inputs` are those of the other neighbours of i.
-        """
+        """The logarithm of the message from cluster i to j, made from those to i along `inputs`."""
         scope, graph = self.storage.scopes[i], self.storage.graph
         total = self.storage.table(self.potentials, i)
         for edge in inputs:

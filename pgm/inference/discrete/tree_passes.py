@@ -1,4 +1,15 @@
-"""Messages over a tree of tables: towards the roots, and back."""
+"""The two passes of messages over a tree of tables: towards the roots, and back.
+
+A *stack* is some clusters of like shape and depth, computed together; a set of stacks is an integer
+with a bit for each (see `tree_plan`). The *entries* are those of all clusters' tables; a *column*
+is an entry of the message from a cluster to its parent, or of their sepset. In shapes, [runs] is an
+axis that a single run lacks.
+
+Each message to a parent is divided by its largest entry, its *top*, lest products underflow. So is
+the table of a *hub*, a cluster of many children, after every few of their messages. A root's top is
+the sum of its table, so that the tops of a tree multiply to p(evidence). With logarithms nothing is
+divided, and all tops but the roots' are those of one. All arrays hold entries of the semiring.
+"""
 
 import math
 from dataclasses import dataclass
@@ -15,15 +26,15 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """The tables with which a pass to the roots begins.
+    """The tables with which the pass to the roots begins.
 
     tables: (entries + columns, [runs]): of the clusters, and room for the sepsets behind them.
-    potentials: (entries, [1]): without evidence.
-    entered: The set of the stacks whose tables hold potentials times evidence; others are empty,
-        and have no evidence of their own.
-    active: The set of the stacks that send messages to the roots. Those of others are one: their
-        potentials are probabilities given the sepsets to their parents, and below them there is no
-        evidence.
+    potentials: (entries, [1]): the clusters' potentials without evidence.
+    entered: The set of the stacks whose `tables` hold potentials times evidence. Those of others
+        are not filled yet: they have no evidence of their own, and begin with `potentials`.
+    active: The set of the stacks that send messages to the roots. The messages of others would be
+        one: there is no evidence below them, and their potentials are p(cluster | sepset to the
+        parent).
     """
 
     tables: Array
@@ -34,10 +45,10 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Collected:
-    """The tables and messages after the upward pass.
+    """The messages of the pass to the roots, and the scales taken out of them.
 
-    messages: (columns, [runs]): what was summed from the tables.
-    tops: (tops, [runs]): the scales taken out of messages, whose product is p(evidence).
+    messages: (columns, [runs]): each before it is divided by its top.
+    tops: (tops, [runs]): the scales, whose product over a tree is its p(evidence).
     """
 
     messages: Array
@@ -45,7 +56,10 @@ class Collected:
 
 
 def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
-    """Upward pass: each table, times its children's messages, is summed to its parent's message."""
+    """Send the messages to the roots: each sums a table times the messages of its children.
+
+    The tables of active stacks become these products, in place.
+    """
     tables, potentials, active = entry.tables, entry.potentials, entry.active
     tail = tables.shape[1:]
     room = np.empty((2 * plan.columns + plan.tops, *tail))
@@ -85,7 +99,12 @@ def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
 
 
 def distribute(plan: TreePlan, entry: Entry, done: Collected, semiring: Semiring) -> None:
-    """Send the messages back: tables and sepsets become probabilities."""
+    """Send the messages back: tables and sepsets become probabilities given the evidence.
+
+    This is in place, in ``entry.tables``. From the roots down a sepset is the sum of its parent's
+    table; the table below is multiplied by the sepset over the message that went up, or, where none
+    did, is p(cluster | sepset) times the sepset. ``done.messages`` are overwritten.
+    """
     tables = entry.tables
     tail = tables.shape[1:]
     divisor = done.messages
@@ -115,12 +134,16 @@ HELD = 2**26
 
 
 def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
-    """The tables of some runs, ready for `collect`.
+    """The potentials of all clusters, with the evidence of some runs entered, for `collect`.
+
+    With numbers, potentials are those of `conditionals`, and active are the stacks from the
+    evidence to the roots. With logarithms, or in the largest graphs, they are products of CPDs, and
+    all are active.
 
     Raises
     ------
     FloatingPointError
-        If an entry is too small for a number.
+        If the semiring is of numbers, and an entry underflows.
     """
     if plan.storage.entries > HELD:
         tables = plan.storage.potentials(semiring, plan.columns)
@@ -149,11 +172,11 @@ def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
 
 
 def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
-    """Without evidence, the probabilities of each cluster given the sepset to its parent.
+    """The probabilities p(cluster | sepset to its parent) without evidence, (entries,).
 
-    Potentials like the products of CPDs; but without evidence their messages to the roots are one,
-    so that none has to be sent but from where there is some. Those of a root sum to what the
-    product of its tree's CPDs sums to. None if an entry is too small for a number.
+    They serve as potentials, for their product is that of all CPDs; but their messages to the roots
+    are one where no evidence enters, so that none has to be sent there. Those of a root sum to what
+    the product of its tree's CPDs sums to. None if an entry underflows.
     """
     try:
         with np.errstate(all="raise"):
@@ -176,11 +199,14 @@ def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """Probabilities of a tree given evidence.
+    """The tables of all clusters and sepsets after both passes, and the scales taken out.
 
-    tables: (entries + columns, [runs]): of the clusters, then of the sepsets.
-    log_tops: (tops, [runs]): logarithms of scales, whose sum over a tree is its ln p(evidence); −∞
-        where that is impossible.
+    tables: (entries + columns, [runs]): probabilities given the evidence, of the clusters, then of
+        the sepsets. If the evidence of any run is impossible they are no probabilities, in any run:
+        no messages were sent back.
+    log_tops: (tops, [runs]): the logarithms of the scales taken out of the messages to the roots,
+        and of hubs' tables. Their sum over a tree is ln p(evidence in it), −∞ if that is
+        impossible.
     """
 
     tables: Array
@@ -188,7 +214,10 @@ class Calibrated:
 
 
 def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
-    """Both passes: with numbers, or where one would be lost to underflow with logarithms."""
+    """Calibrate the tables with evidence, in numbers, or in logarithms if a number underflows.
+
+    A single run in a tiny network is summed from the joint of all variables instead.
+    """
     if evidence.runs == 1 and not evidence.weights and plan.enumeration is not None:
         tables, total = plan.enumeration.given(evidence.states)
         log_tops = np.zeros(plan.tops)
@@ -202,7 +231,10 @@ def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
 
 
 def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Calibrated:
-    """Both passes over a tree in one semiring; only the first, where the evidence is impossible."""
+    """Both passes over a tree in one semiring.
+
+    With logarithms, messages are not sent back if the evidence of any run is impossible.
+    """
     entry = enter(plan, evidence, semiring)
     done = collect(plan, entry, semiring)
     tables, log_tops = entry.tables, semiring.logs(done.tops)

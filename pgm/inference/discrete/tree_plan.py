@@ -1,8 +1,15 @@
-"""The plan of a pass of messages over a tree of tables, laid out once for a graph.
+"""The plan of the passes of messages over a tree of tables, laid out once for a graph.
 
-The clusters of a tree hang at its centre. Those of one depth that have as many entries for each
-entry of the sepset to their parent, the same number of children and parents of like shape form a
-stack: their tables are the columns of one matrix, so that the messages of a stack are one sum.
+The clusters of a tree hang at its centre, the root. A *column* is an entry of the message from a
+cluster to its parent: a joint state of their sepset; a root has one column, of an empty sepset. A
+table is a matrix of its columns, each with a *row* for each joint state of the other variables, and
+a message is the sum of the rows. Clusters of one depth that have as many rows, the same number of
+children and parents of like shape form a *stack*: their tables are the columns of one matrix, so
+that the messages of a stack are one sum. A set of stacks is an integer with a bit for each.
+
+Flat storage holds the *entries* of all clusters' tables, then the columns of all sepsets. *Tops*
+are scales taken out of messages, and of the tables of *hubs*, clusters of more than `CHUNK`
+children. In shapes, [runs] is an axis that a single run lacks.
 
 In a tiny network messages would be calls on a few numbers each: there every table is a sum of the
 joint of all variables, by one product with a matrix of zeros and ones.
@@ -32,16 +39,18 @@ from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import SUM_PRODUCT
 from pgm.variables import Discrete
 
-# Entries of this matrix, at the most.
+# The most entries of the matrix `Enumeration.tables`.
 TINY = 2**14
 
 
 @dataclass(frozen=True, eq=False)
 class Enumeration:
-    """The joint of all variables of a network whose graph is one tree.
+    """The joint of all variables of a tiny network whose graph is one tree.
+
+    A *cell* is a joint state of all variables.
 
     joint: (cells,): probabilities without evidence.
-    shown: (states, cells): one in the cells of a state, zero in the others.
+    shown: Of each variable, (states, cells): one in the cells of a state, zero in the others.
     tables: (cells, entries + columns): one where a cell is part of an entry of a cluster or a
         sepset.
     """
@@ -54,8 +63,9 @@ class Enumeration:
     def of(
         cls, storage: Storage, forest: Forest, sepsets: Sequence[States], first: Integers
     ) -> Enumeration | None:
-        """The joint of a network; None if it is not tiny, or an entry is too small for a number.
+        """The joint of a network; None if it is not tiny, has several trees, or underflows.
 
+        sepsets: Of each cluster, that with its parent.
         first: (clusters,): the first column of each cluster's message to its parent.
         """
         scope = tuple(storage.homes)
@@ -81,9 +91,9 @@ class Enumeration:
         return cls(joint, shown, tables)
 
     def given(self, states: Mapping[Discrete, int | Integers]) -> tuple[Array, float]:
-        """The tables of a single run, each of which sums to one, and p(evidence).
+        """The tables of a single run, (entries + columns,), each of sum one, and p(evidence).
 
-        Where that is zero, the tables are too.
+        Where that is zero, the tables are too. `states` are those observed.
         """
         cells = self.joint
         for variable, state in states.items():
@@ -98,16 +108,20 @@ class Enumeration:
 class Stack:
     """Clusters of equal shape and depth, computed in one batch.
 
-    A column is an entry of the sepset to the parent; a root has one, of an empty sepset.
-
+    clusters: (clusters,): which they are.
     bit: The one bit that stands for the stack in sets of stacks.
-    entries, columns, tops: Where their tables, the columns of their messages, and the scales taken
-        out of these stand: one for each cluster, and of a hub, which has so many children that its
-        table is rescaled in between, one more for each time.
+    entries: The slice of flat storage that has their tables.
+    columns: The slice that has their messages, in an array of all messages.
+    tops: The slice that has their scales, in an array of all scales: one for each cluster's
+        message; of hubs, whose tables are rescaled as well, then one for each cluster and each
+        time.
     shape: Of their tables as one matrix: (rows, columns), or (columns, rows) where `axis` is 1.
-    first, widths: Of each cluster, its first column in the stack and their number.
-    senders: For each of these, the set of the stacks that send them.
-    down: Sums the parents' tables to the columns; of roots None.
+    axis: The axis of rows, which messages sum.
+    first, widths: (clusters,): of each, its first column in the stack and the number of its
+        columns.
+    absorbed: The products of the messages from their children into their tables.
+    senders: Of each of these products, the set of the stacks that send its messages.
+    down: The sum of the parents' tables to the sepsets of the stack; None of roots.
     """
 
     clusters: Integers
@@ -125,21 +139,24 @@ class Stack:
 
     @cached_property
     def single(self) -> bool:
-        """Whether it is one cluster."""
+        """Whether the stack consists of one cluster."""
         return self.clusters.size == 1
 
     @cached_property
     def narrow(self) -> bool:
-        """Whether each cluster has one column."""
+        """Whether each cluster of the stack has one column."""
         return self.clusters.size == int(self.widths.sum())
 
     @cached_property
     def top(self) -> slice:
-        """Where the messages' scales begin in storage; a hub table's scales follow them."""
+        """The part of `tops` for the messages' scales; those of hubs' tables follow."""
         return slice(self.tops.start, self.tops.start + self.clusters.size)
 
     def largest(self, columns: Array) -> Array:
-        """The largest of each cluster's columns, (clusters, [runs])."""
+        """The largest number in each cluster's columns, (clusters, [runs]).
+
+        `columns` is an array with a number for each column of the stack, (columns, [runs]).
+        """
         if self.narrow:
             return columns
         if self.single:
@@ -148,11 +165,14 @@ class Stack:
         return np.maximum.reduceat(columns, self.first, 0)
 
     def by_column(self, each: Array) -> Array:
-        """A number of each cluster, (clusters, [runs]), for each of its columns."""
+        """The number of each cluster, (clusters, [runs]), for each column, (columns, [runs]).
+
+        A stack of one cluster keeps the one number, which broadcasts.
+        """
         return each if self.single or self.narrow else each.repeat(self.widths, 0)
 
     def by_entry(self, columns: Array) -> Array:
-        """A number for each column as an array to be combined with the tables as one matrix."""
+        """An array (columns, [runs]), shaped to broadcast with the matrix of tables."""
         return columns[:, None] if self.axis else columns
 
 
@@ -162,8 +182,9 @@ class TreePlan:
 
     stacks: The roots first, parents before children.
     sepsets: Of each cluster and its parent, in the order of the message's columns.
+    columns, tops: How many columns and scales there are in all.
     first: (clusters,): the first column of each cluster's message to its parent.
-    large: Tables of so many entries stand by themselves.
+    large: Tables of at least so many entries are contiguous, and worked on by themselves.
     """
 
     storage: Storage
@@ -182,7 +203,7 @@ class TreePlan:
 
     @cached_property
     def enumeration(self) -> Enumeration | None:
-        """The joint of all variables, where the network is tiny."""
+        """The joint of all variables; None if the network is not tiny, or not one tree."""
         return Enumeration.of(self.storage, self.forest, self.sepsets, self.first)
 
     @cached_property
@@ -191,22 +212,22 @@ class TreePlan:
         return (1 << len(self.stacks)) - 1
 
     def homes_of(self, evidence: BoundStates) -> int:
-        """The set of the stacks that evidence is put into."""
+        """The set of the stacks whose tables evidence is multiplied into."""
         return _union(self._ways[v][0] for v in (*evidence.states, *evidence.weights))
 
     def above(self, evidence: BoundStates) -> int:
-        """The set of the stacks on the ways from the evidence to the roots, and of these."""
+        """The set of all roots' stacks and of those on the ways from the evidence to them."""
         ways = _union(self._ways[v][1] for v in (*evidence.states, *evidence.weights))
         return self._roots | ways
 
     @cached_property
     def _roots(self) -> int:
-        """The stacks that contain a root cluster, as a bit set."""
+        """The set of the stacks of roots."""
         return _union(stack.bit for stack in self.stacks if stack.down is None)
 
     @cached_property
     def _ways(self) -> dict[Discrete, tuple[int, int]]:
-        """The stack of each variable's home, and the stacks on its way to the root."""
+        """Of each variable, the stack of its home, and the set of those from there to the root."""
         found = [(0, 0)] * len(self.graph)
         for stack in self.stacks:
             for k in stack.clusters.tolist():
@@ -216,14 +237,14 @@ class TreePlan:
 
     @cached_property
     def tree_of_top(self) -> Integers:
-        """The root of the tree from which each scale was taken, (tops,)."""
+        """The root of the tree from which each scale is taken, (tops,)."""
         roots = self.forest.roots
         found = [np.resize(roots[s.clusters], s.tops.stop - s.tops.start) for s in self.stacks]
         return np.concatenate(found)
 
     @cached_property
     def marginals(self) -> Marginals:
-        """The sums of each variable's home, or of a smaller sepset, to its probabilities."""
+        """The sums that make marginals, each from the smallest table, of a cluster or a sepset."""
         found = {v: self.storage.places[home] for v, home in self.storage.homes.items()}
         for sepset, first in zip(self.sepsets, self.first.tolist(), strict=True):
             place = Place.of(sepset, self.storage.entries + first, self.large)
@@ -233,7 +254,8 @@ class TreePlan:
         return Marginals.of(found, self.storage.entries + self.columns)
 
 
-# A hub multiplies this many messages at the most into its table before it is rescaled.
+# A hub multiplies this many messages at the most into its table before that is rescaled; a cluster
+# of more children is one.
 CHUNK = 32
 # In batches, tables of this many entries stand by themselves: runs make calls long, and gathering
 # entries that stand anywhere takes longer than using them where they stand.
@@ -243,27 +265,37 @@ SMALL = 2**12
 
 
 def plan_for(graph: ClusterGraph, runs: int, batch: int) -> TreePlan:
-    """The passes over a graph without loops, laid out once for one run and once for many."""
+    """The plan of a graph without loops, made once where runs go singly and once for batches.
+
+    `batch` is the limit on table entries, times runs, that are computed at once.
+    """
     if runs == 1 or at_once(sum(graph.sizes), batch) == 1:
         return graph.derived(make_plan, LARGE)
     return graph.derived(make_plan, LARGE_OF_MANY)
 
 
 def make_plan(graph: ClusterGraph, large: int) -> TreePlan:
-    """Lay out the passes over a graph without loops.
+    """Lay out the passes over a graph without loops; `GraphError` if its tables are too large.
 
-    large: Tables of so many entries stand by themselves.
+    large: Tables of at least so many entries are contiguous, and worked on by themselves.
     """
     require_size(graph, graph.sizes, "tables")
     return _Planner(graph, large).plan()
 
 
 def _union(sets: Iterable[int]) -> int:
-    """The union of sets of stacks, which are bits of integers."""
+    """The union of sets of stacks."""
     return reduce(or_, sets, 0)
 
 
 class _Planner:
+    """Lays out the stacks of a graph without loops.
+
+    sepsets, width: Of each cluster, the sepset with its parent, and how many columns it makes.
+    places, first, bits: Of each cluster, where its table stands, its first column, and the bit of
+        its stack; filled by `plan`.
+    """
+
     def __init__(self, graph: ClusterGraph, large: int) -> None:
         self.graph, self.large, self.forest = graph, large, graph.derived(Forest.of)
         shared = [sepset_between(graph, *edge) for edge in enumerate(self.forest.parent.tolist())]
@@ -293,11 +325,16 @@ class _Planner:
         return TreePlan(*made)
 
     def _rows(self, cluster: int) -> int:
-        """The rows of a table as a matrix with a column for each entry of the sepset above it."""
+        """The rows of a cluster's table, whose columns are those of its message to the parent."""
         return self.graph.sizes[cluster] // self.width[cluster]
 
     def _kind(self, cluster: int) -> tuple[int, ...]:
-        """The depth and shape that all clusters of a stack have; a large one has a stack alone."""
+        """The depth and shape that the clusters of a stack share; a large one has a stack alone.
+
+        In order: the depth, the rows, the children, and the entries of the parent's table for each
+        column (0 of a root), all as numbers; the cluster itself if its table or the parent's is
+        large, else −1.
+        """
         parent = int(self.forest.parent[cluster])
         above = self.graph.sizes[parent] // self.width[cluster] if parent >= 0 else 0
         depth, children = int(self.forest.depth[cluster]), len(self.forest.children[cluster])
@@ -305,15 +342,15 @@ class _Planner:
         return depth, self._rows(cluster), children, above, alone
 
     def _large(self, cluster: int) -> bool:
-        """Whether a table is so large that it is worked on by itself, in blocks."""
+        """Whether a table is so large that it is worked on by itself, where it stands."""
         return self.graph.sizes[cluster] >= self.large
 
     def _ordered(self, cluster: int, scope: States, sepsets: Sequence[States]) -> States:
-        """A cluster's variables in storage order.
+        """Variables of a cluster, `scope`, in the order in which its table has them.
 
-        In a large table the variables of each child's sepset stand together.
-
-        What is multiplied and summed there is then in few axes, the last of them long.
+        In a large table the variables of each child's sepset stand together, where that can be, and
+        those of the largest sepset last: products with its message, and sums to it, then have few
+        axes, the last of them long. Others keep their order.
         """
         if not self._large(cluster):
             return scope
@@ -323,7 +360,11 @@ class _Planner:
         return tuple(sorted(scope, key=lambda v: (found[v][0], found[v][-1]) if found[v] else ()))
 
     def _place(self, clusters: list[int], start: int, column: int) -> tuple[int, int]:
-        """Place the tables of a stack: as columns of one matrix, or as its rows if that is flat."""
+        """Place the tables of a stack from an entry on, and its messages from a column on.
+
+        The tables are columns of one matrix, which is stored by rows, or by columns if it has fewer
+        of these. Returns the entry and the column that come next.
+        """
         rows = self._rows(clusters[0])
         columns = sum(self.width[k] for k in clusters)
         offset = 0
@@ -339,7 +380,7 @@ class _Planner:
         return start + rows * columns, column + columns
 
     def _stack(self, clusters: list[int], storage: Storage, tops: int) -> Stack:
-        """The stack of some clusters: their tables, their messages up, products and sums."""
+        """The stack of some clusters whose tables are placed; its scales begin at `tops`."""
         rows = self._rows(clusters[0])
         widths = np.array([self.width[k] for k in clusters])
         columns = int(widths.sum())
@@ -366,7 +407,11 @@ class _Planner:
     def _absorbed(
         self, clusters: list[int], storage: Storage, start: int, entries: int
     ) -> list[Product]:
-        """The products of children's messages into tables: the column that meets each entry."""
+        """The products of children's messages into tables: the column that meets each entry.
+
+        `start` is the first entry of the stack, `entries` their number. Messages are multiplied a
+        few in one call; a large table takes them one by one.
+        """
         only = storage.places[clusters[0]]
         if only.large:
             return [
@@ -387,7 +432,7 @@ class _Planner:
         return [GatheredProduct(senders[some], maps[some]) for some in chunks]
 
     def _down(self, clusters: list[int], storage: Storage) -> Sum | None:
-        """The sums of the parents' tables to the columns of a stack; None of roots."""
+        """The sum of the parents' tables to the sepsets of a stack; None of roots."""
         parent = int(self.forest.parent[clusters[0]])
         if parent < 0:
             return None

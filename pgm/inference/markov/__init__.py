@@ -1,1 +1,1 @@
-"""Chains of slices of finitely many states: messages as probabilities of states."""
+"""Dynamic networks of tables, as chains of slices: messages are probabilities of states."""

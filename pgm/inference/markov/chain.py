@@ -9,7 +9,11 @@ normalised at each step, and the backward ones, which `sweep.backward` carries f
     β_T = 1,    β_{t−1}(x') ∝ Σ_x p(x | x') l_t(x) β_t(x),
 
 so that p(x_t | all measurements) ∝ α_t β_t. Nothing is divided by a predicted probability. In
-another semiring the numbers are logarithms, or the sums are maxima.
+another semiring the entries are logarithms of these numbers, or the sums are maxima.
+
+The *slice* of a step is its hidden variables, x a joint state of these. Arrays are (*states,
+*runs): an axis for each hidden variable, or one for all states; then one of runs, the user's axes
+flattened, or none where the user gave none.
 """
 
 from __future__ import annotations
@@ -25,18 +29,20 @@ from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.progress import counted
 
-# Beliefs above this, times factors whose product is, are numbers with all their digits.
+# The product of a belief and of factors, both above this, is a number with all its digits: float64
+# has them down to 2e-308.
 TINY = 1e-150
-# How many entries are looked at in one go.
+# The smallest entry is looked for among so many at a time.
 _CHUNK = 2**20
 
 
 class Behind(Protocol):
-    """The slices that a backward message goes along.
+    """The slices of a chain, as far as backward messages need them.
 
     Beliefs and messages are (*states, *runs), the states of a slice on one axis or on several, the
     runs flattened to one axis, or none of one run.
 
+    steps: T, the last step.
     lead: The user's axes of runs.
     """
 
@@ -44,13 +50,14 @@ class Behind(Protocol):
     lead: tuple[int, ...]
 
     def backward(self, step: int, message: Array) -> Array:
-        """The transpose of `Slices.forward`: a message to the slice before a step, from its own."""
+        """The sum Σ_x p(x | x') message(x): from the slice of a step to the one before, x'."""
         ...
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
         """The weights of a step's measurements and their log-scale; no weights, if there are none.
 
-        The density of the measurements is the weights times the exponential of the scale.
+        p(z_t | x) is the weights, which broadcast with a belief, times the exponential of the
+        scale.
         """
         ...
 
@@ -59,15 +66,18 @@ class Slices(Behind, Protocol):
     """A chain of slices of finitely many states: a hidden Markov model, or a grid."""
 
     def prior(self) -> Array:
-        """The probabilities at step 0."""
+        """The probabilities of the states at step 0, (*states, *runs)."""
         ...
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The predicted belief over the slice of step t ≥ 1, from the belief at the step before."""
+        """The sum Σ_x' p(x | x') belief(x'): to the slice of step t ≥ 1 from the one before, x'."""
         ...
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise the error for measurements of probability zero under a predicted belief."""
+        """Raise `EvidenceError`: under a predicted belief, a step's measurements are impossible.
+
+        `run` counts the flattened runs.
+        """
         ...
 
 
@@ -75,6 +85,7 @@ class BackwardChain:
     """The backward messages of a chain whose filtered beliefs are known.
 
     known: The filtered beliefs by step, (*states, *runs), each of sum one.
+    batch: The number of axes of runs, 1 or 0.
     """
 
     def __init__(self, slices: Behind, semiring: Semiring = SUM_PRODUCT) -> None:
@@ -87,33 +98,41 @@ class BackwardChain:
         return self.semiring.total(values, tuple(range(values.ndim - self.batch)), None)
 
     def unit(self) -> Array:
-        """The backward message to the last slice, of which nothing is later."""
+        """The backward message to the last slice, β_T: the semiring's one for each state."""
         return np.full(self.known[-1].shape, self.semiring.one)
 
     def message(self, step: int, message: Array) -> Array:
-        """The message to the slice of a step from all later measurements, of sum one."""
+        """The backward message β to a step, made from that to the next one, and of sum one."""
         found = self._passed(step, message)
         return self._scaled(found)
 
     def _scaled(self, message: Array) -> Array:
-        """A message divided by its total, so that no product of many underflows."""
+        """A message divided by its sum over the states, so that no product of many underflows."""
         scaled: Array = self.semiring.over(message, self.total(message))
         return scaled
 
     def _passed(self, step: int, message: Array) -> Array:
-        """The backward message to a step's slice, from the next step's message and measurements."""
+        """The backward message to a step before scaling, from that to the next one.
+
+        It takes in the measurements of the next step.
+        """
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
             message = self.semiring.times(message, weights)
         return self.slices.backward(step + 1, message)
 
     def back(self, step: int, message: Array) -> Array:
-        """The backward message of sum one, and zero where the filtered belief is zero."""
+        """The backward message to a step, of sum one, but zero where the filtered belief is zero.
+
+        It is made from the message to the next step. For posteriors it makes no difference; but
+        states that are possible are not lost beside impossible ones for which later measurements
+        speak.
+        """
         found, zero = self._passed(step, message), self.semiring.zero
         return self._scaled(np.where(self.known[step] > zero, found, zero))
 
     def posterior(self, step: int, message: Array) -> Array:
-        """The probabilities of the states at a step, given what its own and a message know."""
+        """The probabilities α β of the states at a step, normalised; `message` is β."""
         joint = self.semiring.times(self.known[step], message)
         return self.numbers(self.semiring.over(joint, self.total(joint)))
 
@@ -130,8 +149,7 @@ class StateChain(BackwardChain):
     """The messages of a hidden Markov chain, step by step, with a record of the forward ones.
 
     dtype: Of the beliefs that are kept, float64 or float32.
-
-    log_density: ln p(z_t | z_0..t−1) by step, (steps, *runs).
+    log_density: ln p(z_t | z_0..t−1) by step, (steps + 1, *runs).
     """
 
     slices: Slices
@@ -146,20 +164,23 @@ class StateChain(BackwardChain):
         )
 
     def run(self) -> StateChain:
-        """Make the forward sweep, and return the chain itself."""
+        """Send the forward messages, and return the chain itself, which has kept them."""
         sweep.forward(self, self.slices.steps, self)
         return self
 
     def start(self) -> Array:
-        """The prior."""
+        """The prior over the slice at step 0."""
         return self.slices.prior()
 
     def predict(self, step: int, belief: Array) -> Array:
-        """The belief over a step's slice, predicted from the slice before."""
+        """The belief over a step's slice, predicted from that over the slice before."""
         return self.slices.forward(step, belief)
 
     def take(self, step: int, belief: Array) -> tuple[Array, Array | float]:
-        """The belief given the measurements of its step, and the logarithm of their density."""
+        """The belief given the measurements of its step, and ln p of these under it, (*runs).
+
+        Measurements of probability zero are refused with an `EvidenceError`.
+        """
         weights, log_scale = self.slices.likelihood(step)
         joint = belief if weights is None else self.semiring.times(belief, weights)
         totals = self.total(joint)
@@ -170,7 +191,11 @@ class StateChain(BackwardChain):
         return known, self.semiring.logs(totals) + log_scale
 
     def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
-        """Keep the belief of a step."""
+        """Keep the filtered belief of a step and its log-density; the predicted belief is dropped.
+
+        Where there are controls, which begin at step 1, the belief of step 0 has another shape, and
+        `known` is a list.
+        """
         if not step:
             self.known = self.room(known)
         elif step == 1 and known.shape != self.known[0].shape:  # controls, which begin at step 1
@@ -180,7 +205,7 @@ class StateChain(BackwardChain):
         self.log_density[step] = log_density
 
     def room(self, like: Array) -> Array:
-        """Room for a belief at each step."""
+        """An array for a belief like this one at each step, (steps + 1, *states, *runs)."""
         return np.empty((self.slices.steps + 1, *like.shape), self.dtype)
 
     @property
@@ -197,7 +222,10 @@ class StateChain(BackwardChain):
             yield step, self.posterior(step, message)
 
     def gathered(self, beliefs: Iterable[tuple[int, Array]]) -> Array | list[Array]:
-        """Beliefs with their steps, in the order of these."""
+        """Beliefs, given as pairs (step, belief) in any order, as one array by step.
+
+        Where there are controls it is a list, since the belief of step 0 has another shape.
+        """
         if isinstance(self.known, list):
             found = dict(beliefs)
             return [found[step] for step in range(len(found))]
@@ -211,7 +239,7 @@ class StateChain(BackwardChain):
         return self.gathered(self.smoothed())
 
     def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
-        """The steps from 0 to T, and the belief of each given the measurements a lag later."""
+        """The steps from 0 to T, and the belief of each given measurements up to a lag later."""
         for step in counted(range(self.slices.steps + 1), "back"):
             message = np.full(self.known[step].shape, self.semiring.one)
             last = min(step + lag, self.slices.steps)
@@ -223,7 +251,7 @@ class StateChain(BackwardChain):
 
 
 def smallest(entries: Array) -> float:
-    """The smallest positive one of some entries."""
+    """The smallest positive entry; infinity if there is none."""
     low = float(entries.min(initial=np.inf))
     if low == 0.0:
         low = float(entries.min(where=entries > 0.0, initial=np.inf))

@@ -1,9 +1,13 @@
-"""Sums of a product of tables over the slices of a step, one table after another.
+"""Sums of a product of tables over the variables of two slices, one table after another.
+
+A *contraction* multiplies an array by the tables of CPDs, and sums over all variables but those
+that are wanted: for a forward message the array is the belief over the states before, the tables
+are p(child | parents), and the wanted variables are those of the slice.
 
 The order is found once for a model: each table is multiplied in where the array that is left after
 summing is smallest, and a variable is summed out with the last table that has it. A table of a
-single parent that no other table has is a linear map along that parent's axis, so that states that
-move independently of each other never make pairs.
+single parent that no other table has can be a *map*: a matrix that is applied along that parent's
+axis, which becomes the child's. So states that move independently of each other never make pairs.
 """
 
 from __future__ import annotations
@@ -18,27 +22,34 @@ from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import Semiring
 from pgm.kernels.stochastic import Transition
 
-# A variable of the pair of slices, by its place.
+# A variable of the pair of slices, by number: see `SlicePlan.labels`.
 Label = int
 
 
 class Move(NamedTuple):
-    """A map along an axis, of all runs or of some each.
+    """A table p(child | parent), to be applied as a matrix along the axis of one of the two.
 
-    maps: Maps and the runs of each; None for all.
+    maps: Pairs of a matrix and its runs, given as indices (k,); each run is in one pair. None in a
+        single pair stands for all runs.
     """
 
     maps: tuple[tuple[Transition, Integers | None], ...]
 
 
-# The table of a CPD at a step: with its axes, and one of runs where it differs by run; or a map.
+# The table of a CPD at a step: an array, with a last axis of runs if it differs by run; or a map.
 Factor = Array | Move
 
 
 class Step(NamedTuple):
-    """The multiplication by one table, and the sums that it makes possible.
+    """The multiplication by one table, and sums over the variables that are not needed any more.
 
+    Later tables and the result need the others.
+
+    factor: The place of the table among those of the contraction.
     labels: The variables of the table: parents, child.
+    before, after: The variables of the array's axes before and after the step.
+    axis: The axis along which the table is applied as a map; None where it is multiplied as a
+        table.
     """
 
     factor: int
@@ -51,12 +62,15 @@ class Step(NamedTuple):
 class Contraction(NamedTuple):
     """The steps from an array over some variables to one over others.
 
-    summed: Axes of the first array that no table has, summed out before.
-    spread: Lengths of axes that no table has, along which the last array is constant.
-    order: The axes of the last array, those it is spread along behind the others, in the order
-        wanted.
-    back: Whether maps go from the child to the parent.
-    largest: Entries of the largest array on the way.
+    steps: The multiplications, in turn.
+    summed: The axes of the first array that are summed out before the steps: their variables are in
+        no table and not wanted.
+    spread: The numbers of states of wanted variables that neither the array nor a table has. After
+        the steps they get axes, behind the array's own, along which it is constant.
+    order: The permutation for `transpose` that comes last: axis i of the result is axis
+        ``order[i]`` of the array after the steps and `spread`.
+    back: Whether maps are applied from the child to the parent, as their transposes.
+    largest: Entries, of one run, of the largest array that a step leaves.
     """
 
     steps: tuple[Step, ...]
@@ -68,7 +82,7 @@ class Contraction(NamedTuple):
 
     @property
     def along(self) -> frozenset[int]:
-        """The tables that act as matrices along one axis."""
+        """The places of the tables that are applied as maps; `apply` takes a `Move` for each."""
         return frozenset(step.factor for step in self.steps if step.axis is not None)
 
     @classmethod
@@ -82,8 +96,11 @@ class Contraction(NamedTuple):
         *,
         back: bool = False,
     ) -> Contraction:
-        """Order the tables.
+        """Find the order in which tables are multiplied into an array over `first`.
 
+        first, last: The variables of the axes of the array that is given, and of the result.
+        tables: The variables of each table: parents, child.
+        sizes: The number of states of each variable.
         maps: Of each table whether it may be a map along an axis.
         back: Whether the children are summed out, not the parents.
         """
@@ -112,11 +129,11 @@ class Contraction(NamedTuple):
         map_: bool,
         back: bool,
     ) -> Step:
-        """Multiply one table in: as a matrix along an axis, or by a sum over the axes that end.
+        """The step that multiplies one table in: as a map along an axis, or as a table.
 
-        A table of two variables whose parent nothing else needs moves the axis of that parent: it
-        need not be laid out as a table. `waiting` are the tables still to come, `last` the
-        variables that stay.
+        A table of two variables becomes a map if the one on the array's side, the parent, or with
+        `back` the child, is needed by nothing else, and the array does not have the other one yet.
+        `waiting` are the tables still to come, this one included, `last` the wanted variables.
         """
         labels = waiting[factor]
         needed = {x for k, table in waiting.items() if k != factor for x in table} | set(last)
@@ -129,7 +146,11 @@ class Contraction(NamedTuple):
         return Step(factor, labels, array, tuple(x for x in joined if x in needed), None)
 
     def apply(self, array: Array, factors: Sequence[Factor], semiring: Semiring) -> Array:
-        """The sum of an array times tables; axes behind its own, the last one of runs, are kept."""
+        """The product of an array and the tables, summed over all variables that are not wanted.
+
+        array: (sizes of the first variables..., others..., [runs]); the axes behind are kept.
+        factors: Of each table its entries in the semiring, or its map if it is in `along`.
+        """
         if self.summed:
             array = semiring.total(array, self.summed, None)
         for step in self.steps:
@@ -150,7 +171,10 @@ class Contraction(NamedTuple):
 
 
 def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool) -> Array:
-    """An array with one axis transformed by a matrix, or by one matrix a run."""
+    """An array with one axis transformed by a matrix, that of all runs or that of each run.
+
+    `back` applies the transposes; runs are the last axis.
+    """
     if move.maps[0][1] is None:
         return _mapped(move.maps[0][0], array, axis, semiring, back)
     parts: list[Array] = []
@@ -163,14 +187,17 @@ def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool
 
 
 def _mapped(each: Transition, array: Array, axis: int, semiring: Semiring, back: bool) -> Array:
-    """A transition along one axis of an array, of probabilities or of logarithms."""
+    """A matrix applied along one axis of an array, of probabilities or of logarithms."""
     if not semiring.linear:
         return each.logs(array, axis, semiring, back=back)
     return each.backward(array, axis) if back else each.forward(array, axis)
 
 
 def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> Array:
-    """The product of an array and a table, summed over the variables that go."""
+    """The product of an array and a table, summed to the variables that are left after a step.
+
+    Axes behind those of the variables are kept.
+    """
     if semiring.linear:
         operands: list[Any] = [array, [*step.before, ...], table, [*step.labels, ...]]
         found: Array = np.einsum(*operands, [*step.after, ...], optimize=True)
@@ -186,7 +213,10 @@ def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> A
 
 
 def _spread(array: Array, labels: Sequence[Label], axes: Sequence[Label], behind: int) -> Array:
-    """An array with an axis for each of some variables, and some behind, of length one if new."""
+    """An array over `labels`, with an axis for each variable of `axes`, then `behind` more axes.
+
+    An axis that it lacks has length one; of the axes behind it lacks the first ones.
+    """
     own, rest = array.shape[: len(labels)], array.shape[len(labels) :]
     array = array.reshape((*own, *(1,) * (behind - len(rest)), *rest))
     present = [x for x in axes if x in labels]

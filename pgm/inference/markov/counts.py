@@ -13,10 +13,10 @@ from pgm.kernels.arrays import Array, Integers
 def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Array]:
     """The expected number of times that each CPD's parents and child had their states.
 
-    cpds: Of arrays of numbers.
+    cpds: Those of interest, whose tables are arrays of numbers, not functions.
 
     Returns: By CPD, (size of each parent..., size of the child), summed over steps, sightings and
-    runs.
+        runs.
     """
     chain, plan, bound = posterior._chain, posterior._plan, posterior._slices.bound
     model = posterior.graph.model
@@ -53,7 +53,7 @@ def _by_run(belief: Array, batch: int) -> Array:
 
 
 def _marginal(belief: Array, wanted: list[int]) -> Array:
-    """The marginal of a belief (runs, *states) over some axes, in their order, (runs, ...)."""
+    """The marginal of a belief (runs, *states) over some axes, (runs, ...), in the order given."""
     others = tuple(1 + k for k in range(belief.ndim - 1) if k not in wanted)
     left = [k for k in range(belief.ndim - 1) if k in wanted]
     found: Array = belief.sum(axis=others)
@@ -61,16 +61,17 @@ def _marginal(belief: Array, wanted: list[int]) -> Array:
 
 
 def _states(rows: Any, row: int, runs: int) -> Integers:
-    """The states at one row of inputs (rows, runs or 1, 1), for all runs, (runs,)."""
+    """The states of one variable at a row of inputs (rows, runs or 1, 1), for all runs, (runs,)."""
     return np.broadcast_to(rows[row, :, 0], runs)
 
 
 def _moved(
     counts: Array, cpd: Any, inputs: Any, row: int, belief: Array, axes: dict[Any, int]
 ) -> None:
-    """Add the belief of a CPD's family at one row to its counts, in place.
+    """Add p(parents, child | all measurements) of a CPD at one row to its counts, in place.
 
-    The axes of observed parents are at their states, which may differ by run.
+    belief: (runs, *states), over at least the hidden variables of the CPD.
+    axes: The axis of each hidden variable in a run's belief; the others' states are in `inputs`.
     """
     family = (*cpd.given, cpd.child)
     found = _marginal(belief, [axes[v] for v in family if v in axes])
@@ -83,9 +84,14 @@ def _moved(
 
 
 def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, int]) -> None:
-    """Add the belief of a sensor's parents at one measurement to its counts, in place.
+    """Add p(parents, z | all measurements) of a sensor z at one measurement to its counts.
 
-    With soft evidence w of the sensor z its share is p(z | parents) w(z) / Σ p(z | parents) w(z).
+    belief: (runs, *states), over at least the hidden parents.
+    axes: The axis of each hidden variable in a run's belief; others' states are the reading's
+        inputs.
+
+    A state z that was measured gets p(parents). With soft evidence w of the sensor each state z
+    gets the share p(z | parents) w(z) / Σ_z p(z | parents) w(z) of it.
     """
     cpd, runs = reading.cpd, len(belief)
     found = _marginal(belief, [axes[v] for v in cpd.given if v in axes])

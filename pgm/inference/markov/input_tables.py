@@ -1,4 +1,4 @@
-"""Tables that are functions of inputs, at their rows."""
+"""Tables of CPDs that are functions of inputs, called at the values of each row."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ def smallest_entry(table: Array) -> float:
 class InputTables:
     """The tables that the function of a CPD returns for the inputs of a row.
 
-    inputs: (rows, runs or 1, d), or of states (rows, runs or 1, 1).
+    inputs: Of each variable, (rows, runs or 1, d), or of states (rows, runs or 1, 1).
+    step: The time step of a row, for the messages of errors.
+    smallest: The smallest positive entry of all tables returned up to now, at most 1.
     """
 
     def __init__(
@@ -30,7 +32,7 @@ class InputTables:
         self.smallest = 1.0
 
     def at(self, row: int) -> Array:
-        """The tables of a row, (runs or 1, size of each parent..., size of the child)."""
+        """The tables p(child | parents) of a row, (runs or 1, parents' sizes..., child's size)."""
         values = {}
         for v in self.cpd.inputs:
             rows = self.inputs[v][row]

@@ -1,4 +1,7 @@
-"""Joints of variables of several slices, made only where they are asked for."""
+"""Joints of the variables of several slices, made only where they are asked for.
+
+Arrays have an axis for each hidden variable, then one of runs, or none where the user gave none.
+"""
 
 from typing import Any
 
@@ -12,10 +15,10 @@ from pgm.kernels.arrays import Array
 
 
 def pair(chain: StateChain, plan: SlicePlan, step: int, message: Array) -> Array:
-    """The states of the step before and the slice of a step: (*states, *slice, *runs), of sum one.
+    """The joint of the states before a step and its slice, (*states, *slice, *runs), of sum one.
 
     step: 1 or later.
-    message: To the slice of the step, from later ones.
+    message: The backward message to the slice of the step, from later measurements.
     """
     slices: Any = chain.slices
     semiring = chain.semiring
@@ -34,8 +37,9 @@ def potential(
 ) -> tuple[Array, Array | None, Array | float]:
     """The transition into a step, or the prior, and the weights of the step's measurements.
 
-    The transition is (*states, *slice, *runs), of step 0 the prior, (*slice, *runs); the weights,
-    (*slice, *runs), are None where nothing is measured; last, their log-scale.
+    Returns, in entries of the chain's semiring: p(slice | states before), (*states, *slice, *runs),
+    or at step 0 p(states), (*slice, *runs); the weights, (*slice, *runs), None where nothing is
+    measured; the log-scale of the weights.
     """
     slices: Any = chain.slices
     weights, log_scale = slices.likelihood(step)
@@ -50,8 +54,9 @@ def potential(
 def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Array:
     """The joint of variables at steps, (sizes..., *runs), in their order.
 
-    Forward messages carry the axes of the variables that have passed, from the first of their steps
-    to the last, whose backward message ends it.
+    A forward message goes from the first of their steps to the last; from the step of each variable
+    on it has one axis more, of that variable's state. The backward message to the last step ends
+    it, from the measurements that a belief of this kind knows there.
     """
     slices: TableSlices = chain.slices  # type: ignore[assignment]
     semiring, axes = chain.semiring, len(plan.shape)
@@ -88,12 +93,15 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
 
 
 def _behind(values: Array, axes: int, passed: int) -> Array:
-    """Values over a slice with axes of length one for the variables that have passed."""
+    """Values over a slice, with axes of length one for the variables of earlier slices."""
     return values.reshape(*values.shape[:axes], *(1,) * passed, *values.shape[axes:])
 
 
 def _kept(array: Array, axis: int, place: int, chain: StateChain) -> Array:
-    """An array with a second axis for a variable, equal to the first, at a place."""
+    """An array with a copy of one axis at a place: zero where the two differ in state.
+
+    The axis itself may then be summed out by the transition, while the copy stays.
+    """
     semiring, size = chain.semiring, array.shape[axis]
     same = np.where(np.eye(size, dtype=bool), semiring.one, semiring.zero)
     wide = np.expand_dims(array, place)

@@ -21,7 +21,12 @@ Beliefs = Sequence[Array] | Array
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StateMarginals(Shown, NoArray):
-    """The marginals of the hidden variables of a discrete chain over all steps, by variable."""
+    """The marginals of the hidden variables of a discrete chain over all steps, by variable.
+
+    beliefs: Over the slice, by step, (*states, *runs).
+    lead: The user's axes of runs.
+    kind: Which measurements the beliefs know.
+    """
 
     plan: SlicePlan
     beliefs: Beliefs
@@ -44,7 +49,10 @@ class StateMarginals(Shown, NoArray):
         return Table._plain(discrete((template,)), frozen(rows.reshape(shape)))
 
     def _summed(self, belief: Array, variable: Variable, steps: int = 0) -> Array:
-        """The belief over one variable, (size, *runs), behind an axis of steps if there is one."""
+        """The marginal of a variable, (size, *runs), from a belief over the slice.
+
+        The belief may have one leading axis of steps, which is kept: then `steps` is 1.
+        """
         if len(self.plan.slice) == 1:
             return belief
         own = self.plan.labels[variable]

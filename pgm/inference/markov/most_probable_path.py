@@ -48,19 +48,26 @@ def _axes(controls: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _by_run(values: Array, batch: int) -> Array:
-    """Values (..., [runs]) with the runs, or the single one, first."""
+    """Values (..., [runs]) with the axis of runs first; a single run without one gets it."""
     return np.moveaxis(values, -1, 0) if batch else values[None]
 
 
 def _best(scores: Array) -> Integers:
-    """The indices of the largest entry of each run, (axes, runs); the first of equals."""
+    """The indices of the largest entry of each run, (axes, runs); the first of equals.
+
+    `scores` is (runs, ...).
+    """
     runs, *shape = scores.shape
     flat = scores.reshape(runs, -1).argmax(axis=1)
     return np.array(np.unravel_index(flat, shape), dtype=np.intp).reshape(len(shape), runs)
 
 
 def _with_controls(plan: SlicePlan, before: Array, states: Integers) -> Integers:
-    """The states of the whole slice: the best controls, given the states found."""
+    """The states of the whole slice, (variables, runs): the best controls beside those given.
+
+    before: The log-belief over the slice, (runs, *slice).
+    states: Those of the state variables, (states, runs); they are all, where there are no controls.
+    """
     if not plan.controls:
         return states
     runs = before.shape[0]
@@ -74,7 +81,10 @@ def _with_controls(plan: SlicePlan, before: Array, states: Integers) -> Integers
 
 
 def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
-    """Ln p(slice | states before) of a slice with known states, (runs, *states before)."""
+    """The values ln p(slice | states before), (runs, *states before), at a slice's known states.
+
+    `states` is (variables of the slice, runs).
+    """
     plan = slices.plan
     count, runs = len(plan.slice), states.shape[1]
     total: Array = np.zeros((runs, *(v.size for v in plan.states)))
@@ -99,7 +109,10 @@ def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Inte
 
 
 def _columns(move: Move, children: Integers, parents: Integers | None) -> Array:
-    """The logarithms of p(child | parent) for all parents, or for one, (runs, [parents])."""
+    """The values ln p(child | parent) of a map, (runs, parents), at each run's state of the child.
+
+    With `parents`, (runs,), they are (runs,), at each run's state of the parent too.
+    """
     runs = len(children)
     found: Array | None = None
     with np.errstate(divide="ignore"):

@@ -59,7 +59,7 @@ class OnlineTables(InCode, Immutable):
         return f"OnlineFilter(over {list(self.model.states)}{lag})"
 
     def initial(self) -> OnlineStates:
-        """The prior, at step 0."""
+        """The prior, as the predicted belief at step 0."""
         slices = TableSlices(self._plan, BoundEvidence(0, (), (), ()))
         semiring = SUM_PRODUCT if slices.smallest >= TINY else LOG_SUM_PRODUCT
         chain = StateChain(slices.within(semiring), semiring)
@@ -70,8 +70,10 @@ class OnlineTables(InCode, Immutable):
     def predict(
         self, belief: OnlineStates, inputs: Mapping[Variable, Any] | None = None
     ) -> OnlineStates:
-        """The belief one step later.
+        """The belief one step later, before its measurements.
 
+        belief: Of this filter; another filter's, or a smoothed one of `lagged`, raises
+            `ModelError`.
         inputs: Of the transition's inputs the name or index of a state, (...), or values (..., d).
         """
         self._check(belief)
@@ -97,6 +99,8 @@ class OnlineTables(InCode, Immutable):
     def update(self, belief: OnlineStates, readings: Mapping[Variable, Any]) -> OnlineStates:
         """The belief given measurements of its step; a further update goes on from the first.
 
+        belief: Of this filter; another filter's, or a smoothed one of `lagged`, raises
+            `ModelError`.
         readings: For a sensor the name or index of the state measured, (...), `soft` weights (...,
             size), or ``pgm.sightings(values, given=...)`` without steps, any number; for inputs
             that the sensors need, their states or values.
@@ -131,7 +135,15 @@ class OnlineTables(InCode, Immutable):
         )
 
     def _in_digits(self, slices: TableSlices, known: Held, work: Any) -> tuple[Held, Array]:
-        """Work on a belief in numbers, or where these lose a state in logarithms; its log-mass."""
+        """A belief after some work, in numbers, or in logarithms where numbers may lose a state.
+
+        work: Takes slices and a belief, both in one semiring; returns its new entries, (*states,
+            *runs), not normalised, the weights of its step's measurements or None, and a log-scale
+            of the entries.
+
+        Returns: The belief, of sum one, and the logarithm of the entries' sum, their scale
+            included, (*runs).
+        """
         for semiring in (SUM_PRODUCT, LOG_SUM_PRODUCT):
             if semiring.linear and (not known.linear or slices.smallest < TINY):
                 continue
@@ -155,7 +167,7 @@ class OnlineTables(InCode, Immutable):
         return held, np.asarray(semiring.logs(totals) + scale)
 
     def _spread(self, belief: OnlineStates, lead: tuple[int, ...]) -> OnlineStates:
-        """The belief broadcast to all leading axes of runs."""
+        """The belief and those of its past steps, with their runs broadcast to the axes `lead`."""
         if belief.lead == lead:
             return belief
         axes = len(self._plan.slice)
@@ -180,7 +192,7 @@ class OnlineTables(InCode, Immutable):
         )
 
     def _check(self, belief: OnlineStates) -> None:
-        """Refuse a belief of another filter, or one that is not the newest."""
+        """Raise `ModelError` for a belief of another filter, or a smoothed one of `lagged`."""
         mine = isinstance(belief, OnlineStates) and belief._plan.model is self.model
         if not mine or belief.kind.lag > 0 or belief._lag != self.lag:
             raise ModelError(
@@ -196,7 +208,11 @@ def online_tables(
     schedule: Any = None,
     lag: int | None = None,
 ) -> OnlineTables:
-    """The filter of a network of tables, where nothing is asked for that it has no use of."""
+    """The filter of a network of tables, made by ``OnlineFilter(model, ...)``.
+
+    A lineariser other than the default, a schedule other than `Filtering` or `FixedLag`, and both a
+    schedule and a lag raise `ModelError`.
+    """
     if lineariser != TAYLOR:
         raise ModelError(f"an online filter of tables linearises nothing: leave {lineariser!r} out")
     if schedule is not None and lag is not None:

@@ -1,4 +1,7 @@
-"""The beliefs of an online filter of a discrete dynamic network, and the steps of their lag."""
+"""The beliefs of an online filter of a discrete dynamic network, and the steps of their lag.
+
+Arrays have an axis for each hidden variable, then one of runs, or none where the user gave none.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,8 @@ class Held(NamedTuple):
     """A belief over a slice, of sum one, and the weights of its step's measurements so far.
 
     entries: (*states, *runs), numbers or logarithms.
-    weights: The same; None, if there were no measurements.
+    weights: ∝ p(measurements of the step | states), (*states, *runs), as `entries`; None, if there
+        were none.
     linear: Whether they are numbers.
     """
 
@@ -38,11 +42,11 @@ class Held(NamedTuple):
 
     @property
     def semiring(self) -> Semiring:
-        """The semiring of the entries."""
+        """The semiring of the entries, of numbers or of logarithms."""
         return SUM_PRODUCT if self.linear else LOG_SUM_PRODUCT
 
     def within(self, semiring: Semiring) -> Held:
-        """The held tables and weights, with entries of another semiring."""
+        """The same belief in a semiring: its own, or one of logarithms if it has numbers."""
         if semiring.linear == self.linear:
             return self
         weights = None if self.weights is None else semiring.entries(self.weights)
@@ -59,12 +63,12 @@ class Held(NamedTuple):
 
     @property
     def loses(self) -> bool:
-        """Whether numbers may have lost a state, so that logarithms are due."""
+        """Whether entries are numbers of which one is so small that products may lose a state."""
         return self.linear and smallest(self.entries) < TINY
 
 
 class Passed(NamedTuple):
-    """A past step of an online filter: its belief, and the transition out of it."""
+    """A past step of an online filter: its belief, and the slices with the transition out of it."""
 
     held: Held
     ahead: TableSlices
@@ -76,6 +80,7 @@ class OnlineStates(Shown, NoArray, Immutable):
     log_evidence: (*runs): ln p of all measurements so far.
     status: Tables need no iterations.
     kind: Filtered after an update, predicted before; of `lagged`, fixed-lag.
+    lead: The user's axes of runs.
     """
 
     step: int
@@ -83,7 +88,7 @@ class OnlineStates(Shown, NoArray, Immutable):
     status: Status
     kind: Kind
     lead: tuple[int, ...]
-    # A window of steps that are linearised again, which tables need none of.
+    # A window of steps that are linearised again: tables need none.
     behind: None
     _plan: SlicePlan
     _held: Held
@@ -110,9 +115,9 @@ class OnlineStates(Shown, NoArray, Immutable):
         self._set(lead=lead, behind=None, _plan=plan, _held=held, _lag=lag, _trail=trail)
 
     def __getitem__(self, variable: Variable) -> Table:
-        """The marginal of a hidden variable at the belief's step.
+        """The marginal of a hidden variable at the belief's step, (*runs, size).
 
-        Returns (*runs, size).
+        Any other variable raises `EvidenceError`.
         """
         plan, template = self._plan, require_variable(variable).template
         hidden = plan.slice if self.step else plan.states
@@ -131,7 +136,10 @@ class OnlineStates(Shown, NoArray, Immutable):
 
     @property
     def lagged(self) -> OnlineStates:
-        """The smoothed belief `lag` steps back, given all measurements; step 0 before that."""
+        """The smoothed belief `lag` steps back, or at step 0, given all measurements so far.
+
+        It is that at step 0 in the first steps. A filter without a lag raises `EvidenceError`.
+        """
         if self._lag is None:
             raise EvidenceError(
                 f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, "
@@ -161,7 +169,10 @@ class OnlineStates(Shown, NoArray, Immutable):
 class _Window:
     """The last steps of an online filter with lag, for backward messages to the first of them.
 
-    The filter has passed forward over them already.
+    Steps count from the first of the window.
+
+    held: Their filtered beliefs, all in one semiring.
+    ahead: Of each but the last, the slices with the transition out of it.
     """
 
     def __init__(self, passed: Sequence[Passed], last: Held, lead: tuple[int, ...]) -> None:
@@ -173,7 +184,7 @@ class _Window:
         self.steps, self.lead = len(passed), lead
 
     def smoothed(self) -> Array:
-        """The probabilities of the first step's states, given all of the window."""
+        """The probabilities of the states at the first step, given all of the window."""
         chain = BackwardChain(self, self.semiring)
         chain.known = [each.entries for each in self.held]
         message = chain.unit()
@@ -182,10 +193,10 @@ class _Window:
         return chain.posterior(0, message)
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """The likelihood of a step's measurements over its states, and its log-scale."""
+        """The weights of a step's measurements, ∝ p(z_t | x_t), or None; their log-scale is 0."""
         return self.held[step].weights, 0.0
 
     def backward(self, step: int, message: Array) -> Array:
-        """The message to the slice before, through the transition of a step."""
+        """The sum Σ_x p(x | x') message(x): from the slice of a step to the one before, x'."""
         ahead = self.ahead[step - 1].within(self.semiring)
         return ahead.backward(ahead.first, message)  # whose only row is of its own step

@@ -1,4 +1,8 @@
-"""The slices of a discrete dynamic network with evidence: tables at their rows, by step."""
+"""The slices of a discrete dynamic network with evidence: tables at their rows, by step.
+
+A *slice* is the hidden variables of a step, states and controls. Arrays have an axis for each, then
+one of runs, or none where the user gave none. A *row* is a step's place in the values of inputs.
+"""
 
 from __future__ import annotations
 
@@ -37,6 +41,11 @@ class SlicePlan:
 
     slice: The hidden variables of a step, states and controls: the axes of a belief. Controls have
         length one at step 0.
+    states: Those of the slice that are states, in its order.
+    labels: The number of each variable: of one in the slice its axis, of a state at the step before
+        one that is higher than all of these.
+    sizes: The number of states by label.
+    shape, first_shape: Of a belief without runs, at steps from 1 on and at step 0.
     """
 
     def __init__(self, layout: SliceLayout) -> None:
@@ -54,35 +63,35 @@ class SlicePlan:
         self.first_shape = tuple(v.size if v in self.states else 1 for v in self.slice)
 
     def hidden(self, cpd: Any) -> tuple[Label, ...]:
-        """The places of the parents that no evidence gives, and of the child if it is hidden."""
+        """The labels of a CPD's parents without evidence, and of its child if that is hidden."""
         return tuple(self.labels[v] for v in (*cpd.given, cpd.child) if v in self.labels)
 
     @cached_property
     def _tables(self) -> list[tuple[Label, ...]]:
-        """The hidden variables of each transition CPD, as axis labels."""
+        """The labels of each transition CPD's hidden variables: parents, child."""
         return [self.hidden(cpd) for cpd in self.model.transition]
 
     @cached_property
     def _maps(self) -> list[bool]:
-        """Whether each CPD of the transition maps one hidden variable to another."""
+        """Whether each CPD of the transition has one hidden parent, so that it may be a map."""
         return [len(labels) == 2 for labels in self._tables]
 
     @cached_property
     def onward(self) -> Contraction:
-        """States before → slice."""
+        """The contraction of a forward message: Σ_x' p(x | x') belief(x'), x' the states before."""
         return Contraction.of(
             self._before, range(len(self.slice)), self._tables, self.sizes, self._maps
         )
 
     @cached_property
     def back(self) -> Contraction:
-        """Slice → states before."""
+        """The contraction of a backward message: Σ_x p(x | x') message(x), x' the states before."""
         now = range(len(self.slice))
         return Contraction.of(now, self._before, self._tables, self.sizes, self._maps, back=True)
 
     @cached_property
     def pairs(self) -> Contraction:
-        """States before → both: a joint of neighbours."""
+        """The contraction of a joint of neighbours, p(x | x') belief(x'), with axes x', then x."""
         both = (*self._before, *range(len(self.slice)))
         return Contraction.of(
             self._before, both, self._tables, self.sizes, [False] * len(self._tables)
@@ -95,7 +104,7 @@ class SlicePlan:
 
     @cached_property
     def prior(self) -> Contraction:
-        """Nothing → states at step 0."""
+        """The contraction of the prior's CPDs to the states at step 0, from an array of no axes."""
         tables = [self.hidden(cpd) for cpd in self.model.prior]
         states = [self.labels[v] for v in self.states]
         return Contraction.of((), states, tables, self.sizes, [False] * len(tables))
@@ -107,7 +116,14 @@ class SlicePlan:
 
 
 class RowTables:
-    """A CPD of the transition at its rows: its table or its map for the inputs of each."""
+    """A CPD of the transition at its rows: its table or its map for the inputs of each.
+
+    Row k is of step `first` + k.
+
+    labels: The axes of its tables: hidden parents, child.
+    observed: The parents that evidence gives.
+    by_run: Whether the values of inputs differ by run.
+    """
 
     def __init__(
         self, plan: SlicePlan, cpd: TableCPD, inputs: Mapping[Variable, Any], first: int
@@ -120,7 +136,10 @@ class RowTables:
         self.by_run = any(len(rows) and rows.shape[1] > 1 for rows in inputs.values())
 
     def factor(self, row: int, semiring: Semiring, *, as_map: bool) -> Factor:
-        """The table of a row in a semiring, or its map."""
+        """The table of a row as entries of a semiring, (size of each hidden variable..., [runs]).
+
+        With `as_map` it is a `Move` instead.
+        """
         if self.cpd.function is not None:
             return self._called(row, semiring, as_map)
         if not self.by_run:
@@ -131,7 +150,10 @@ class RowTables:
         return self._joined(states, semiring, as_map)
 
     def _joined(self, states: Any, semiring: Semiring, as_map: bool) -> Factor:
-        """The table of runs whose observed parents differ, runs last; or a map for runs alike."""
+        """The table of runs whose observed parents differ, runs last; or each run's map.
+
+        states: (observed parents, runs).
+        """
         keys, which = np.unique(states, axis=1, return_inverse=True)
         parts: list[Any] = [self._factor(tuple(map(int, key)), semiring, as_map) for key in keys.T]
         which = which.ravel()
@@ -143,7 +165,7 @@ class RowTables:
         )
 
     def _factor(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Any:
-        """The table at some states of its observed parents; cached, since few of them differ."""
+        """The table or map at the states `key` of its observed parents; cached, as few differ."""
         name = (*key, semiring.linear, as_map)
         found = self.index.get(name)
         if found is None:
@@ -151,20 +173,20 @@ class RowTables:
         return found
 
     def _made(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Factor:
-        """The table at these states of the observed parents: a map, or entries of the semiring."""
+        """The table or map at the states `key` of its observed parents."""
         if as_map and self.cpd._maps and self.observed == self.cpd.given[1:]:
             return Move(((self.cpd._maps[key[0] if key else None], None),))
         table = self._selected(self.cpd.table, key)
         return Move(((Dense(table), None),)) if as_map else semiring.entries(table)
 
     def _selected(self, table: Array, key: tuple[int, ...]) -> Array:
-        """A table with the observed parents at their states."""
+        """A table with its observed parents at the states `key`, without their axes."""
         states = dict(zip(self.observed, key, strict=True))
         found: Array = table[tuple(states.get(v, slice(None)) for v in self.cpd.given)]
         return found
 
     def _called(self, row: int, semiring: Semiring, as_map: bool) -> Factor:
-        """The table that the function of inputs returns at a row, runs last; or maps by run."""
+        """The table that the function of inputs returns at a row, runs last; or each run's map."""
         tables = self.called.at(row)
         states = [self.inputs[v][row, :, 0] for v in self.observed]
         runs = max([len(tables), *map(len, states)])
@@ -189,7 +211,7 @@ class RowTables:
 
     @cached_property
     def _least(self) -> float:
-        """The smallest positive entry, which tells whether float64 products underflow."""
+        """The smallest positive entry, which tells whether products in float64 may underflow."""
         if self.cpd._maps:
             return min(each.smallest for each in self.cpd._maps.values())
         return smallest_entry(self.cpd.table)
@@ -199,8 +221,9 @@ class TableSlices:
     """The slices of a discrete dynamic network: `Slices` whose numbers are tables.
 
     first: The step of row 0 of the transition; 1, of recorded evidence.
-
-    semiring: Of the numbers: `SUM_PRODUCT`, unless made by `within`.
+    semiring: Of the entries: `SUM_PRODUCT`, unless made by `within`.
+    rows: The tables of each transition CPD.
+    weights: Those of each sensor's measurements.
     """
 
     def __init__(self, plan: SlicePlan, bound: BoundEvidence, first: int = 1) -> None:
@@ -216,7 +239,7 @@ class TableSlices:
         ]
 
     def within(self, semiring: Semiring) -> TableSlices:
-        """The same slices in the numbers of another semiring."""
+        """The same slices with entries of another semiring."""
         other = copy.copy(self)
         other.semiring = semiring
         other.__dict__.pop("_fixed", None)
@@ -237,7 +260,7 @@ class TableSlices:
         return cast(tuple[TableCPD, ...], self.plan.model.prior)
 
     def prior(self) -> Array:
-        """The prior's probabilities of the states at step 0."""
+        """The probabilities of the states at step 0, (*slice, *runs); controls have length one."""
         semiring = self.semiring
         tables = [semiring.entries(cpd.table) for cpd in self._prior_cpds]
         found = self.plan.prior.apply(np.full((), semiring.one), tables, semiring)
@@ -245,13 +268,19 @@ class TableSlices:
         return np.repeat(found[..., None], self.bound.runs, axis=-1) if self.lead else found
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The predicted belief; see `Slices`. Axes between the slice's and the runs' are kept."""
+        """The predicted belief over the slice of a step, from that over the slice before.
+
+        Axes between those of the slice and of the runs are kept.
+        """
         if self.plan.controls:
             belief = self.semiring.total(belief, self.plan.controls, None)
         return self.plan.onward.apply(belief, self.factors(step, "onward"), self.semiring)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The message to the slice before, through the transition of a step."""
+        """The sum Σ_x p(x | x') message(x): from the slice of a step to the one before, x'.
+
+        Controls before, which x does not depend on, get axes of length one.
+        """
         if self.plan.controls:
             rest = message.shape[len(self.plan.shape) :]
             message = np.broadcast_to(message, (*self.plan.shape, *rest))
@@ -259,7 +288,10 @@ class TableSlices:
         return np.expand_dims(found, self.plan.controls) if self.plan.controls else found
 
     def factors(self, step: int, way: str) -> Sequence[Factor]:
-        """The tables of the transition into a step, as factors of a contraction."""
+        """The tables of the transition into a step, for the contraction of `SlicePlan` named `way`.
+
+        That is ``"onward"``, ``"back"`` or ``"pairs"``.
+        """
         fixed = self._fixed.get(way)
         if fixed is not None:
             return fixed
@@ -272,19 +304,19 @@ class TableSlices:
 
     @cached_property
     def single(self) -> bool:
-        """Whether one map moves one state variable, the same for all runs."""
+        """Whether one map moves one state variable, alike in all runs."""
         only = len(self.plan.slice) == 1 and len(self.plan.states) == 1
         return only and self.plan.onward.along == {0} and not self.rows[0].by_run
 
     @property
     def constant(self) -> Sequence[Factor] | None:
-        """The maps of the transition, where they are the same at all steps."""
+        """The factors of ``"onward"``, where they are the same at all steps, else None."""
         return None if any(rows.inputs for rows in self.rows) else self.factors(1, "onward")
 
     def weights_of(self, part: range) -> tuple[Array, Array]:
         """The weights of the measurements of some steps, (steps, *slice, [runs]), and log-scales.
 
-        The largest of each step and run is one.
+        Log-scales are (steps, [runs]). The largest weight of each step and run is one.
         """
         if len(self.weights) == 1 and self.weights[0].shape == self.plan.shape:
             picked = self.weights[0].picked(part)
@@ -305,10 +337,15 @@ class TableSlices:
 
     @cached_property
     def _fixed(self) -> dict[str, list[Factor]]:
+        """The factors of each contraction, where they are the same at all steps."""
         return {}
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """The likelihood of a step's measurements over its states, and its log-scale."""
+        """The weights of a step's measurements and their log-scale; None without measurements.
+
+        p(z_t | x) is the weights, which broadcast with a belief, times the exponential of the
+        scale.
+        """
         found: Array | None = None
         log_scale: Array | float = 0.0
         for own, scale in self._weights_at(step):
@@ -325,7 +362,7 @@ class TableSlices:
         return found, log_scale
 
     def _weights_at(self, step: int) -> Iterator[tuple[Array, Array | float]]:
-        """The weights of each measurement of a step, (*states, [runs]), and their log-scale."""
+        """The weights of each measurement of a step, (*slice, [runs]), and their log-scale."""
         for weights in self.weights:
             for row in weights.at(step):
                 own = weights.row(row, self.semiring)
@@ -333,7 +370,11 @@ class TableSlices:
                     yield own, weights.log_scale(row) if self.semiring.linear else 0.0
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise the error for measurements of probability zero under a predicted belief."""
+        """Raise `EvidenceError`: under a predicted belief, a step's measurements are impossible.
+
+        `run` counts the flattened runs. The error names the sensor of the first measurement that
+        leaves no state possible.
+        """
         left, culprit = belief, None
         for weights in self.weights:
             for row in weights.at(step):

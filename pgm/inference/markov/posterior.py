@@ -127,11 +127,13 @@ class StatePosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`: exact."""
+        """The kind of `log_evidence`: always ``"exact"``."""
         return "exact"
 
     def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
-        """The joint of hidden variables at steps, ``x.at(3)``, given the latest's measurements.
+        """The joint of hidden variables at steps, ``x.at(3)``.
+
+        It is given the measurements that the belief at the latest of these steps knows.
 
         Raises
         ------
@@ -182,9 +184,12 @@ class StatePosterior(Posterior):
         return self._table(scope, values, np.broadcast_to(rest, runs))
 
     def _scaled_back(self, step: int, message: Array) -> tuple[Array, Array]:
-        """The backward message to a step, computed from the next one, and its log-scale.
+        """The backward message to a step as values, (sizes..., [runs]), and its log-scale.
 
-        Made carefully where later measurements speak for states that are impossible here.
+        p(later measurements | states) is the values, whose largest is one, times exp(log-scale).
+        `message` is it up to a factor. Where later measurements speak for impossible states so much
+        that the others would be too small for numbers, it is made anew with zeros for the
+        impossible ones.
         """
         chain = self._chain
         with np.errstate(invalid="ignore"):  # 0/0, where numbers hold none of the states
@@ -196,9 +201,10 @@ class StatePosterior(Posterior):
         return self._states(message, total=False), rest + chain.semiring.logs(top)
 
     def messages_back(self) -> Iterator[tuple[Array, Array]]:
-        """The backward messages to slices T..0, each computed from the one before.
+        """The backward messages to slices T..0, each made from the one before.
 
-        For each the values over the states of its slice, (sizes..., [runs]), and the log-scale.
+        For each the values over the states of its slice, (sizes..., [runs]), and the log-scale; see
+        `_scaled_back`.
         """
         chain, last = self._chain, self.graph.steps
         plain = chain.unit()
@@ -211,13 +217,16 @@ class StatePosterior(Posterior):
             yield self._scaled_back(step, plain)
 
     def _sized(self, step: int, message: Array) -> tuple[Array, Array, Array]:
-        """A message to a slice, the sum of its product with the belief there, and its largest."""
+        """A message to a slice, the sum of its product with the belief, and its largest entry."""
         chain = self._chain
         found = chain.total(chain.semiring.times(chain.known[step], message))
         return message, found, message.max(axis=tuple(range(message.ndim - chain.batch)))
 
     def _message_back(self, step: int, passed: Callable[[int, Array], Array]) -> Array:
-        """The message to the slice of a step from all later measurements that its belief knows."""
+        """The message to the slice of a step from all later measurements that its belief knows.
+
+        ``passed(step, message)`` makes the message to a step from that to the next one.
+        """
         chain = self._chain
         last = self.kind.last(step, self.graph.steps)
         message = np.full(chain.known[last].shape, chain.semiring.one)
@@ -226,7 +235,10 @@ class StatePosterior(Posterior):
         return message
 
     def _states(self, values: Array, *, total: bool = True) -> Array:
-        """Values over the states alone, summed over hidden controls, or of their one entry."""
+        """Values over a slice, without controls: their axes are summed, or if not `total` dropped.
+
+        Axes that are dropped have length one.
+        """
         axes = self._plan.controls
         if not axes:
             return values
@@ -234,7 +246,7 @@ class StatePosterior(Posterior):
         return found
 
     def _weight(self, step: int) -> Array:
-        """The log-evidence of the measurements up to a step, (runs,)."""
+        """The value ln p of the measurements up to a step, (runs,)."""
         return np.asarray(self._chain.log_density[: step + 1].sum(axis=0)).reshape(-1)
 
     def belief(self, cluster: int | Cluster) -> Table:
@@ -277,7 +289,7 @@ class StatePosterior(Posterior):
         return self._table(discrete(tuple(v.at(step) for v in scope)), values, scale)
 
     def _table(self, scope: Any, values: Array, weight: Array) -> Table:
-        """Values (sizes..., [runs]) as a table with the log-weight of each run."""
+        """An unnormalised table: values (sizes..., [runs]) times exp(weight), weight (runs,)."""
         scale = weight.reshape(self._lead) if self._lead else weight.reshape(())
         return Table._make(scope, self._over_runs(values, len(scope)), scale)
 

@@ -21,7 +21,10 @@ from pgm.resources import require_memory
 
 
 def run(graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None) -> StatePosterior:
-    """Send the messages of a filter, a fixed-lag smoother or a smoother."""
+    """The posterior after the messages of a filter, a fixed-lag smoother or a smoother.
+
+    Beliefs that would not fit memory are refused with a `GraphError`; see `kind_of` for schedules.
+    """
     kind = kind_of(schedule, "tables")
     require_chain(graph, "tables")
     plan = SlicePlan(graph.layout)
@@ -32,15 +35,16 @@ def run(graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None) ->
 
 
 def solved(slices: TableSlices) -> StateChain:
-    """The forward sweep, with logarithms where plain numbers may have lost a state."""
+    """The chain after its forward sweep, with logarithms where numbers may have lost a state."""
     found = _in_numbers(slices) if slices.smallest >= TINY else None
     return found or StateChain(slices.within(LOG_SUM_PRODUCT), LOG_SUM_PRODUCT).run()
 
 
 def _in_numbers(slices: TableSlices) -> StateChain | None:
-    """The forward sweep in plain numbers; None where these may have lost a state to underflow.
+    """The chain after its forward sweep in plain numbers; None if these may have lost a state.
 
-    Impossible evidence is refused only where no number was so small.
+    A state is lost to underflow. Evidence that seems impossible is refused with an `EvidenceError`
+    if no number is so small that this may be the reason.
     """
     with np.errstate(under="ignore"):
         if slices.single and slices.steps:
@@ -57,7 +61,10 @@ def _in_numbers(slices: TableSlices) -> StateChain | None:
 
 
 def require_beliefs(plan: SlicePlan, bound: BoundEvidence, sets: int) -> None:
-    """Refuse beliefs that would not fit, or tables on the way from one to the next."""
+    """Raise `GraphError` if beliefs, or tables on the way from a step to the next, would not fit.
+
+    `sets` is how many beliefs are kept for each step and run.
+    """
     size = math.prod(plan.shape)
     require_memory(
         plan.onward.largest * bound.runs,

@@ -10,7 +10,10 @@ from pgm.inference.status import Kind
 
 
 def require_chain(graph: DynamicGraph, beliefs: str) -> None:
-    """Refuse a balanced tree of slices for beliefs that sweep along a chain."""
+    """Raise `GraphError` for a balanced tree of slices, where beliefs sweep along a chain.
+
+    The error calls them `beliefs`.
+    """
     if isinstance(graph, BalancedGraph):
         raise GraphError(
             f"{beliefs} go along a chain of slices, which {titled(graph)} is not: leave method= "
@@ -19,7 +22,11 @@ def require_chain(graph: DynamicGraph, beliefs: str) -> None:
 
 
 def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
-    """The kind of beliefs that a schedule gives; smoothed without a schedule."""
+    """The kind of beliefs that a schedule gives; smoothed without a schedule.
+
+    A schedule of another kind, or one with a gate, iterations or damping, raises a `ModelError`,
+    which calls the beliefs `beliefs`.
+    """
     if schedule is None or type(schedule) is Calibration:
         schedule = Smoothing() if schedule is None else Smoothing(schedule.iterations)
     if not isinstance(schedule, Filtering | FixedLag | Smoothing):

@@ -1,8 +1,8 @@
 """Sweeps of a single state variable over many steps at once, in plain numbers.
 
-They go without the overhead of `StateChain` at each step: all weights are laid out before, and
-beliefs scaled now and then. Where a belief, or a sum of probabilities, comes near what float64
-holds, the result is not used.
+They go without the overhead of `StateChain` at each step: the weights p(z_t | x_t) of many steps, a
+*part*, are laid out before, and beliefs are scaled once in a few steps. Where a belief, or a sum of
+probabilities, comes near the smallest number of float64, the result is not used.
 """
 
 from __future__ import annotations
@@ -21,18 +21,20 @@ from pgm.kernels.arrays import Array
 from pgm.kernels.stochastic import Dense, Transition
 from pgm.progress import counted
 
-# Up to so many states, and from so many steps on, blocks of steps are worked at together.
+# With at most FEW states and at least MANY steps, blocks of steps are worked at side by side.
 FEW, MANY = 16, 64
-# Entries of weights that are laid out at a time, and of all of them where blocks are.
+# The most entries of weights that are laid out at a time; of all of them, where blocks are made.
 ROOM = 2**20
-# Of a fixed lag all windows are worked at together, up to so many times as many entries.
+# With a fixed lag all windows are worked at together, if beliefs have at most so many times `ROOM`
+# entries.
 _WINDOWS = 16
 
 
 class DirectChain(StateChain):
     """A hidden Markov chain of one state variable, whose messages are computed many steps at once.
 
-    precise: Whether the forward sweep has lost no digits; else the chain is not to be used.
+    precise: Whether `run` was made, and has lost no state to underflow; else the chain is not to be
+        used.
     """
 
     slices: TableSlices
@@ -42,7 +44,7 @@ class DirectChain(StateChain):
     # An impossible measurement, which makes 0/0, is found here and told by the chain step by step.
     @np.errstate(divide="ignore", invalid="ignore")
     def run(self) -> DirectChain:
-        """See `StateChain`."""
+        """Send the forward messages, keep them, set `precise`, and return the chain itself."""
         known, log_density = self.take(0, self.start())
         self.keep(0, known, known, log_density)
         rows, logs = np.asarray(self.known)[1:], self.log_density[1:]
@@ -66,7 +68,10 @@ class DirectChain(StateChain):
 
     @cached_property
     def _blocks(self) -> markov.Blocks | None:
-        """All steps in blocks; for one run of few states with a constant transition."""
+        """All steps in blocks that are worked at side by side; None where they are not.
+
+        They are for one run of few states and many steps with a constant dense transition.
+        """
         steps, size = self.slices.steps, self.slices.plan.shape[0]
         if self.batch or size > FEW or steps < MANY or steps * size > ROOM:
             return None
@@ -78,37 +83,43 @@ class DirectChain(StateChain):
 
     @cached_property
     def _by_runs(self) -> bool:
-        """Whether beliefs lie by runs in memory, along which products by dense matrices go."""
+        """Whether the runs of a state lie side by side in memory, as dense matrices want them."""
         return bool(self.batch) and isinstance(self._map(1), Dense)
 
     def room(self, like: Array) -> Array:
-        """See `StateChain`."""
+        """An array for a belief like this one at each step, (steps + 1, states, *runs).
+
+        Its order in memory is that of `_by_runs`.
+        """
         return np.swapaxes(super().room(like.T), 1, 2) if self._by_runs else super().room(like)
 
     @cached_property
     def _parts(self) -> list[range]:
-        """The steps in parts whose weights fit the room."""
+        """The steps 1..T in parts, each of one step, or with weights of at most `ROOM` entries."""
         steps = self.slices.steps
         size = max(1, ROOM // max(1, self.known[0].size))
         return [range(at, min(at + size, steps + 1)) for at in range(1, steps + 1, size)]
 
     def _weights(self, part: range) -> tuple[Array, Array]:
-        """The likelihood weights of some steps and their log-scales; the latest call is cached.
+        """The weights of some steps' measurements, (steps, states, [runs]), and their log-scales.
 
-        The last part of the sweep forward is the first of that back.
+        The latest call is cached: the last part of the sweep forward is the first of that back.
         """
         if self._latest is None or self._latest[0] != part:
             self._latest = part, self.slices.weights_of(part)
         return self._latest[1]
 
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
-        """The products by the transition into each step of a part, or by its transpose."""
+        """For each step of a part, the product by the transition into it, or by its transpose."""
         if self.slices.constant is not None:
             return repeat(self._apply(part[0], back), len(part))
         return (self._apply(step, back) for step in part)
 
     def _apply(self, step: int, back: bool) -> markov.Apply:
-        """The product of a vector with the transition into a step, or its transpose."""
+        """The product of a vector with the transition into a step, or with its transpose.
+
+        It is a function of the vector, (states, [runs]), and of the array that gets the product.
+        """
         transition = self._map(step)
         if not isinstance(transition, Dense):
             moved = transition.backward if back else transition.forward
@@ -124,19 +135,25 @@ class DirectChain(StateChain):
         return matrix.T.dot
 
     def _map(self, step: int) -> Transition:
-        """The transition into a step."""
+        """The matrix of the transition into a step."""
         move: Any = self.slices.factors(step, "onward")[0]
         found: Transition = move.maps[0][0]
         return found
 
     def smoothed_beliefs(self) -> Array | list[Array]:
-        """See `StateChain`."""
+        """The beliefs given all measurements, by step.
+
+        Where numbers may lose a state they are made by `StateChain`, step by step.
+        """
         found, known = np.empty_like(self.known), np.asarray(self.known)
         precise = all(_joined(found[rows], known[rows]) for rows in self._messages(found))
         return found if precise else super().smoothed_beliefs()
 
     def _messages(self, found: Array) -> Iterator[slice]:
-        """Fill rows with the messages to all steps, last to first; rows no message is made from."""
+        """Fill `found` with the backward messages to all steps, last to first.
+
+        Yields slices of rows that are done and from which no further message is made.
+        """
         if self._blocks is not None:
             self._blocks.backward(found)
             yield slice(None)
@@ -153,14 +170,18 @@ class DirectChain(StateChain):
         yield slice(0, 1)
 
     def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
-        """See `StateChain`."""
+        """The steps from 0 to T, and the belief of each given measurements up to a lag later.
+
+        Where numbers may lose a state they are made by `StateChain`, step by step.
+        """
         found = self._lagged(lag)
         yield from super().lagged(lag) if found is None else enumerate(found)
 
     def _lagged(self, lag: int) -> Array | None:
-        """The fixed-lag beliefs of all steps; all windows' backward passes run side by side.
+        """The fixed-lag beliefs of all steps, (steps + 1, states, [runs]), made side by side.
 
-        None where the transition differs from step to step, or digits are lost.
+        None where the transition differs by step, there are too many entries, or numbers may lose a
+        state.
         """
         steps, each = self.slices.steps, self._map(1)
         if self.slices.constant is None or np.size(self.known) > ROOM * _WINDOWS:
@@ -179,7 +200,11 @@ class DirectChain(StateChain):
 
 
 def _joined(messages: Array, known: Array) -> bool:
-    """Multiply backward messages by filtered beliefs and normalise; False if one underflows."""
+    """Make backward messages posteriors, in place: times filtered beliefs, divided by sums.
+
+    Both are (steps, states, [runs]). False where numbers may lose a state: the result is not to be
+    used.
+    """
     if not markov.masses(messages).min() > TINY:
         return False
     messages *= known

@@ -21,7 +21,12 @@ if TYPE_CHECKING:
 class Weights:
     """The likelihood weights p(z | x) of one sensor's measurements, on the axes of a belief.
 
+    A *row* is the place of a measurement among the sensor's, which are sorted by step.
+
     batch: Whether beliefs have an axis of runs.
+    observed: The sensor's parents that evidence gives.
+    shape: Of the weights without runs: the slice's, with 1 for variables that are no parents.
+    soft: Whether the measurements are soft evidence, weights of the sensor's states.
     """
 
     def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
@@ -66,7 +71,10 @@ class Weights:
         return logs
 
     def _laid(self, table: Array, lead: int) -> Array:
-        """A table (lead..., parents..., child) as (lead..., observed..., child, *slice)."""
+        """A table (lead..., parents..., child) as (lead..., observed..., child, *slice).
+
+        `lead` is the number of its leading axes.
+        """
         axes = (*self.cpd.given, self.cpd.child)
         order = [lead + axes.index(v) for v in (*self.observed, self.cpd.child, *self.order)]
         turned = np.ascontiguousarray(table.transpose(*range(lead), *order))
@@ -75,7 +83,8 @@ class Weights:
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
         """The weights of a measurement, (*slice, [runs]); None where it is missing.
 
-        For soft evidence numbers have a `log_scale`.
+        Entries are those of the semiring. As numbers, those of soft evidence are to be multiplied
+        by the exponential of `log_scale`.
         """
         values, taken = self.reading.values[row], self.reading.taken[row]
         if self.cpd.function is None:
@@ -120,7 +129,7 @@ class Weights:
 
     @cached_property
     def _scaled_columns(self) -> tuple[Array, Array]:
-        """The columns divided by their maxima, and the maxima's logarithms.
+        """The columns divided by their largest entries, and the logarithms of these.
 
         The last column is that of no measurement.
         """
@@ -130,14 +139,14 @@ class Weights:
         return np.concatenate([self._columns / top, nothing]), np.append(np.log(top), 0.0)
 
     def _rows(self, part: range) -> range:
-        """The rows of the measurements at some steps."""
+        """The rows of the measurements at some consecutive steps."""
         last = len(self.starts) - 1
         return range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
 
     def multiply(self, found: Array, scales: Array, part: range) -> None:
-        """Multiply the weights of some steps, (steps, *slice, [runs]), by this sensor's.
+        """Multiply the weights of some steps, (steps, *slice, [runs]), by this sensor's, in place.
 
-        Their log-scales, (steps, [runs]), get what these lack.
+        The log-scales of this sensor's are added to `scales`, (steps, [runs]).
         """
         picked = self.picked(part)
         if picked is not None:
@@ -160,7 +169,11 @@ class Weights:
         return logs if self.batch else float(logs[0])
 
     def _softened(self, row: int, columns: Array, places: Any, semiring: Semiring) -> Array:
-        """Weights by soft evidence w at a row: Σ_z w(z) p(z | parents), (*states, [runs])."""
+        """Weights by soft evidence w at a row: Σ_z w(z) p(z | parents), (*slice, [runs]).
+
+        columns: (axes of `places`..., child, *slice), as numbers.
+        places: Of each axis before the child's, the index of each run, (runs or 1,).
+        """
         values = (self._scaled if semiring.linear else self.reading.values)[row]
         runs = max([len(values), *(len(p) for p in places)])
         own = columns[tuple(places)] if places else columns[None]
@@ -175,18 +188,22 @@ class Weights:
         return self._over_runs(found[0]) if runs == 1 else np.moveaxis(found, 0, -1)
 
     def _over_runs(self, single: Array) -> Array:
-        """Weights shared by all runs, with an axis of runs if there are several."""
+        """Weights that all runs share, (*slice), with an axis of runs if beliefs have one."""
         return single[..., None] if self.batch else single
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:
-        """The function's columns p(z | parents) at a row, and the places of each run's own."""
+        """The function's columns p(z | parents) at a row, and the places of each run's own.
+
+        The columns are (runs or 1, observed parents..., child, *slice), and the places index all
+        axes before the child's.
+        """
         tables = self.called.at(row)
         places = [self.reading.inputs[v][row, :, 0] for v in self.observed]
         return self._laid(tables, 1), [np.arange(len(tables)), *places]
 
     @property
     def smallest(self) -> float:
-        """The smallest positive weight of a step's measurements.
+        """The smallest product of positive weights that the measurements of one step may have.
 
         Where a function gives the table, only the rows called up to now count.
         """
@@ -198,7 +215,7 @@ class Weights:
 
     @cached_property
     def _least(self) -> float:
-        """The smallest entry above zero of the columns."""
+        """The smallest positive entry of the table."""
         return smallest_entry(self._columns)
 
 
