@@ -101,6 +101,36 @@ def test_far_coordinates_are_told(seen, way, runs):
     assert (found.status.digits > left - 3.0).all()
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+def test_digits_that_a_motion_lost_a_linear_sensor_does_not_forget(compiled):
+    rule, place, read = pgm.Unscented(alpha=1e-3), pgm.Variable("place"), pgm.Variable("read")
+
+    def driven(start):
+        motion = lambda a: start + 0.9 * np.sin(a - start)  # noqa: E731
+        robot = pgm.OnlineFilter(
+            pgm.DynamicBayesianNetwork(
+                [pgm.GaussianCPD(place, start, 1.0)],
+                [pgm.NonlinearGaussianCPD(place, place.previous, motion, cov=0.01)],
+                [pgm.LinearGaussianCPD(read, {place: 1.0}, cov=25.0)],
+            ),
+            rule,
+            compiled=compiled,
+        )
+        belief = robot.initial()
+        for reading in (3.0, -5.0, 4.0, 1.0):
+            belief = robot.predict(belief)
+            yield belief
+            belief = robot.update(belief, {read: [start + reading]})
+            yield belief
+
+    with pytest.warns(pgm.PrecisionWarning, match="sigma points"):
+        far = list(driven(1e6))
+    for found, due in zip(far, driven(0.0), strict=True):
+        off = np.abs(found[place].mean - 1e6 - due[place].mean) / due[place].std
+        assert found.status.digits < -np.log10(off.max())
+        assert found.status.digits < 5.0
+
+
 @pytest.mark.parametrize("way", ["filter", "compiled", "online"])
 @pytest.mark.parametrize("rule", [pgm.Unscented(), pgm.Cubature(), pgm.Taylor()], ids=repr)
 def test_rules_of_wide_points_are_right(seen, way, rule):

@@ -81,19 +81,20 @@ def of_step(plan: ChainPlan, before: Moments, after: Moments, digits: Array | No
     """The `error` (runs,) after a step of an online filter, from the decimal digits it had before.
 
     `before` and `after` are the beliefs that it went from and to; `digits` is None as long as none
-    were lost. Slopes are not at hand: the share of the step is
-    taken to be ε c |m| / σ of the component that is farthest from zero. None where no rule of the
-    step has weights that cancel, or, as long as none were lost, the error is below 10⁻⁹.
+    were lost, and a step whose rules have no weights that cancel keeps what was. Slopes are not at
+    hand: the share of the step is taken to be ε c |m| / σ of the component that is farthest from
+    zero. None where the error is below 10⁻⁹ in all runs.
     """
     times = largest(families(plan))
-    if not times:
+    if not times and digits is None:
         return None
     (_, known), (mean, cov) = before.by_run, after.by_run
     was, left = np.maximum(variances(known), 0.0), np.maximum(variances(cov), 0.0)
     stays = _ratio(np.minimum(left, was), np.maximum(left, was))
     past = 0.0 if digits is None else 10.0 ** (-2.0 * digits.reshape(-1))
-    total: Array = np.sqrt(past * stays + (times * _farthest(plan, mean, cov)) ** 2)
-    return total if digits is not None or (total > NOTHING).any() else None
+    added = times * _farthest(plan, mean, cov) if times else 0.0
+    total: Array = np.sqrt(past * stays + added**2)
+    return total if (total > NOTHING).any() else None
 
 
 def families(plan: ChainPlan) -> list[Family]:

@@ -382,13 +382,14 @@ def is_moderate(found: Moments, before: Moments) -> bool:
 
 
 def told(
-    status: Status, plan: ChainPlan, before: Moments, after: Moments, left: Array | None
+    status: Status, plan: ChainPlan, before: Moments, after: Moments, belief: OnlineBelief
 ) -> Status:
     """The status of a step, with the digits of means that sigma points close together leave.
 
-    `before` and `after` are the moments, `left` (*runs) the digits that the belief had before, None
-    where none were lost. Without a loss the status stays as it is; see `close_points`.
+    `before` and `after` are the moments, and the `belief` before has the digits that were left
+    then. Without a loss the status stays as it is; see `close_points`.
     """
+    left = belief.status.digits if belief.careful is None else None
     lost = close_points.of_step(plan, before, after, left)
     return status if lost is None else status.with_digits(digits(lost, plan.lead), CLOSE_POINTS)
 

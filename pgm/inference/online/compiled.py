@@ -34,7 +34,7 @@ _CLOSE = 1e-6
 _SIGHTED = object()
 _new, _empty = object.__new__, np.empty
 # Why a step is made the general way.
-_OTHER = "the belief is of many runs, in twice the digits, or of another filter"
+_OTHER = "the belief is of many runs, in twice the digits, has lost digits, or is of another filter"
 _START = "an update at step 0"
 _ODD = "values came in another form than numbers or sightings without steps"
 _JUDGED = "a function's trace, or machine code, answered otherwise than the function"
@@ -47,9 +47,9 @@ class CompiledSteps:
     `ahead` and `seen` make the plan of a prediction and of an update from a belief and the values
     given; `moved` and `taken` make the steps in the general way. `done` is the status after
     predictions and updates by linear sensors, `linearised` after others. The general way is taken
-    for beliefs of many runs, in twice the digits or of another filter, for values in other forms
-    than numbers or sightings without steps, for updates at step 0, and where numbers are too far
-    apart for float64. `left` counts such steps by reason.
+    for beliefs of many runs, in twice the digits, with lost digits or of another filter, for values
+    in other forms than numbers or sightings without steps, for updates at step 0, and where numbers
+    are too far apart for float64. `left` counts such steps by reason.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class CompiledSteps:
 
     def adopted(self, belief: OnlineBelief) -> OnlineBelief:
         """The same belief, with a core if float64 can carry it, so that steps go on from it."""
-        if not belief.lead and is_plain(belief):
+        if not belief.lead and belief.status.digits is None and is_plain(belief):
             both = np.vstack([belief.mean, belief.cov])
             told = belief.log_evidence.item(), belief.kind, belief.status
             put_core(belief, (self, belief.step, both, *told))

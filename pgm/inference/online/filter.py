@@ -397,7 +397,7 @@ class OnlineFilter(InCode, Immutable):
             status = nothing_to_iterate(plan.lead)
         if isinstance(behind, Trail):
             behind = behind.on(Passed(plan, known, found))
-        status = told(status, plan, known, found, belief.status.digits)
+        status = told(status, plan, known, found, belief)
         return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
@@ -493,7 +493,7 @@ class OnlineFilter(InCode, Immutable):
             tell_online(status.converged, self._filtering)
         else:
             status = _DONE if plan.linear else _LINEARISED
-        status = told(status, plan, known, found, belief.status.digits)
+        status = told(status, plan, known, found, belief)
         made = belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
         judges = chain.gate is not None or belief.watch is not None
         return made.judged(*of_update(belief.watch, parts, known)) if judges else made
