@@ -36,8 +36,8 @@ def forward(
 ) -> Masses:
     """Fill rows with forward messages; returns their masses, and those of the beliefs before.
 
-    Row t is weights[t] times the transition applied to the belief before, which is row t − 1, or,
-    after every `every` steps, that row scaled to mass one. `applies` has the product by the
+    Row t is weights[t] times the transition applied to the belief before: that is row t − 1, or,
+    after every `every` steps, row t − 1 scaled to mass one. `applies` has the product by the
     transition into each step; `weights` and `rows` are (steps, states, [runs]); `belief`
     (states, [runs]), of mass one, is that before the first step.
     """
@@ -55,7 +55,7 @@ def forward(
 
 
 def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int = EVERY) -> None:
-    """Fill `rows` (steps, states, [runs]), last to first, with backward messages; the last is given.
+    """Fill rows (steps, states, [runs]) with backward messages, last to first; the last is given.
 
     Row t − 1 is the transposed transition into step t applied to weights × row t; after every
     `every` steps a row is scaled to mass one. `applies` has the products by these transposes, that

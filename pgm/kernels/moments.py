@@ -101,7 +101,7 @@ def spread(matrix: Array, cov: Array, noise: Array) -> Array:
 
 
 def certain(cov: Array, rounding: Array) -> Array:
-    """A covariance with zero rows and columns where the variance is at most `rounding`, (..., n)."""
+    """A covariance with zero rows and columns where a variance is at most `rounding`, (..., n)."""
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) > rounding
     if open_.all():
         return cov
@@ -134,7 +134,7 @@ def reverse(
 
 
 def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
-    """The mean and covariance of y = F x + b + n for x ~ N(mean, cov) and a conditional p(y | x)."""
+    """The mean and covariance of F x + b + n for x ~ N(mean, cov) and a conditional (F, b, n)."""
     matrix, offset, noise = conditional
     return apply(matrix, mean) + offset, make_symmetric(sandwich(matrix, cov) + noise)
 
@@ -151,10 +151,10 @@ def log_density(residual: Array, cov: Array) -> Array:
 
 
 def principal_axes(cov: Array) -> tuple[Array, Array]:
-    """The variances along the principal axes of covariances (..., 2, 2), and the larger one's angle.
+    """The variances along the principal axes of covariances (..., 2, 2), and an axis's angle.
 
-    The variances (..., 2) are the eigenvalues, the larger first; the angle (...) of its axis is in
-    (−π/2, π/2].
+    The variances (..., 2) are the eigenvalues, the larger first, negative ones as zero; the angle
+    (...), in (−π/2, π/2], is that of the axis of the larger one, against the first component.
     """
     values, vectors = np.linalg.eigh(cov)
     angle = np.arctan2(vectors[..., 1, 1], vectors[..., 0, 1])

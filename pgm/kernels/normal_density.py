@@ -30,7 +30,7 @@ SLACK = 3.0 * NEGLIGIBLE**0.5
 
 
 def draw(mean: Array, lower: Array, white: Array) -> Array:
-    """Points mean + L w, (..., d), for white noise w = `white` (..., d): draws from N(mean, L Lᵀ)."""
+    """Points mean + L w, (..., d), which for white noise w ~ N(0, I) are those of N(mean, L Lᵀ)."""
     return mean + apply(lower, white)
 
 
@@ -48,7 +48,7 @@ def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
 
 
 def whitener(lower: Array) -> Array | None:
-    """L⁻¹, (..., d, d), by which many residuals are whitened; None if any component is determined."""
+    """L⁻¹, (..., d, d), by which many residuals are whitened; None if a component is determined."""
     if determined(lower).any():
         return None
     return solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape))
@@ -74,10 +74,10 @@ def log_density(lower: Array, white: Array) -> Array:
 
 
 def off(lower: Array, left: Array, error: Array) -> Mask:
-    """Whether residuals of `error` (..., S, d) or less are off the subspace of the noise, (..., S).
+    """Whether residuals, wrong by at most `error`, are off the subspace of the noise, (..., S).
 
-    `left` (..., S, d) is what `whitened` leaves at determined components. It is off where it exceeds
-    |L⁻¹| error, with ones for zero pivots, plus the `SLACK` part of the standard deviation.
+    `left` (..., S, d) is what `whitened` leaves at determined components. A residual is off where
+    that exceeds |L⁻¹| error, with L's zero pivots as ones, plus `SLACK` standard deviations.
     """
     # What is left depends linearly on the residuals: by this matrix.
     spread = np.abs(solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))

@@ -58,8 +58,8 @@ def take(parts: Segments, steps: slice) -> Segments:
 def in_chunks(kernel: Callable[..., Any], *stacks: Any) -> Any:
     """The result of a kernel of named tuples of stacks, computed a chunk of steps at a time.
 
-    `kernel` takes so many named tuples of stacks with equal steps and runs, and returns one such.
-    The steps are those of the first part of the first of `stacks`, which must not be None.
+    `kernel` takes as many named tuples as there are `stacks`, all of the same steps and runs, and
+    returns one. The first part of the first must not be None: it tells how many steps there are.
     """
     steps, runs = stacks[0][0].shape[:2]
     size = max(_CHUNK // max(runs, 1), 1)
@@ -81,7 +81,7 @@ def levels(segments: Segments, compose: Callable[[Segments, Segments], Segments]
     """Up the tree: row k of level l is the composition of the segments k 2ˡ to (k + 1) 2ˡ − 1.
 
     ``compose(first, then)`` composes stacks of left and of right neighbours. Level 0 is `segments`;
-    a segment without a neighbour at the end of a level is in none above; the last level has one row.
+    a segment without a neighbour, at the end of a level, is in none above; the last has one row.
     """
     tree = [segments]
     while (pairs := tree[-1][0].shape[0] // 2) > 0:
@@ -95,8 +95,8 @@ def prefixes(
 ) -> Beliefs:
     """Down the tree of `levels`: the values at the right ends of all segments, (T, R, ...).
 
-    `start` (1, R, ...) is the value at the left end of the first segment; ``push(values, segments)``
-    takes stacks of values at the left ends of segments to their right ends.
+    `start` (1, R, ...) is the value at the left end of the first segment. Of stacks of values at
+    the left ends of segments, ``push(values, segments)`` gives those at the right ends.
     """
     found = in_chunks(push, start, tree[-1])
     for segments in reversed(tree[:-1]):
