@@ -98,7 +98,7 @@ def marginalise(precision: Array, h: Array, g: Array, keep: Index, drop: Index) 
 def reduce(
     precision: Array, h: Array, g: Array, keep: Index, fixed: Index, value: Array
 ) -> Canonical:
-    """The form over the components `keep`, with those at `fixed` set to `value`, (..., number)."""
+    """The form over the components `keep`, with those at `fixed` set to `value`, (..., d)."""
     inside = apply(block(precision, fixed, fixed), value)
     return (
         block(precision, keep, keep),
@@ -228,6 +228,6 @@ def combine(
 
 
 def shift(precision: Array, h: Array, g: Array, by: Array) -> Canonical:
-    """The canonical form over x = y + by, from the form over y."""
+    """The canonical form over x = y + by, from the form K, h, g over y; `by` is (..., n)."""
     moved = apply(precision, by)
     return precision, h + moved, g - inner(h, by) - 0.5 * inner(moved, by)

@@ -186,7 +186,7 @@ def _twofold(value: Any) -> Twofold:
 
 
 def _normal(high: Array, low: Array) -> tuple[Array, Array]:
-    """The sum of two floats as high and low parts that do not overlap; |high| ≥ |low| is due."""
+    """The sum of two floats as high and low parts that do not overlap; it takes |high| ≥ |low|."""
     total = high + low
     return total, low - (total - high)
 

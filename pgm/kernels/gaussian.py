@@ -207,12 +207,13 @@ def update(
 ) -> Update:
     """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), of residual z − H mean.
 
-    The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the gain
-    G = P Hᵀ S⁺ and S = H P Hᵀ + noise.
+    The mean is m + G (z − H m), and the covariance (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of
+    semidefinite terms, with the gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise.
 
     The batch is last; H and the noise may be one for all; P is exactly symmetric. `out`, a mean and
     a covariance, may be used for the new moments of a batch. With `exact` the noise is singular,
-    and zeros are told from rounding. `sharp` and `least` are as of `along_runs.update`.
+    and zeros are told from rounding. A batch goes to `moments` if a pivot of S is at most `least`
+    of its diagonal entry; `sharp` is its `along_runs.sharpness`, if at hand.
     """
     if not exact:
         if cov.ndim > 2:

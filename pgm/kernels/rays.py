@@ -57,7 +57,7 @@ def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
 
 
 def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array) -> None:
-    """Put the distances of `cast` into `found`, where a ray enters a stop; leave the others.
+    """Put the distances of `cast` into `found` (n,) for rays that enter a stop; leave the others.
 
     Each ray is followed in a frame of its own, mirrored so that it goes up along both axes, from
     the edge of one box of free cells to that of the next.

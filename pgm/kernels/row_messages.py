@@ -46,13 +46,13 @@ def damped(old: Rows, new: Rows, damping: float) -> Rows:
 
 
 def change(old: Rows, new: Rows, against: Rows) -> Array:
-    """The relative change of the beliefs of sepsets by new messages, (B, runs): the larger of two.
+    """The relative change of sepsets' beliefs by new messages in place of the old ones, (B, runs).
 
-    With the information K, h of a message, and the belief of means m and standard deviations D that
-    the new one makes with the message `against` it (the opposite way): the largest of D |ΔK| D, the
-    change of the information, and of (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, the move of the mean less its
-    rounding, in standard deviations. The change of exact relations counts too. Infinite where the
-    belief does not exist.
+    K and h are the information of a message; the new one times the message `against` it, which goes
+    the opposite way, is the sepset's belief, with means m and standard deviations D. The change is
+    the largest entry of D |ΔK| D, of information; of (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, the move of
+    the mean in standard deviations less its rounding; and of the difference of exact relations. It
+    is infinite where the belief does not exist.
     """
     belief = eliminate(product(new, against), new.matrix.shape[-1])
     std = np.sqrt(np.maximum(np.diagonal(belief.noise, axis1=-2, axis2=-1), 0.0))[..., None]

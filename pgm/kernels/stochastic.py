@@ -166,7 +166,7 @@ class Sparse(Transition):
         return _along(self.matrix, message, axis)
 
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """Logarithms moved along an axis: the k-th entries of all rows at once, for each k."""
+        """Logarithms moved along an axis: the k-th stored entries of all rows at once, k by k."""
         own = self.matrix if back else self.turned
         moved = np.moveaxis(values, axis, 0)
         flat = moved.reshape(len(moved), -1)
@@ -303,7 +303,7 @@ class Product(Transition):
 
     @cached_property
     def smallest(self) -> float:
-        """The product of the factors' smallest positive entries."""
+        """The smallest positive entry: the product of the factors' smallest ones."""
         return math.prod(factor.smallest for factor in self.factors)
 
     def dense(self) -> Array:

@@ -50,12 +50,12 @@ def query(
     .. math:: p(\text{variables} \mid \text{evidence})
               \propto \sum_{\text{others}} \prod_{\text{CPDs}} p(\text{child} \mid \text{parents})
 
-    The answer is exact, and that of ``infer(compile(network), evidence).joint(*variables)``, but
-    for how far rounded columns of CPDs sum to one. It is computed from what bears on the variables
-    alone: CPDs on which nothing that is asked for or observed depends are left out, and those that
-    the evidence separates from the variables. So a network whose junction tree is too large may
-    still be asked.
-    One question costs less than all marginals; for many at the same evidence, `infer` once.
+    The answer is exact, and that of ``infer(compile(network), evidence).joint(*variables)`` if the
+    columns of CPDs sum to one exactly; rounded ones may change it as much as they are off. It is
+    computed from what bears on the variables alone: CPDs on which nothing that is asked for or
+    observed depends are left out, and those that the evidence separates from the variables. So a
+    network whose junction tree is too large may still be asked. One question costs less than all
+    marginals; for many at the same evidence, `infer` once.
 
     Parameters
     ----------
@@ -146,7 +146,8 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
 def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -> States:
     """The variables that the user asks for, as a tuple.
 
-    Raises an EvidenceError for none, or for one that is not `known`, or is observed in all runs.
+    Raises an EvidenceError for none, or for one that is not `known`, or is observed in all runs; a
+    ModelError for one that is asked for twice.
     """
     several = None if is_unordered(variables) else as_tuple(variables)
     found = (variables,) if several is None else several

@@ -22,7 +22,7 @@ class Requisite:
     cpds: The CPDs of the part.
     open: The variables of each of them that are not known.
     hidden: All variables that are not known, those asked for first.
-    evidence: That of the variables of the part; its `lead` is () where it is the same in all runs.
+    evidence: That of the variables of the part; its `lead` is () if it is given once for all runs.
     """
 
     cpds: tuple[TableCPD, ...]
@@ -90,7 +90,7 @@ def certain(evidence: BoundStates) -> set[Discrete]:
 def _part(evidence: BoundStates, members: set[Variable]) -> BoundStates:
     """The evidence of the variables `members`, without those of a single state.
 
-    States that are the same in all runs become one number; if all evidence is, `lead` is ().
+    States (1,), given once for all runs, become a number; if all evidence is such, `lead` is ().
     """
     states = {
         v: s if isinstance(s, int) or s.size > 1 else int(s[0])
