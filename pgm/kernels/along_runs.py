@@ -83,12 +83,12 @@ def update(
 ) -> Update | None:
     """Condition beliefs N(m, P) on a measurement each; None if S is singular in some run.
 
-    The mean is m + G r with the gain G = P Hᵀ S⁻¹; the covariance is P − G S Gᵀ if the measurement
-    is mild, else Joseph's sum of squares, which keeps more digits. `mean` is m (n, runs), `cov` P
-    (n, n, runs), `matrix` H (d, n, runs), `residual` r (d, runs) and `noise` R (d, d, runs or 1).
-    The new moments are written into `out`, (n, runs) and (n, n, runs), if given. `sharp` is
-    `sharpness(noise, least)`, computed here if None. S is singular where a pivot is at most `least`
-    of its diagonal entry.
+    The mean is m + G r with the gain G = P Hᵀ S⁻¹. The covariance is P − G S Gᵀ if the measurement
+    is mild in all runs, else (I − G H) P (I − G H)ᵀ + G R Gᵀ, which keeps more digits. `mean` is m
+    (n, runs), `cov` P (n, n, runs), `matrix` H (d, n, runs), `residual` r (d, runs) and `noise` R
+    (d, d, runs or 1). The new moments are written into `out`, (n, runs) and (n, n, runs), if given.
+    `sharp` is `sharpness(noise, least)`, computed here if None. S is singular where a pivot is at
+    most `least` of its diagonal entry.
     """
     size, runs, height = len(cov), cov.shape[-1], len(residual)
     new_mean, new_cov = (np.empty((size, runs)), np.empty_like(cov)) if out is None else out

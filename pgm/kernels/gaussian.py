@@ -181,7 +181,7 @@ class Update(NamedTuple):
 
     Measured components that those before them determine add nothing to the density; `left`
     (d, *batch) has their distances from the values determined, and zero for the others; None if
-    there are none. `regular`: no pivot of S is below 10⁻⁶ of its diagonal entry. `mild`: the
+    none is determined. `regular`: no pivot of S is below 10⁻⁶ of its diagonal entry. `mild`: the
     measurement is known to shrink no variance more than a thousand times.
     """
 

@@ -70,8 +70,9 @@ def kernels(shift: Array, variance: Array | float) -> Kernels:
 def _solved(k: Array, mean: Array, excess: Array) -> Array:
     """Weights (n, taps) over whole numbers `k` (taps,), with E k = `mean`, E k(k − 1) = `excess`.
 
-    `mean` (n,) is in [0, ½]. Newton's method ends when both hold to rounding, or no step comes
-    nearer.
+    `mean` (n,) is in [0, ½]. They are wₖ ∝ exp(a k − b k(k − 1)), or without an excess those of the
+    two points 0 and 1. Newton's method ends when both conditions hold to rounding, no step comes
+    nearer, or after 60 steps.
     """
     weights = np.zeros((mean.size, k.size))
     zero = int(-k[0])
@@ -173,8 +174,8 @@ class Span(NamedTuple):
 def reached(low: int, high: int, cells: int, periodic: bool) -> Span:
     """The cells from `low` up to, but without, `high`, of an axis of so many cells, as a span.
 
-    On a periodic axis it begins at low modulo `cells`, and is the whole axis at most; on others it
-    is cut to the axis, and has at least one cell.
+    On a periodic axis it begins at low modulo `cells`; for `cells` or more it is the whole axis,
+    from 0 on. On others it is cut to the axis, and has at least one cell.
     """
     if periodic:
         return Span(0, cells) if high - low >= cells else Span(low % cells, high - low)

@@ -37,7 +37,7 @@ class Update(NamedTuple):
 
     `lower` (..., d, d) is the lower root of S, NaN where S is indefinite. Measured components that
     those before them determine add nothing to the density; `left` (..., d) has their distances from
-    the values determined, and zero for the others; None if there are none.
+    the values determined, and zero for the others; None if none is determined.
     """
 
     mean: Array

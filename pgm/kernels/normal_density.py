@@ -74,10 +74,11 @@ def log_density(lower: Array, white: Array) -> Array:
 
 
 def off(lower: Array, left: Array, error: Array) -> Mask:
-    """Whether residuals, wrong by at most `error`, are off the subspace of the noise, (..., S).
+    """Whether residuals, wrong by at most `error`, are off the range of L, (..., S).
 
-    `left` (..., S, d) is what `whitened` leaves at determined components. A residual is off where
-    that exceeds |L⁻¹| error, with L's zero pivots as ones, plus `SLACK` standard deviations.
+    There the noise never gets: the density is zero. `left` (..., S, d) is what `whitened` leaves at
+    determined components; a residual is off where any of it exceeds |L⁻¹| error, with L's zero
+    pivots as ones, plus `SLACK` standard deviations. `error` is (..., S, d).
     """
     # What is left depends linearly on the residuals: by this matrix.
     spread = np.abs(solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))

@@ -11,7 +11,7 @@ from pgm.kernels.arrays import Array
 
 
 def mounted(poses: Array, mount: Array) -> Array:
-    """Poses (..., 3) of a sensor on bodies at `poses` (..., 3), mounted at (3,) in their frame."""
+    """Poses (..., 3) of a sensor whose pose in the frame of each body, of `poses`, is `mount`."""
     return _stacked(turned(mount[:2], poses[..., 2]) + poses[..., :2], poses[..., 2] + mount[2])
 
 

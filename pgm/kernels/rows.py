@@ -193,10 +193,11 @@ def _independent(
 ) -> tuple[Array, Array, Array, Mask, float]:
     """Exact relations C x = c as orthonormal rows, without those that the others imply.
 
-    `exact` is C, `right` c (..., m, N), and `size` (..., N) the size of the numbers that c is
-    computed from. Returns the new C, with rows of zeros for what is left out; the new c; ln of the
-    scale taken out, (...); the mask of contradictions, (..., N); and the largest reciprocal of a
-    scale, infinite where it is not certain which relations are independent.
+    `exact` is C (..., m, n), `right` c (..., m, N), and `size` (..., N) the size of the numbers
+    that c is computed from. Returns the new C and c, with rows of zeros for what is left out; the
+    sum of ln of the singular values of C that they were divided by, (...); the mask (..., N) of c
+    that contradict themselves, where an implied relation is missed by more than 10⁻⁷ `size`; and
+    the largest reciprocal of those values, infinite where what is implied may be independent.
     """
     independent, solved, left, log_size, doubt = _solved(exact, right)
     far = np.abs(left).max(axis=-2, initial=0.0)

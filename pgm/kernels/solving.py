@@ -38,7 +38,7 @@ def solve_lower(lower: Array, right: Array) -> Array:
 
 
 def solve_upper(lower: Array, right: Array) -> Array:
-    """The X with Lᵀ X = B, (..., n, m), zero in rows of determined components."""
+    """The X with Lᵀ X = B, (..., n, m); rows of determined components are zero, B unused there."""
     fixed = determined(lower)
     if fixed.any():
         right = np.where(fixed[..., None], 0.0, right)

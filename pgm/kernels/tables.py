@@ -45,12 +45,18 @@ def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
 
 
 def multiply(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
-    """The products of values of tables, which broadcast, as values and log-scale."""
+    """The products of tables of values a and b, which broadcast, as values and log-scale (...).
+
+    Log-scales of a and b themselves are for the caller to add.
+    """
     return _combined(np.multiply, np.add, a, b, axes)
 
 
 def divide(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
-    """The quotients a / b of values of tables, zero wherever b is, as values and log-scale."""
+    """The quotients of tables of values a and b, zero wherever b is, as values and log-scale (...).
+
+    Log-scales of a and b themselves are for the caller to subtract.
+    """
     return _combined(_quotient, np.subtract, a, b, axes)
 
 

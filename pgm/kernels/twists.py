@@ -31,7 +31,7 @@ def motions(twists: Array, share: Array | float = 1.0) -> Array:
 
 
 def twists(steady: Array) -> Array:
-    """The twists (..., 3) of steady motions (..., 3) that turn by less than `WHOLE`."""
+    """The twists (..., 3) of steady motions (..., 3) of less than a whole turn, `WHOLE`."""
     half = 0.5 * steady[..., 2]
     chord = turned(steady[..., :2], -half) / _sinc(half)[..., None]
     return np.concatenate([chord, steady[..., 2:]], axis=-1)

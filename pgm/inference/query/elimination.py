@@ -143,7 +143,7 @@ class Tables:
         return one_hot(np.asarray(self.evidence.states[variable]), variable.size)
 
     def _over(self, scope: Sequence[int], own: Sequence[int], table: Array) -> Array:
-        """A view of a table over `own` with an axis for each of `scope`, of length one if new."""
+        """A view of a table over `own` with axes for all of `scope`, of length one for others."""
         if len(own) == len(scope):
             return table
         members = set(own)
