@@ -1,4 +1,13 @@
-"""Predictions and updates of many runs, as of `moments`, along rows: the last axis is the runs."""
+"""Gaussian predictions and updates of many runs at once; the last axis of all arrays is the runs.
+
+Each operation on a component goes along a contiguous row of runs. Covariances P (n, n, runs) are
+exactly symmetric. A measurement of a belief N(m, P) is z = H x + n, n ~ N(0, R); r = z − H m is its
+residual, S = H P Hᵀ + R the covariance of r. It is *mild* where S is at most a thousand times R in
+every direction: then no variance falls more than a thousand times.
+
+Symmetric matrices are factorised as U D Uᵀ, with U unit lower triangular and D the diagonal of
+pivots: a pivot is the variance of a component given those before it.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +20,14 @@ from pgm.kernels.roots import NEGLIGIBLE
 
 # A B and A Bᵀ, the latter the faster one.
 _PRODUCT, _TIMES_TRANSPOSED = "ijr,jkr->ikr", "ijr,kjr->ikr"
-# By how much a mild measurement shrinks a variance at most.
+# The largest factor by which a mild measurement shrinks a variance.
 _MILD = 1e3
 # Below this a product of pivots has lost digits.
 _SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
-    """Put the covariance F P Fᵀ + noise into `out`, (d, d, runs)."""
+    """Put the covariance F P Fᵀ + noise into `out`, (d, d, runs); F is `matrix`, (d, n, runs)."""
     half = np.einsum(_TIMES_TRANSPOSED, matrix, cov)
     np.einsum(_TIMES_TRANSPOSED, half, matrix, out=out)
     out += noise
@@ -26,10 +35,11 @@ def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
 
 
 class Update(NamedTuple):
-    """N(mean, cov), (n, runs), given a measurement, and ln N(r; 0, S).
+    """The belief N(mean, cov) after a measurement, and the factors of S = U diag(pivots) Uᵀ.
 
-    S = U diag(pivots) Uᵀ, of whose unit lower U only what is below the diagonal is there; `mild`
-    says whether no variance has fallen more than a thousand times.
+    `mean` is (n, runs) and `cov` (n, n, runs); `log_density` (runs,) is ln N(r; 0, S). `pivots` is
+    (d, runs), and the entries of `unit` (d, d, runs) below its diagonal are those of U; the others
+    are not. `mild`: whether the measurement is known to be mild in all runs.
     """
 
     mean: Array
@@ -46,11 +56,12 @@ class Update(NamedTuple):
 
 
 def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
-    """The value of det S from which on a measurement with this noise is sharp, (runs or 1,).
+    """The bound 1000 det R on det S, (runs or 1,): below it a measurement is mild.
 
-    Below, S is at most a thousand times the noise in any direction: no variance falls more than
-    that, P − K S Kᵀ loses three of sixteen digits at most, and S is regular. Where the noise is not
-    regular by a thousand times what is asked, or its determinant too small a number, this is 0.
+    `noise` is R, (d, d, runs or 1). Since S ≥ R, a smaller det S leaves S at most 1000 R in every
+    direction: P − G S Gᵀ then loses at most three of sixteen digits, and S is regular. The bound is
+    0, so that no measurement counts as mild, where a pivot of R is not above 1000 `least` of its
+    diagonal entry, or det R is too small a number.
     """
     pivots = _eliminate(noise.copy())
     regular = (pivots > _MILD * least * np.einsum("iir->ir", noise)).all(axis=0)
@@ -70,12 +81,14 @@ def update(
     sharp: Array | None = None,
     least: float = NEGLIGIBLE,
 ) -> Update | None:
-    """A regular `moments.update` with S = H P Hᵀ + noise; None if that is singular.
+    """Condition beliefs N(m, P) on a measurement each; None if S is singular in some run.
 
-    Shapes are (n, runs), (n, n, runs), H (d, n, runs), r = z − H mean (d, runs) and noise (d, d,
-    runs or 1); the covariance is exactly symmetric, moments go `out`, `sharp` is the `sharpness` of
-    the noise, where at hand. S is singular where those before it leave a component no larger share
-    than `least`.
+    The mean is m + G r with the gain G = P Hᵀ S⁻¹. The covariance is P − G S Gᵀ if the measurement
+    is mild in all runs, else (I − G H) P (I − G H)ᵀ + G R Gᵀ, which keeps more digits. `mean` is m
+    (n, runs), `cov` P (n, n, runs), `matrix` H (d, n, runs), `residual` r (d, runs) and `noise` R
+    (d, d, runs or 1). The new moments are written into `out`, (n, runs) and (n, n, runs), if given.
+    `sharp` is `sharpness(noise, least)`, computed here if None. S is singular where a pivot is at
+    most `least` of its diagonal entry.
     """
     size, runs, height = len(cov), cov.shape[-1], len(residual)
     new_mean, new_cov = (np.empty((size, runs)), np.empty_like(cov)) if out is None else out
@@ -114,9 +127,10 @@ def update(
 
 
 def open_share(cov: Array) -> float:
-    """The smallest L_ii² / P_ii over (n, n, runs): the conditional share of a variance.
+    """The smallest share of a variance that the components before it leave open, in any run.
 
-    Overwrites; components without a variance do not count.
+    It is the minimum of L_ii² / P_ii for covariances P = L Lᵀ, (n, n, runs), and at most 1. `cov`
+    is overwritten; components without a variance do not count.
     """
     variances = np.einsum("iir->ir", cov)
     variances[variances == 0.0] = 1.0
@@ -128,8 +142,8 @@ def inflation(cov: Array) -> Array:
     """The variance inflation factors of covariances (n, n, runs) added up: tr C⁻¹, (runs,).
 
     C are the correlations; a factor is a variance over the share of it that all other components
-    leave open. With C = U D Uᵀ it is Σ_k Σ_i (U⁻¹)²_ki / D_k. Overwrites; the factor of a component
-    without a variance is one, and the sum is infinite where C is not positive definite.
+    leave open. With C = U D Uᵀ it is Σ_k Σ_i (U⁻¹)²_ki / D_k. `cov` is overwritten; the factor of a
+    component without a variance is one, and the sum is infinite where C is not positive definite.
     """
     size = len(cov)
     own = np.einsum("iir->ir", cov)
@@ -154,14 +168,22 @@ def inflation(cov: Array) -> Array:
 
 
 def least_left(before: Array, after: Array) -> float:
-    """The smallest ratio of variance after to before, over (n, n, runs); zeros do not count."""
+    """The smallest ratio of a variance in `after` to that in `before`, at most 1, in any run.
+
+    Both are covariances (n, n, runs). A component with a variance of zero after, or none above zero
+    before, does not count.
+    """
     was, left = (np.einsum("iir->ir", cov) for cov in (before, after))
     counts = (left != 0.0) & (was > 0.0)
     return float((left[counts] / was[counts]).min(initial=1.0))
 
 
 def _eliminate(matrix: Array, right: Array | None = None) -> Array:
-    """The pivots D of A = U D Uᵀ, (d, runs); puts U below the diagonal of A, and B U⁻ᵀ into B."""
+    """Factorise symmetric A = U D Uᵀ in place; returns the pivots D, (d, runs).
+
+    `matrix` A (d, d, runs) becomes U below the diagonal, D on it and D Uᵀ above; `right` B (m, d,
+    runs), if given, becomes B U⁻ᵀ.
+    """
     for j in range(1, len(matrix)):
         for k in range(j):
             part = matrix[j, k]
@@ -186,10 +208,10 @@ def _lower(unit: Array, root: Array) -> Array:
 
 
 def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
-    """Whether each pivot is more than the `least` share of its diagonal entry.
+    """Whether each pivot of S = U D Uᵀ is above `least` of its diagonal entry of S, in all runs.
 
-    `unit` holds U below its diagonal and diag(pivots) Uᵀ above it, so that entry j of the diagonal
-    is the pivot plus Σₖ U_jk U_kj, k < j: the part of it that elimination has taken.
+    `unit` is as `_eliminate` leaves it: U below its diagonal, D Uᵀ above it. Entry j of the
+    diagonal of S is pivot j plus Σₖ U_jk (D Uᵀ)_kj, k < j, which elimination has taken from it.
     """
     for j, pivot in enumerate(pivots):
         taken = sum(unit[j, k] * unit[k, j] for k in range(j))
@@ -215,7 +237,7 @@ def _sum_of_squares(gain: Array, cov: Array, matrix: Array, noise: Array, out: A
 
 
 def divide(matrix: Array, lower: Array) -> Array:
-    """The F with F L = J for J (d, n, runs)."""
+    """The F with F L = J, (d, n, runs), for J = `matrix` and lower triangular L (n, n, runs)."""
     result = np.empty_like(matrix)
     for j in reversed(range(len(lower))):
         column = matrix[:, j]

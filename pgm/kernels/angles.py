@@ -10,7 +10,7 @@ TURN = 2.0 * np.pi
 
 
 def wrap(angle: Array) -> Array:
-    """The equal angle in [−π, π)."""
+    """The same angles, moved by whole turns into [−π, π)."""
     wrapped = angle - TURN * np.floor((angle + np.pi) / TURN)  # a remainder takes thrice as long
     # Rounding can pass either end by a last digit.
     return np.where((wrapped < -np.pi) | (wrapped >= np.pi), -np.pi, wrapped)
@@ -25,7 +25,10 @@ def difference(a: Array, b: Array, angles: Mask) -> Array:
 
 
 def nearest_branch(value: Array, reference: Array, angles: Mask) -> Array:
-    """The value, (..., d), its angles moved by whole turns to within π of the reference's."""
+    """The value, (..., d), its angles moved by whole turns to within π of those of `reference`.
+
+    `angles` (d,) marks the components that are angles; the others stay as they are.
+    """
     places = np.flatnonzero(angles)
     if not places.size:
         return value

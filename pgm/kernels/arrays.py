@@ -1,4 +1,9 @@
-"""Types and small operations for stacks of vectors and matrices, and for angles in radians."""
+"""Types and small operations for stacks of vectors (..., n) and of matrices (..., m, n).
+
+A stack lies *by runs* where each entry (i, j) of its matrices is a row in memory, contiguous over
+the runs, or over steps and runs, while the axes stay (..., m, n). Products of many small matrices
+then go along these rows, which is faster than one product a matrix.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +22,7 @@ Kind = TypeVar("Kind", bound=np.generic)
 Index = slice | Integers
 
 LOG_2PI = float(np.log(2.0 * np.pi))
-# Of a mean, relatively: by no more do two solutions of one model differ, of long chains either.
+# Two solutions of one model differ by no more than this part of a mean, of long chains either.
 LAST_PLACES = 32.0 * float(np.finfo(np.float64).eps)
 # From this many matrices on, going along rows of runs beats one product a matrix.
 _MANY = 32
@@ -25,7 +30,7 @@ _FAR = _MANY * np.dtype(np.float64).itemsize
 
 
 def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """Zeros (*lead, *shape) in memory with the last leading axis, of runs, fastest.
+    """Zeros of shape (*lead, *shape), in memory with the last leading axis, of runs, fastest.
 
     Kernels go along contiguous rows of runs; element-wise results and `multiply` keep that layout.
     """
@@ -34,19 +39,19 @@ def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
 
 
 def vacant(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """Uninitialised `stacked`."""
+    """An uninitialised array of the shape and memory layout of `stacked`."""
     *before, runs = lead
     return _last_to(np.empty((*before, *shape, runs)), len(before))
 
 
 def _last_to(memory: Array, place: int) -> Array:
-    """An array with its last axis moved to a place, ten times as fast as by `moveaxis`."""
+    """A view with the last axis moved to `place`, made ten times as fast as by `moveaxis`."""
     last = memory.ndim - 1
     return memory.transpose(*range(place), last, *range(place, last))
 
 
 def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array (own axes, *batch) with its own axes last, as users see it."""
+    """A view of an array (own axes, *batch) with its first `own` axes last, as users see it."""
     axes = array.ndim
     if axes == own:
         return array
@@ -55,7 +60,7 @@ def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
 
 
 def components_first(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array (*batch, own axes) with its own axes first, as kernels of batches take it."""
+    """A view of an array (*batch, own axes) with its last `own` axes first, as kernels take it."""
     axes = array.ndim
     if axes == own:
         return array
@@ -73,12 +78,12 @@ def times(matrix: Array, vector: Array) -> Array:
 
 
 def within(cov: Array, places: Index) -> Array:
-    """The block of some components, of covariances (n, n, *batch)."""
+    """The block of covariances (n, n, *batch) at the components `places`, as rows and columns."""
     return cov[places][:, places]
 
 
 def block_diagonal(blocks: Array) -> Array:
-    """Blocks (k, d, d, *batch) along the diagonal of one matrix, (k d, k d, *batch)."""
+    """The block-diagonal matrices (k d, k d, *batch) of blocks (k, d, d, *batch)."""
     count, size, _, *batch = blocks.shape
     if count == 1:
         only: Array = blocks[0]
@@ -96,7 +101,7 @@ def transpose(matrix: Array) -> Array:
 
 
 def by_runs(matrix: Array) -> bool:
-    """Whether ``matrix[..., i, j]`` are many runs, or steps and runs, as of `stacked`."""
+    """Whether a stack lies by runs in memory, with 32 or more numbers in each row."""
     if matrix.size < _MANY:
         return False
     (height, width), (down, across) = matrix.shape[-2:], matrix.strides[-2:]
@@ -104,14 +109,14 @@ def by_runs(matrix: Array) -> bool:
 
 
 def room(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """Uninitialised (*lead, *shape) in memory with all leading axes fastest."""
+    """An uninitialised array (*lead, *shape), in memory with all its leading axes fastest."""
     own = len(shape)
     memory = np.empty((*shape, *lead))
     return memory.transpose(*range(own, memory.ndim), *range(own))
 
 
 def contiguous(matrix: Array) -> Array:
-    """The matrices with their columns fastest in memory, or next to the rows of runs."""
+    """The matrices in C order; those that lie by runs as a copy in the layout of `room`."""
     if not by_runs(matrix):
         return np.ascontiguousarray(matrix)
     copy = room(matrix.shape[:-2], matrix.shape[-2:])
@@ -120,7 +125,7 @@ def contiguous(matrix: Array) -> Array:
 
 
 def multiply(a: Array, b: Array) -> Array:
-    """The product A B, stacked; computed along the runs where they are contiguous in memory."""
+    """The product A B, stacked; computed along the runs where A or B lies by runs."""
     many_a, many_b = by_runs(a), by_runs(b)
     if not (many_a or many_b):
         return a @ b
@@ -132,7 +137,7 @@ def multiply(a: Array, b: Array) -> Array:
 
 
 def times_transposed(a: Array, b: Array) -> Array:
-    """A Bᵀ; the fastest product where both are `contiguous`."""
+    """A Bᵀ, stacked; the fastest product where both are laid out as by `contiguous`."""
     many_a, many_b = by_runs(a), by_runs(b)
     if many_a and many_b:
         return _along_runs("...ij,...kj->...ik", a, b, b.shape[-2])
@@ -142,12 +147,15 @@ def times_transposed(a: Array, b: Array) -> Array:
 
 
 def times_symmetric(a: Array, b: Array) -> Array:
-    """A B for a symmetric B."""
+    """A B, stacked, for a symmetric B: as A Bᵀ where that is faster."""
     return times_transposed(a, b) if by_runs(a) and by_runs(b) else multiply(a, b)
 
 
 def _along_runs(product: str, a: Array, b: Array, width: int) -> Array:
-    """The product that einsum calls `product`, (..., rows, width), in memory runs fastest."""
+    """An einsum of A and B, (..., rows of A, width), with all leading axes fastest in memory.
+
+    `product` is its subscripts; `width` is the number of columns of the result.
+    """
     lead, other = a.shape[:-2], b.shape[:-2]
     if lead != other:
         lead = np.broadcast_shapes(lead, other)
@@ -158,12 +166,12 @@ def _along_runs(product: str, a: Array, b: Array, width: int) -> Array:
 
 
 def distinct(matrix: Array) -> Array:
-    """A single matrix where broadcasting repeats one for all runs."""
+    """The matrix (m, n) of a stack (R, m, n) that only repeats it as a view; else the stack."""
     return matrix[0] if matrix.ndim == 3 and matrix.strides[0] == 0 else matrix
 
 
 def _times_one(many: Array, one: Array) -> Array:
-    """A Bᵀ for many A (R, m, n) and one B (k, n), as a few products of large matrices."""
+    """A Bᵀ, (R, m, k), for many A (R, m, n) and one B (k, n), as m products of B with (n, R)."""
     product: Array = one @ many.transpose(1, 2, 0)
     return product.transpose(2, 0, 1)
 
@@ -183,7 +191,7 @@ def inner(a: Array, b: Array) -> Array:
 
 
 def variances(cov: Array) -> Array:
-    """The diagonals of stacked matrices, (..., n), as a view to read."""
+    """The diagonals of stacked matrices, (..., n), as a read-only view."""
     found: Array = np.diagonal(cov, axis1=-2, axis2=-1)
     return found
 
@@ -199,7 +207,10 @@ def symmetric(matrix: Array) -> Array:
 
 
 def make_symmetric(matrix: Array) -> Array:
-    """`symmetric`, or, along rows of runs, the upper triangle copied onto the lower, in place."""
+    """Make a product that is symmetric but for rounding exactly so: (A + Aᵀ) / 2.
+
+    Where A lies by runs, its upper triangle is copied onto the lower one instead, in place.
+    """
     if not by_runs(matrix):
         return symmetric(matrix)
     for j in range(1, matrix.shape[-1]):
@@ -208,12 +219,12 @@ def make_symmetric(matrix: Array) -> Array:
 
 
 def sandwich(factor: Array, matrix: Array) -> Array:
-    """F P Fᵀ for a symmetric P."""
+    """F P Fᵀ, stacked, for a symmetric P."""
     return times_transposed(times_symmetric(factor, matrix), factor)
 
 
 def one_minus(matrix: Array) -> Array:
-    """1 − A, in the place of A where there are many."""
+    """I − A, stacked; where A lies by runs it is overwritten with the result."""
     if not by_runs(matrix):
         return np.eye(matrix.shape[-1]) - matrix
     np.negative(matrix, out=matrix)
@@ -239,7 +250,7 @@ def block(matrix: Array, rows: Index, columns: Index) -> Array:
 
 
 def independent(cov: Array, seen: Mask) -> Array:
-    """Covariances in which masked-out components have unit variance and no correlation."""
+    """Covariances in which components not `seen`, (..., n), have unit variance, no correlation."""
     return np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
 
 
@@ -250,7 +261,7 @@ def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kin
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Let what overflows or is undefined become infinite or NaN, which callers look for."""
+    """A context in which overflow and undefined results become infinity or NaN, with no warning."""
     with np.errstate(all="ignore"):
         yield
 
@@ -263,7 +274,7 @@ def frozen(array: Array) -> Array:
 
 
 def unravelled(index: Integers, shape: Sequence[int]) -> tuple[Integers, ...]:
-    """The places in an array of a shape of flat indices (...).
+    """The indices along each axis, (...) each, of flat indices (...) into an array of a shape.
 
     NumPy's function is wrong for more than 8,192 indices whose last axis has length one.
     """

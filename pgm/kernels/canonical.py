@@ -1,7 +1,8 @@
-"""The canonical form exp(−½ xᵀK x + hᵀx + g) on arrays: K (..., n, n), h (..., n), g (...).
+"""The canonical form C(x; K, h, g) = exp(−½ xᵀK x + hᵀx + g) of a Gaussian factor, on arrays.
 
+K (..., n, n), called `precision`, is symmetric and need not be definite; h is (..., n), g (...).
 Where a result does not exist (an integral that diverges, an inverse of a singular matrix) it is
-NaN; the callers, who know the names, raise.
+NaN; the callers, who know the names of variables, raise.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ Canonical = tuple[Array, Array, Array]
 
 
 def strict_root(matrix: Array) -> Array:
-    """The root of positive definite matrices; NaN where one is singular or indefinite."""
+    """The lower root L, L Lᵀ = A, of positive definite A (..., n, n); NaN where A is not that."""
     lower = roots.root(matrix)
     singular: Mask = np.asarray(roots.determined(lower).any(axis=-1))
     if singular.any():
@@ -35,7 +36,11 @@ def strict_root(matrix: Array) -> Array:
 
 
 def _invertible_root(cov: Array) -> Array:
-    """The root of covariances, NaN where an eigenvalue is rounding, which pivots alone can miss."""
+    """The lower root of regular covariances (..., n, n); NaN where one is singular or indefinite.
+
+    One is singular where a pivot is rounding, or an eigenvalue of the correlations is below 10⁻¹³,
+    which pivots alone can miss.
+    """
     lower = strict_root(cov)
     variances = np.diagonal(cov, axis1=-2, axis2=-1)
     std = np.sqrt(np.where(variances > 0.0, variances, 1.0))
@@ -50,7 +55,7 @@ def _column(vector: Array) -> Array:
 
 
 def from_moments(mean: Array, cov: Array, log_weight: Array) -> Canonical:
-    """exp(log_weight) N(x; mean, cov) in canonical form."""
+    """exp(log_weight) N(x; mean, cov) in canonical form; NaN where the covariance is singular."""
     size = mean.shape[-1]
     lower = _invertible_root(cov)
     precision = symmetric(solving.solve(lower, np.broadcast_to(np.eye(size), cov.shape)))
@@ -61,7 +66,7 @@ def from_moments(mean: Array, cov: Array, log_weight: Array) -> Canonical:
 
 
 def to_moments(precision: Array, h: Array, g: Array) -> tuple[Array, Array, Array]:
-    """Mean, covariance and log-integral."""
+    """The mean K⁻¹h, the covariance K⁻¹ and ln ∫ C(x; K, h, g) dx; NaN unless K is definite."""
     size = h.shape[-1]
     lower = strict_root(precision)
     cov = symmetric(solving.solve(lower, np.broadcast_to(np.eye(size), precision.shape)))
@@ -73,7 +78,10 @@ def to_moments(precision: Array, h: Array, g: Array) -> tuple[Array, Array, Arra
 
 
 def marginalise(precision: Array, h: Array, g: Array, keep: Index, drop: Index) -> Canonical:
-    """Integrate out the components `drop`."""
+    """The form over the components `keep`, with those at `drop` integrated out.
+
+    NaN where the block of K at `drop` is not positive definite.
+    """
     lower = strict_root(block(precision, drop, drop))
     size = lower.shape[-1]
     white = solving.solve_lower(lower, block(precision, drop, keep))
@@ -90,7 +98,7 @@ def marginalise(precision: Array, h: Array, g: Array, keep: Index, drop: Index) 
 def reduce(
     precision: Array, h: Array, g: Array, keep: Index, fixed: Index, value: Array
 ) -> Canonical:
-    """Put in the value of the components `fixed`."""
+    """The form over the components `keep`, with those at `fixed` set to `value`, (..., d)."""
     inside = apply(block(precision, fixed, fixed), value)
     return (
         block(precision, keep, keep),
@@ -100,7 +108,10 @@ def reduce(
 
 
 def from_affine(matrix: Array, offset: Array, noise: Array) -> Canonical:
-    """N(y; F x + b, noise) over the stacked (y, x)."""
+    """N(y; F x + b, noise) as a form over the stacked vector (y, x), F being `matrix` (..., d, n).
+
+    NaN where the noise covariance (..., d, d) is singular.
+    """
     size = matrix.shape[-2]
     lower = _invertible_root(noise)
     joint = np.concatenate([np.broadcast_to(np.eye(size), (*matrix.shape[:-1], size)), -matrix], -1)
@@ -115,10 +126,11 @@ def from_affine(matrix: Array, offset: Array, noise: Array) -> Canonical:
 def backward(
     matrix: Array, offset: Array, noise: Array, precision: Array, h: Array, g: Array
 ) -> Canonical:
-    """∫ N(y; F x + b, noise) C(y; K, h, g) dy as a canonical form over x.
+    """∫ N(y; F x + b, Σ) C(y; K, h, g) dy as a canonical form over x, F being `matrix` (..., d, n).
 
-    The noise is never inverted and may be singular; with a root K = R Rᵀ nothing is subtracted
-    from K either, so a vague noise after a sharp message costs no digits.
+    The noise covariance Σ is never inverted and may be singular. With a root K = R Rᵀ nothing is
+    subtracted from K either, so that a vague noise after a sharp message costs no digits. An
+    indefinite K is allowed where the integral converges; else the result is NaN.
     """
     root = roots.root(precision)
     if not roots.is_proper(root):
@@ -144,7 +156,11 @@ def backward(
 
 
 def _split(root: Array, vector: Array) -> tuple[Array, Array]:
-    """The q and r with vector = R q + r, where r is zero for a vector in the range of R."""
+    """The q and r, (..., n), with vector = R q + r; r is zero for a vector in the range of R.
+
+    R = `root` is lower triangular with a zero column for each determined component: there q is
+    zero, and r is what the open components leave. Less than 10⁻⁹ of the summands is rounding: zero.
+    """
     fixed = roots.determined(root)
     found = solving.solve_lower(root, _column(vector))[..., 0]
     q = np.where(fixed, 0.0, found)
@@ -156,9 +172,10 @@ def _split(root: Array, vector: Array) -> tuple[Array, Array]:
 def _backward_indefinite(
     matrix: Array, offset: Array, noise: Array, precision: Array, h: Array, g: Array
 ) -> Canonical:
-    """`backward` for an indefinite K, such as a quotient's: with a root of the noise instead.
+    """The integral of `backward` for an indefinite K, by a root L of the noise, Σ = L Lᵀ, instead.
 
-    The integral converges where I + LᵀKL is positive definite, for Σ = L Lᵀ.
+    Quotients of messages have such K. The integral converges where I + LᵀKL is positive definite;
+    elsewhere it is NaN.
     """
     root = roots.root(noise)
     reach = precision @ root
@@ -188,7 +205,11 @@ def product(a: Canonical, b: Canonical) -> Canonical:
 def combine(
     mean: Array, cov: Array, precision: Array, h: Array, g: Array
 ) -> tuple[Array, Array, Array]:
-    """Mean, covariance and log-integral of N(x; mean, cov) C(x; K, h, g); cov may be singular."""
+    """The mean, covariance and log-integral of N(x; mean, cov) C(x; K, h, g).
+
+    With cov = L Lᵀ, which may be singular, the covariance is L (I + LᵀKL)⁻¹ Lᵀ. All three are NaN
+    where I + LᵀKL is not positive definite.
+    """
     root = roots.root(cov)
     inside = sandwich(transpose(root), precision)
     lower = strict_root(inside + np.eye(inside.shape[-1]))
@@ -207,6 +228,6 @@ def combine(
 
 
 def shift(precision: Array, h: Array, g: Array, by: Array) -> Canonical:
-    """The canonical form over x = y + by, from the form over y."""
+    """The canonical form over x = y + by, from the form K, h, g over y; `by` is (..., n)."""
     moved = apply(precision, by)
     return precision, h + moved, g - inner(h, by) - 0.5 * inner(moved, by)

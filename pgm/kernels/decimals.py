@@ -26,7 +26,7 @@ _LN10 = math.log(10.0)
 
 @contextmanager
 def precision(count: int) -> Iterator[None]:
-    """A context with a number of significant digits."""
+    """A context in which decimals are rounded to `count` significant digits, and nothing raises."""
     # No traps: an overflow cannot happen, and what is undefined is NaN, as in float64.
     with localcontext(Context(prec=count, Emax=MAX_EMAX, Emin=MIN_EMIN, traps=[])):
         yield
@@ -43,17 +43,17 @@ def exact(array: Array) -> Decimals:
 
 
 def zeros(*shape: int) -> Decimals:
-    """Zeros."""
+    """An array of decimal zeros of a shape."""
     return np.full(shape, Decimal(0), dtype=object)
 
 
 def floats(array: Decimals) -> Array:
-    """The nearest float64 of each; zero or infinity beyond its range."""
+    """The nearest float64 of each decimal; zero or infinity beyond its range."""
     return np.asarray(_float(array), dtype=np.float64).reshape(np.shape(array))
 
 
 def sqrt(array: Decimals) -> Decimals:
-    """The square roots."""
+    """The square roots; within `precision`, NaN for negative numbers."""
     return np.asarray(_root(array), dtype=object).reshape(np.shape(array))
 
 
@@ -66,7 +66,7 @@ def product(a: Decimals, b: Decimals) -> Decimals:
 
 
 def log(number: Decimal) -> float:
-    """The natural logarithm, rounded; of a number of any exponent."""
+    """The natural logarithm of a positive number of any exponent, as a float64."""
     exponent = number.adjusted()
     return math.log(float(number.scaleb(-exponent))) + exponent * _LN10
 

@@ -12,7 +12,10 @@ from pgm.kernels.arrays import Array, Mask
 
 
 def steps(x: Array, std: Array, finer: float = 1.0) -> Array:
-    """The steps of `jacobian`: max(finer max(10⁻² std, 10⁻⁴), 10⁻⁹ |x|)."""
+    """The difference steps at x, (..., n): max(finer · max(10⁻² std, 10⁻⁴), 10⁻⁹ |x|).
+
+    `std` (..., n) are the standard deviations of x; `finer` below one shortens the steps.
+    """
     found: Array = np.maximum(finer * np.maximum(1e-2 * std, 1e-4), 1e-9 * np.abs(x))
     return found
 
@@ -20,10 +23,11 @@ def steps(x: Array, std: Array, finer: float = 1.0) -> Array:
 def jacobian(
     function: Callable[[Array], Array], x: Array, std: Array, angles: Mask, finer: float = 1.0
 ) -> Array:
-    """The Jacobian of a vectorised function at x, (..., n) to (..., d, n), in one call.
+    """The Jacobian (..., d, n) of a function at points x (..., n), by one call of the function.
 
-    It is that of fourth-order central differences, with the steps of `steps`; differences of angles
-    are wrapped.
+    `function` maps points (..., 4n, n) to their values (..., 4n, d). The derivatives are central
+    differences of fourth order, with the steps of `steps`. `angles` (d,) marks the values that are
+    angles, whose differences are wrapped to [−π, π).
     """
     lead, size = x.shape[:-1], x.shape[-1]
     step = (x + steps(x, std, finer)) - x  # the step that is taken in floating point
@@ -38,7 +42,7 @@ def jacobian(
 
 @lru_cache(maxsize=64)
 def _stencil(size: int) -> Array:
-    """The steps of each component, (4n, n): one forward and back, two forward and back."""
+    """The points of `jacobian` in steps from x, (4n, n): +1, −1, +2 and −2 of each component."""
     offsets = np.eye(size)[:, None, :] * np.array([1.0, -1.0, 2.0, -2.0])[:, None]
     stencil: Array = offsets.reshape(4 * size, size)
     stencil.flags.writeable = False

@@ -6,9 +6,9 @@ its right end has the element
     p(y | x, evidence) p(evidence | x) = N(y; F x + b, Σ) exp(−½ xᵀK x + hᵀx + g),
 
 so that a transition has K = 0, a likelihood of x has F = I and Σ = 0, and any Σ, singular or zero,
-will do: with Σ = L Lᵀ, (I + ΣK)⁻¹Σ = L (I + LᵀKL)⁻¹ Lᵀ. An indefinite Σ gives NaN; the callers, who
-know the names, raise (Särkkä & García-Fernández, 2021, section IV). `prefixes` composes them in
-rounds.
+will do: with Σ = L Lᵀ, (I + ΣK)⁻¹Σ = L (I + LᵀKL)⁻¹ Lᵀ (Särkkä & García-Fernández, 2021, section
+IV). An indefinite Σ gives NaN; the callers, who know the names of variables, raise. `prefixes`
+composes elements in rounds.
 """
 
 from __future__ import annotations
@@ -29,7 +29,11 @@ from pgm.kernels.arrays import (
 
 
 class Element(NamedTuple):
-    """A segment: F x + b + n, n ~ N(0, cov), and its evidence's likelihood; g None if not asked."""
+    """The element of a segment: y = F x + b + n, n ~ N(0, cov), and exp(−½ xᵀK x + hᵀx + g).
+
+    F, cov and K are (..., n, n), b and h (..., n), g (...); g is None where no log-evidence is
+    wanted.
+    """
 
     F: Array
     b: Array
@@ -40,7 +44,7 @@ class Element(NamedTuple):
 
 
 class Likelihood(NamedTuple):
-    """The function exp(−½ xᵀK x + hᵀx + g): K (..., n, n), h (..., n), g (...) or None."""
+    """The likelihood exp(−½ xᵀK x + hᵀx + g): K (..., n, n), h (..., n), g (...) or None."""
 
     K: Array
     h: Array
@@ -48,7 +52,10 @@ class Likelihood(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """Moments (..., n) and (..., n, n), and the log-weight (...) of the evidence, or None."""
+    """A belief N(mean, cov), (..., n) and (..., n, n), times exp(log_weight), (...) or None.
+
+    `log_weight` is ln p(evidence so far); None where it is not wanted.
+    """
 
     mean: Array
     cov: Array
@@ -59,8 +66,9 @@ def compose(first: Element, then: Element) -> Element:
     """The element of two segments, the second beginning where the first ends.
 
     With M = (I + Σ₁K₂)⁻¹: F = F₂MF₁, b = F₂M(b₁ + Σ₁h₂) + b₂, Σ = F₂MΣ₁F₂ᵀ + Σ₂, K = F₁ᵀK₂MF₁ + K₁,
-    h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁. Here MΣ₁ is XᵀX, M is I − XᵀXK₂, and K₂M is MᵀK₂M + GᵀG with G =
-    U⁻ᵀXK₂: sums of semidefinite terms, so that sharp evidence after a vague noise costs no digits.
+    h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁. With Σ₁ = L Lᵀ, U a root of I + LᵀK₂L and X = U⁻¹Lᵀ, MΣ₁ is XᵀX, M is
+    I − XᵀXK₂, and K₂M is MᵀK₂M + GᵀG with G = U⁻ᵀXK₂: sums of semidefinite terms, so that sharp
+    evidence after a vague noise costs no digits. g is None if either segment's is.
     """
     white, upper = _meet(first.cov, then.K)
     reach = multiply(multiply(white, then.K), first.F)
@@ -83,7 +91,10 @@ def compose(first: Element, then: Element) -> Element:
 
 
 def _meet(cov: Array, precision: Array) -> tuple[Array, Array]:
-    """X = U⁻¹Lᵀ, and U, a root of I + LᵀKL, for a covariance L Lᵀ met by information K."""
+    """The matrices X = U⁻¹Lᵀ and U, a root of I + LᵀKL, of a covariance P = L Lᵀ and information K.
+
+    The covariance of the product of the two is XᵀX = (I + PK)⁻¹P.
+    """
     lower = roots.root(cov)
     back = transpose(lower)
     upper = roots.root(multiply(multiply(back, precision), lower) + np.eye(cov.shape[-1]))
@@ -96,7 +107,10 @@ def _gram(a: Array) -> Array:
 
 
 def _log_weight(mean: Array, h: Array, rest: Array, white: Array, upper: Array) -> Array:
-    """The log-integral of N(x; m, L Lᵀ) exp(−½ xᵀK x + hᵀx), for rest h − K m, and white X rest."""
+    """The log-integral ln ∫ N(x; m, L Lᵀ) exp(−½ xᵀK x + hᵀx) dx, (...).
+
+    `rest` is h − K m, `upper` and X are those of `_meet`, and `white` is X (h − K m).
+    """
     level = 0.5 * (inner(h + rest, mean) + inner(white, white))
     return level - 0.5 * solving.log_determinant(upper)
 
@@ -111,10 +125,10 @@ def push(belief: Belief, element: Element) -> Belief:
 
 
 class Known(NamedTuple):
-    """A belief N(m, P), P = L Lᵀ, after a likelihood: its mean, and its covariance XᵀX.
+    """A belief N(m, P) after a likelihood with K and h: its mean (..., n), and its covariance XᵀX.
 
-    U is a root of I + LᵀKL; `white` has the squared length (h − K m)ᵀXᵀX(h − K m); `log_weight` is
-    the log-integral of the product, if both factors have one.
+    With P = L Lᵀ, U is a root of I + LᵀKL, and X = U⁻¹Lᵀ; `white` is X (h − K m), (..., n).
+    `log_weight` (...) is the log-integral of the product of the two; None if either has no scale.
     """
 
     mean: Array
@@ -125,7 +139,7 @@ class Known(NamedTuple):
 
     @property
     def moved(self) -> Array:
-        """The move of the mean in units of the prior, (..., n), of squared length dᵀP⁺d."""
+        """The w with L w = d, (..., n), for the move d of the mean: its squared length is dᵀP⁺d."""
         return solving.solve_upper(self.U, self.white[..., None])[..., 0]
 
 

@@ -31,7 +31,7 @@ class Twofold:
 
     @classmethod
     def zeros(cls, shape: tuple[int, ...]) -> Twofold:
-        """Zeros."""
+        """Zeros of a shape."""
         return cls(np.zeros(shape), np.zeros(shape))
 
     @property
@@ -105,18 +105,19 @@ def where(mask: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
 
 
 def eye(shape: tuple[int, ...]) -> Twofold:
-    """Unit matrices, (..., n, n)."""
+    """Unit matrices of the shape (..., n, n)."""
     return Twofold(np.broadcast_to(np.eye(shape[-1]), shape).copy())
 
 
 def eliminated(
     matrix: Array | Twofold, negligible: float, rounding: Array | None = None
 ) -> tuple[Twofold, Twofold]:
-    """The factors of symmetric A = U D Uᵀ, U lower with 1 on its diagonal, D diagonal.
+    """The factors U (..., n, n) and D (..., n) of symmetric A = U diag(D) Uᵀ, U unit lower.
 
-    A pivot below the `negligible` share of its diagonal entry is rounding: D and what is below it
-    in U are zero there. With `rounding` (..., n) of diagonal entries, shares are of that, and of
-    what elimination makes of it.
+    A pivot D_j of size at most `negligible` times that of the diagonal entry A_jj is rounding: D_j
+    and the column of U below it are zero. With `rounding` (..., n), bounds of the rounding in the
+    A_jj, the limit is `negligible` times these instead, to each of which elimination adds U_jk²
+    times that of every earlier pivot k.
     """
     left = _twofold(matrix).copy()
     size = left.shape[-1]
@@ -153,7 +154,7 @@ def solve_unit(unit: Twofold, right: Twofold) -> Twofold:
 def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
     """A solution X of U D Uᵀ X = B, (..., n, m), for a B in its range.
 
-    Sums over X keep the digits that an inverse, whose entries are larger, would lose.
+    It keeps the digits that a product with the inverse, whose entries are larger, would lose.
     """
     solution = _divided(solve_unit(unit, right), pivots)
     upper = unit.mT
@@ -175,7 +176,7 @@ def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
 
 
 def _divided(rows: Twofold, pivots: Twofold) -> Twofold:
-    """Rows divided by their pivots; zero where a pivot is zero, as its component is determined."""
+    """Rows (..., n, m) over their pivots (..., n); zero where a pivot is zero."""
     known = (pivots.hi != 0.0)[..., None]
     return where(known, rows / where(known, pivots[..., None], 1.0), 0.0)
 
@@ -185,7 +186,7 @@ def _twofold(value: Any) -> Twofold:
 
 
 def _normal(high: Array, low: Array) -> tuple[Array, Array]:
-    """The sum of two floats as high and low parts that do not overlap; |high| ≥ |low| is due."""
+    """The sum of two floats as high and low parts that do not overlap; it takes |high| ≥ |low|."""
     total = high + low
     return total, low - (total - high)
 
@@ -223,7 +224,7 @@ def _add(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
 
 
 def _sum(high: Array, low: Array) -> tuple[Array, Array]:
-    """Sums over the last axis but one, as high and low parts.
+    """Sums over the last axis but one of (..., k, m), as high and low parts (..., m).
 
     Halves of the axis are added to one another, so that errors grow with log₂ of the number of
     summands.

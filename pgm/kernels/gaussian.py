@@ -1,8 +1,11 @@
-"""Gaussians in moment form, one or a batch: components first, mean (n, *batch).
+"""Gaussians in moment form, one or a batch: mean (n, *batch), covariance (n, n, *batch).
 
-Small single ones go through straight lines of Python, larger ones through LAPACK, many runs along
-rows of them. Where a pivot is nearly lost, any batch goes through `moments`, which tells singular
-covariances from rounding.
+Each function chooses the fastest code: for one small Gaussian, Python generated for its size
+(`unrolled`); for a larger one LAPACK; for a batch of runs `along_runs`. Where S is nearly singular,
+all go to `moments`, which tells singular covariances from rounding.
+
+A measurement is z = H x + n, n ~ N(0, R); S = H P Hᵀ + R. The components of a prediction that are
+*bare* have no noise of their own: what they have is F x + b.
 """
 
 from __future__ import annotations
@@ -26,10 +29,10 @@ from pgm.kernels.arrays import (
 from pgm.kernels.moments import ROUNDING
 from pgm.kernels.unrolled import checking, predicting, updating
 
-# Below this part of its diagonal entry a pivot of several measurements together costs too many
-# digits.
+# A pivot of S below this part of its diagonal entry costs too many digits: S is nearly singular.
 NEARLY_SINGULAR = 1e-6
-# And of a covariance, below which its root is left to `roots`, which tells zeros from rounding.
+# The same part for a covariance, below which its root is left to `roots`, which tells zeros from
+# rounding.
 _REGULAR = 1e-11
 
 
@@ -42,7 +45,7 @@ def _lapack() -> ModuleType:
 
 
 def deviations(cov: Array) -> Array:
-    """Standard deviations, (n, *batch).
+    """The standard deviations (n, *batch) of covariances (n, n, *batch).
 
     A variance that rounding has left negative counts as zero.
     """
@@ -51,7 +54,10 @@ def deviations(cov: Array) -> Array:
 
 
 def root(cov: Array) -> Array | None:
-    """The lower triangular L with P = L Lᵀ; None where P is nearly singular or indefinite."""
+    """The lower triangular L with P = L Lᵀ, (n, n, *batch); None if any P is not clearly regular.
+
+    That is, where a pivot L_jj² is at most 10⁻¹¹ P_jj.
+    """
     if cov.ndim > 2:
         return roots.regular_root(cov, _REGULAR)
     lower, fault = _lapack().dpotrf(cov, 1)
@@ -65,7 +71,7 @@ def root(cov: Array) -> Array | None:
 
 
 def divide(matrix: Array, lower: Array) -> Array:
-    """The F with F L = J, for J (d, n, *batch)."""
+    """The F with F L = J, (d, n, *batch), for J = `matrix`, lower triangular L (n, n, *batch)."""
     if lower.ndim == 2:
         found: Array = _lapack().dtrtrs(lower, matrix.T, 1, 1)[0].T
         return found
@@ -73,11 +79,12 @@ def divide(matrix: Array, lower: Array) -> Array:
 
 
 def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float) -> bool:
-    """Whether a covariance is neither nearly singular nor far below an earlier one.
+    """Whether N(mean, cov) is well conditioned, and not far narrower than the covariance `before`.
 
-    More than the share `least` is left of each variance, by the components before it and of the
-    earlier one; means squared are at most `far` variances. A component without a variance does not
-    count, if it had none before.
+    `mean` is (n, *batch), `cov` and `before` (n, n, *batch). In all of the batch, each component is
+    to keep a share above `least` of its variance given those before it, to have at least that share
+    of its variance in `before`, and a finite mean of a square up to `far` variances. A component
+    without a variance passes if it had none before.
     """
     if cov.ndim == 2:
         written = checking(len(cov), least, far)
@@ -90,10 +97,11 @@ def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float
 
 
 def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ()) -> Array:
-    """The covariance F P Fᵀ + noise, (d, d, *batch).
+    """The covariance F P Fᵀ + noise of a prediction, (d, d, *batch).
 
-    P (n, n, *batch) is exactly symmetric; F and the noise are one or as many. The components `bare`
-    have no noise: their zeros have to be told from rounding.
+    `cov` P (n, n, *batch) is exactly symmetric; of `matrix` F (d, n, *batch) and `noise`
+    (d, d, *batch) the batch may be of length one. `bare` are the places of the bare components:
+    where the variance of one is no more than rounding, it and its covariances become zero.
     """
     if cov.ndim == 2:
         written = predicting(len(noise), len(cov))
@@ -108,7 +116,11 @@ def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ())
 
 
 def _certain(spread: Array, cov: Array, matrix: Array, bare: tuple[int, ...]) -> Array:
-    """A prediction with zeros where a component without noise has no more than rounding left."""
+    """A prediction (d, d, *batch) with zeros where a bare component has no more than rounding.
+
+    That is, a variance of at most 10⁻¹⁴ of what was summed up, the diagonal of |F| |P| |F|ᵀ; F is
+    `matrix` and P `cov`.
+    """
     variances = np.einsum("ii...->i...", cov)
     if cov.ndim == 2:
         std = [sqrt(max(v, 0.0)) for v in variances.tolist()]
@@ -142,7 +154,13 @@ def extend(
     noise: Array,
     bare: tuple[int, ...] = (),
 ) -> None:
-    """Write the child y = F x + b + n, of mean `value`, into a joint with room for it."""
+    """Write the moments of a child y = F x + b + n into those of a joint that has room for it.
+
+    `mean` (m, *batch) and `cov` (m, m, *batch) of the joint are changed in place at the components
+    `child`; x is at the components `parents`. `value` (d, *batch) is the mean F E x + b of y,
+    `matrix` F (d, number of parents, *batch) and `noise` (d, d, *batch) the covariance of n; `bare`
+    is as of `predict`.
+    """
     mean[child] = value
     if not matrix.shape[1]:
         cov[child, child] = noise
@@ -159,11 +177,12 @@ def extend(
 
 
 class Update(NamedTuple):
-    """A belief (n, *batch) given a measurement, and the log-density of this.
+    """A belief N(mean, cov) given a measurement, and the measurement's log-density (*batch).
 
-    A component that an exact model determines adds nothing; `left` (d, *batch) is how far each is
-    from the model's value. A `regular` one has no component determined by those before it to 10⁻⁶
-    of its variance; a `mild` one is known to shrink no variance more than a thousand times.
+    Measured components that those before them determine add nothing to the density; `left`
+    (d, *batch) has their distances from the values determined, and zero for the others; None if
+    none is determined. `regular`: no pivot of S is below 10⁻⁶ of its diagonal entry. `mild`: the
+    measurement is known to shrink no variance more than a thousand times.
     """
 
     mean: Array
@@ -188,12 +207,13 @@ def update(
 ) -> Update:
     """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), of residual z − H mean.
 
-    The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the gain
-    G = P Hᵀ S⁺ and S = H P Hᵀ + noise.
+    The mean is m + G (z − H m), and the covariance (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of
+    semidefinite terms, with the gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise.
 
-    The batch is last; H and the noise may be one for all; P is exactly symmetric. `out` is room for
-    the moments of many, maybe unused; with `exact` the noise is singular, so that zeros have to be
-    told from rounding; `sharp` and `least` are as of `along_runs.update`.
+    The batch is last; H and the noise may be one for all; P is exactly symmetric. `out`, a mean and
+    a covariance, may be used for the new moments of a batch. With `exact` the noise is singular,
+    and zeros are told from rounding. A batch goes to `moments` if a pivot of S is at most `least`
+    of its diagonal entry; `sharp` is its `along_runs.sharpness`, if at hand.
     """
     if not exact:
         if cov.ndim > 2:
@@ -220,7 +240,10 @@ def update(
 def update_one(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
 ) -> tuple[Array, Array, float] | None:
-    """`update` for one Gaussian: moments and log-density; None if S is not regular."""
+    """Condition one Gaussian as `update` does: its mean, covariance and log-density.
+
+    None if a pivot of S is below 10⁻⁶ of its diagonal entry.
+    """
     written = updating(len(mean), len(residual), NEARLY_SINGULAR)
     if written is not None:
         return written(mean, cov, matrix, residual, noise)

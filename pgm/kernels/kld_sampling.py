@@ -1,6 +1,6 @@
-"""The number of draws that a distribution over bins needs, and the bins that points fall into.
+"""The number of draws that represents a distribution over bins, and the bins that points fall into.
 
-Of n draws from k bins the statistic S = 2 n KL(empirical ‖ true) has, where bins have many draws
+For n draws from k bins the statistic S = 2 n KL(empirical ‖ true) has, where bins have many draws
 each, a χ² distribution of k − 1 degrees of freedom (Wilks, 1938): with n = χ²_{k−1, 1−δ} / (2 ε)
 draws the divergence is at most ε with probability 1 − δ (Fox, Adapting the sample size in particle
 filters through KLD-sampling, 2003). Where bins have a few draws each, S is larger: a Poisson count
@@ -25,9 +25,9 @@ _MEAN, _VARIANCE = 1.1605, 2.406
 
 
 def draws_needed(bins: int, epsilon: float, delta: float) -> int:
-    """The number of draws that a distribution over so many occupied bins needs; 1 of a single bin.
+    """The number n of draws that represents a distribution over occupied `bins`; 1 for one bin.
 
-    Its divergence is then at most `epsilon` nats but for a probability `delta`.
+    With n draws, KL(empirical ‖ true) is at most `epsilon` nats with probability 1 − `delta`.
     """
     if bins <= 1:
         return 1
@@ -40,7 +40,11 @@ def draws_needed(bins: int, epsilon: float, delta: float) -> int:
 
 
 def keys(points: Array, widths: Array, angles: Mask) -> Integers | None:
-    """The bin of each point (d, n) along each axis, (d, n); None where one is too far from zero."""
+    """The whole-number bin of each point (d, n) along each axis, (d, n).
+
+    `widths` (d,) are those of the bins; on the axes that `angles` (d,) marks, they are changed so
+    that a whole number of bins makes a turn. None if a point is 2⁵² bins or more from zero.
+    """
     scaled = np.asarray(points, dtype=np.float64) / widths[:, None]
     for k in np.flatnonzero(angles):
         round_ = max(round(TURN / widths[k]), 1)
@@ -52,7 +56,7 @@ def keys(points: Array, widths: Array, angles: Mask) -> Integers | None:
 
 
 def occupied(bins: Integers) -> int:
-    """The number of different bins among draws (d, n)."""
+    """The number of different bins, columns of (d, n), among n draws."""
     low = bins.min(axis=1, keepdims=True)
     spans = [int(span) for span in (bins.max(axis=1) - low[:, 0] + 1)]
     if math.prod(spans) < 2**62:

@@ -1,13 +1,15 @@
 r"""Displacements on a lattice: kernels of exact mean and variance, as matrices along an axis.
 
-A displacement of μ cells with variance s² (in cells) has the weights, over whole numbers k,
+Lengths are in cells of the lattice, variances in squared cells. A *kernel* is a distribution over
+displacements by whole numbers k of cells; its weights in a row are its *taps*. The kernel of a
+displacement of mean μ and variance s² has the weights
 
     w_k ∝ exp(a k − b k (k − 1)),  Σ w_k k = μ,  Σ w_k (k − μ)² = max(s², f (1 − f)),  f = μ − ⌊μ⌋:
 
 the normal density of least distortion on a lattice, f(1 − f) being the least variance, of two
-points. Means and variances then add up exactly from step to step. About ⌊μ⌋ the conditions are E k
-= f and E k(k − 1) = max(s² − f(1 − f), 0), which Newton's method solves in a, b on the truncated
-tails, so that truncating costs no digit of them.
+points. Means and variances then add up exactly from step to step. With k counted from ⌊μ⌋ the
+conditions are E k = f and E k(k − 1) = max(s² − f(1 − f), 0), the *excess*, which Newton's method
+solves for a and b with the tails cut off, so that cutting them costs no digit of the moments.
 """
 
 from __future__ import annotations
@@ -19,9 +21,9 @@ import numpy as np
 
 from pgm.kernels.arrays import Array, Integers
 
-# Deviations after which tails are cut: exp(−8.5²/2) is the rounding of float64.
+# Standard deviations after which tails are cut: exp(−8.5²/2) is the rounding of float64.
 REACH = 8.5
-# An excess of variance below this is none; what is asked for is then met to as much.
+# An excess below this counts as none: the variance is then off by less.
 _NONE = 1e-14
 # From this variance on a sampled normal is the better beginning, else three points are.
 _WIDE = 0.3
@@ -31,9 +33,9 @@ _ITERATIONS = 60
 
 
 class Kernels(NamedTuple):
-    """Kernels, one a row: the displacement `first` of the first of the `weights`, in cells.
+    """The kernels of n displacements: tap j of `weights` (n, taps) moves by `first` (n,) + j cells.
 
-    `added` is the variance that the lattice adds to the one asked for.
+    `added` (n,) is the variance that the lattice adds to the one asked for, max(f(1 − f) − s², 0).
     """
 
     first: Integers
@@ -42,12 +44,12 @@ class Kernels(NamedTuple):
 
 
 def tap_count(variance: float) -> int:
-    """The number of weights of a kernel of a variance, in cells."""
+    """The number of taps of a kernel of a variance in squared cells."""
     return 2 * (math.ceil(REACH * math.sqrt(max(variance, 0.04))) + 2)
 
 
 def kernels(shift: Array, variance: Array | float) -> Kernels:
-    """The kernels of displacements (n,) with variances (n,) or a number, both in cells."""
+    """The kernels of displacements of mean `shift` (n,) and of a variance, (n,) or a number."""
     whole = np.floor(shift)
     part = shift - whole
     least = part * (1.0 - part)
@@ -66,7 +68,12 @@ def kernels(shift: Array, variance: Array | float) -> Kernels:
 
 
 def _solved(k: Array, mean: Array, excess: Array) -> Array:
-    """Weights (n, taps) over k with E k = mean in [0, ½] and E k(k − 1) = excess."""
+    """Weights (n, taps) over whole numbers `k` (taps,), with E k = `mean`, E k(k − 1) = `excess`.
+
+    `mean` (n,) is in [0, ½]. They are wₖ ∝ exp(a k − b k(k − 1)), or without an excess those of the
+    two points 0 and 1. Newton's method ends when both conditions hold to rounding, no step comes
+    nearer, or after 60 steps.
+    """
     weights = np.zeros((mean.size, k.size))
     zero = int(-k[0])
     two = excess <= _NONE
@@ -112,7 +119,11 @@ def _solved(k: Array, mean: Array, excess: Array) -> Array:
 
 
 def _beginning(mean: Array, excess: Array) -> tuple[Array, Array]:
-    """The parameters to begin with: of three points −1, 0, 1, or of a sampled normal."""
+    """The parameters a and b, (n,), that Newton's method begins with, of a mean and an excess (n,).
+
+    For variances of 0.3 or more they are those of a sampled normal density, else those of the
+    kernel on the three points −1, 0, 1 alone.
+    """
     variance = excess + mean * (1.0 - mean)
     wide = variance >= _WIDE
     with np.errstate(divide="ignore", invalid="ignore"):  # where the other one is taken
@@ -124,9 +135,9 @@ def _beginning(mean: Array, excess: Array) -> tuple[Array, Array]:
 
 
 def _weights(k: Array, product: Array, a: Array, b: Array) -> Array:
-    """The weights wₖ ∝ exp(a k − b p(k)) of each kernel, (kernels, taps), adding up to one.
+    """The weights wₖ ∝ exp(a k − b k(k − 1)) of each kernel, (kernels, taps), adding up to one.
 
-    p is `product`; a and b (kernels,) are the multipliers of the mean and of the excess variance.
+    `product` (taps,) is k(k − 1); a and b (kernels,) are the multipliers of mean and excess.
     """
     exponent = a[:, None] * k - b[:, None] * product
     exponent -= exponent.max(axis=1, keepdims=True)
@@ -138,30 +149,34 @@ def _weights(k: Array, product: Array, a: Array, b: Array) -> Array:
 def _residual(
     weights: Array, k: Array, product: Array, mean: Array, excess: Array
 ) -> tuple[Array, Array]:
-    """The mean and the excess variance that weights (kernels, taps) still miss.
+    """By how much weights (kernels, taps) miss the mean and the excess asked for, (kernels,) each.
 
-    Σ w k should be the mean, and Σ w p(k) the excess, p being `product`.
+    They are mean − Σ w k and excess − Σ w k(k − 1), `product` being k(k − 1).
     """
     return mean - weights @ k, excess - weights @ product
 
 
 def _norm(residual: tuple[Array, Array], excess: Array) -> Array:
-    """The size of both residuals together, (kernels,).
+    """The size of the two residuals of `_residual` together, (kernels,).
 
-    The mean counts in cells; the excess variance relative to what is due, where that is above one.
+    It is |residual of the mean| + |residual of the excess| / max(excess, 1).
     """
     return np.abs(residual[0]) + np.abs(residual[1]) / np.maximum(excess, 1.0)
 
 
 class Span(NamedTuple):
-    """Cells of an axis that stand together, past the end of a circle too."""
+    """The `length` cells of an axis from `first` on; on a periodic one, past its end too."""
 
     first: int
     length: int
 
 
 def reached(low: int, high: int, cells: int, periodic: bool) -> Span:
-    """The cells of an axis from `low` up to, but without, `high`; at least one."""
+    """The cells from `low` up to, but without, `high`, of an axis of so many cells, as a span.
+
+    On a periodic axis it begins at low modulo `cells`; for `cells` or more it is the whole axis,
+    from 0 on. On others it is cut to the axis, and has at least one cell.
+    """
     if periodic:
         return Span(0, cells) if high - low >= cells else Span(low % cells, high - low)
     low, high = min(max(low, 0), cells - 1), max(min(high, cells), 1)
@@ -171,10 +186,11 @@ def reached(low: int, high: int, cells: int, periodic: bool) -> Span:
 def matrices(
     first: Integers, weights: Array, source: Span, target: Span, cells: int, periodic: bool
 ) -> Array:
-    """The kernels as matrices (n, target cells, source cells), columns being where mass comes from.
+    """The kernels as matrices (n, target cells, source cells): entry (i, j) moves mass from j to i.
 
-    `first` is (n, 1), of displacements that are equal from all cells, or (n, source cells), weights
-    (*first.shape, taps); what leaves an axis that is not periodic is lost.
+    `first` holds the displacements of the first taps, (n, 1) if they are equal from all source
+    cells, else (n, source cells); `weights` is (*first.shape, taps). `cells` is the length of the
+    axis. Mass that leaves the target, or an axis that is not periodic, is lost.
     """
     count, own, taps = weights.shape
     low = source.first - target.first
@@ -213,9 +229,10 @@ def matrices(
 
 
 def along(matrix: Array, array: Array, axis: int, by: tuple[int, ...]) -> Array:
-    """Products of matrices (n, target, source) with the lines of an array along an axis.
+    """The array with each of its lines along `axis`, of source cells, multiplied by a matrix.
 
-    One for each of the n cells of the other axes `by`, which ascend, or one of all.
+    `matrix` is (n, target cells, source cells), one for each of the n cells of the other axes `by`,
+    ascending, in C order; without such axes n is one. The result has target cells along the axis.
     """
     rest = tuple(k for k in range(array.ndim) if k not in (axis, *by))
     last = axis == array.ndim - 1 and by + rest + (axis,) == tuple(range(array.ndim))

@@ -1,4 +1,4 @@
-"""Squared Mahalanobis distances νᵀ S⁻¹ ν of innovations, and their chi-square limits."""
+"""Squared Mahalanobis distances νᵀ S⁻¹ ν of innovations ν ~ N(0, S), and chi-square limits."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from pgm.kernels.roots import NEGLIGIBLE
 
 
 def square_within(probability: float, dimension: Integers) -> Array:
-    """The squared length, in deviations, within which a normal vector is with a probability."""
+    """The chi-square quantile: νᵀ S⁻¹ ν of `dimension` components is below with `probability`."""
     from scipy.special import chdtri  # here, since it is slow to import
 
     return np.asarray(chdtri(dimension, 1.0 - probability), dtype=np.float64)
 
 
 def squares(residual: Array, cov: Array) -> Array:
-    """The value νᵀ S⁻¹ ν of stacked innovations ν (k, d, *batch), S (k, d, d, *batch).
+    """The distances νᵀ S⁻¹ ν, (k, *batch), of k innovations ν (k, d, *batch), S (k, d, d, *batch).
 
-    Components are eliminated one after another, all of the stack at once.
+    Components are eliminated one after another, in the whole stack at once. One that those before
+    it determine, by a pivot of S of at most 10⁻¹³ of its variance, adds nothing.
     """
     size = residual.shape[1]
     if size == 1:
@@ -42,7 +43,10 @@ def squares(residual: Array, cov: Array) -> Array:
 
 
 def _share(left: Array, pivot: Array, diagonal: Array) -> Array:
-    """The component's term ν_j² / L_jj²; zero if earlier components determine it."""
+    """The term `left`² / `pivot` of one component, (k, *batch); zero if earlier ones determine it.
+
+    `left` is what earlier components leave of the innovation, `pivot` of its variance `diagonal`.
+    """
     proper = pivot > NEGLIGIBLE * diagonal
     if proper.all():
         return left * left / pivot

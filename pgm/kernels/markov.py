@@ -1,7 +1,8 @@
-"""Sweeps of a hidden Markov chain over many steps: beliefs that are scaled only now and then.
+"""Sweeps of a hidden Markov chain over many steps, with messages that are scaled only now and then.
 
-Rows are (steps, states, [runs]). A forward row is proportional to p(x_t | z up to t), a backward
-one to p(z after t | x_t).
+The messages of all steps t are *rows* of an array (steps, states, [runs]). A forward row is
+proportional to p(x_t | z up to t), a backward row to p(z after t | x_t). The sum of a row over its
+states is its *mass*. The *weights* of a step are p(z_t | x_t) up to a factor, (states, [runs]).
 """
 
 from __future__ import annotations
@@ -13,16 +14,18 @@ import numpy as np
 
 from pgm.kernels.arrays import Array
 
-# One product: (vector, out).
+# apply(vector, out) puts the product of a transition, or its transpose, with a vector (states,
+# [runs]) into `out`.
 Apply = Callable[[Array, Array], object]
-# Of rows, and of the belief that each was made from, (steps, [runs]).
+# The masses of rows, and of the belief that each row was made from, (steps, [runs]) both: their
+# ratio is p(z_t | z before t), but for the factor of the weights.
 Masses = tuple[Array, Array]
-# So many steps are made before a belief is scaled.
+# The number of steps from one scaling of a belief to the next.
 EVERY = 8
 
 
 def masses(rows: Array) -> Array:
-    """The sums of rows over their states: (steps, [runs])."""
+    """The masses of rows, sums over their states: (steps, [runs])."""
     # Of short rows a product takes a tenth of the time of a sum.
     found: Array = rows.dot(np.ones(rows.shape[1])) if rows.ndim == 2 else rows.sum(axis=1)
     return found
@@ -31,10 +34,12 @@ def masses(rows: Array) -> Array:
 def forward(
     applies: Iterable[Apply], weights: Array, belief: Array, rows: Array, every: int = EVERY
 ) -> Masses:
-    """Fill rows with forward messages; returns their masses, and the masses of the rows before.
+    """Fill rows with forward messages; returns their masses, and those of the beliefs before.
 
-    `weights` are p(z_t | x_t) up to a factor, like `rows` (steps, states, [runs]); `belief` is that
-    at the step before, of sum one. Messages are scaled `every` so many steps.
+    Row t is weights[t] times the transition applied to the belief before: that is row t − 1, or,
+    after every `every` steps, row t − 1 scaled to mass one. `applies` has the product by the
+    transition into each step; `weights` and `rows` are (steps, states, [runs]); `belief`
+    (states, [runs]), of mass one, is that before the first step.
     """
     before = np.ones((len(rows), *belief.shape[1:]))
     for k, (apply, weight, row) in enumerate(zip(applies, weights, rows, strict=False)):
@@ -50,10 +55,12 @@ def forward(
 
 
 def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int = EVERY) -> None:
-    """Fill rows, last to first, with the messages to each step; the last row is given.
+    """Fill rows (steps, states, [runs]) with backward messages, last to first; the last is given.
 
-    `applies` are the transposed transitions into each step but the first, last to first; `weights`
-    (steps − 1, states, [runs]) of the same steps.
+    Row t − 1 is the transposed transition into step t applied to weights × row t; after every
+    `every` steps a row is scaled to mass one. `applies` has the products by these transposes, that
+    of the last step first; `weights` (steps − 1, states, [runs]) are of all steps but the first, in
+    their order.
     """
     message = rows[-1]
     product = np.empty_like(message)
@@ -68,11 +75,13 @@ def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int =
 
 
 class Blocks:
-    """The steps of one run of few states, in blocks of √T steps computed side by side.
+    """The forward and backward sweeps of one run of few states, in blocks of √T steps side by side.
 
-    Each row of a block's transfer matrix, the product of p(x_t | x_{t−1}) p(z_t | x_t) over its
-    steps, has a logarithm as its scale: else the row of a likely state would be lost beside that of
-    an unlikely one whose measurements are likelier.
+    The transfer matrix of a block is the matrix product of p(x_t | x_{t−1}) p(z_t | x_t) over its
+    steps: its entry (i, j) leads from state i before the block to state j at its end. Its rows are
+    kept with sum one, each with the logarithm of its own scale: else the row of a likely state
+    would be lost beside that of an unlikely one whose measurements are likelier. `matrix`
+    (states, states) is the constant transition, parents first; `weights` is (steps, states).
     """
 
     def __init__(self, matrix: Array, weights: Array) -> None:
@@ -89,7 +98,10 @@ class Blocks:
         self._transfer()
 
     def _transfer(self) -> None:
-        """Find each block's transfer matrix, rows of sum one, and the logarithms of scales."""
+        """Set `transfer` (blocks, states, states), rows of sum one, and `scale` (blocks, states).
+
+        `scale` are the natural logarithms of the rows' scales; −∞ for a row that is impossible.
+        """
         count, size = self.count, self.size
         held = np.repeat(np.eye(size)[:, None], count, axis=1)
         spare = np.empty(held.shape)
@@ -109,7 +121,7 @@ class Blocks:
         self.scale = np.ascontiguousarray(self.scale.T)
 
     def forward(self, belief: Array, rows: Array) -> Masses:
-        """Fill rows with the forward messages of all steps, block beside block; see `forward`."""
+        """Fill rows (steps, states) with forward messages; arguments and result as of `forward`."""
         held = self._starts(belief)
         found = np.empty(self.weights.shape)
         before = np.ones((self.length, self.count))
@@ -126,7 +138,10 @@ class Blocks:
         return self._in_order(totals), self._in_order(before)
 
     def backward(self, rows: Array) -> None:
-        """Fill rows (steps + 1, states) with the messages to all steps and to the one before."""
+        """Fill rows (steps + 1, states) with backward messages, row 0 being to the step before all.
+
+        The last row is constant, 1 / states, as nothing is measured after it.
+        """
         turned = np.ascontiguousarray(self.matrix.T)
         ends = self._ends()
         found = np.empty(self.weights.shape)
@@ -148,11 +163,11 @@ class Blocks:
         return found.swapaxes(0, 1).reshape(-1, *found.shape[2:])[: self.steps]
 
     def _starts(self, belief: Array) -> Array:
-        """The belief before each block, (blocks, states), by the transfer matrices of the blocks.
+        """The belief before each block, (blocks, states), of sum one, by the transfer matrices.
 
-        Scales are added in logarithms: one block's largest probability may be far below what
-        another holds. From an impossible block on the belief stays, and the sweep within the block
-        tells.
+        `belief` (states,) is that before the first. Scales are applied in logarithms, since those
+        of two rows may be further apart than float64 holds. If a block is impossible, all later
+        ones get the belief before it: its own sweep will find a mass of zero.
         """
         found = np.empty(self.scale.shape)
         for k, (own, logs) in enumerate(zip(self.transfer, self.scale, strict=True)):
@@ -168,7 +183,10 @@ class Blocks:
         return found
 
     def _ends(self) -> Array:
-        """The backward message to the last step of each block, (blocks, states); see `_starts`."""
+        """The backward message to the last step of each block, (blocks, states), of sum one.
+
+        If a block is impossible, all earlier ones get the message to its own last step.
+        """
         found = np.empty(self.scale.shape)
         message = np.full(self.size, 1.0 / self.size)
         for k in range(self.count - 1, -1, -1):

@@ -1,4 +1,9 @@
-"""Gaussians in moment form on arrays: mean (..., n), covariance (..., n, n), singular ones too."""
+"""Gaussians in moment form on arrays: mean (..., n), covariance (..., n, n), singular ones too.
+
+A variance that ought to be zero is left at about 10⁻¹⁴ of the summands it was computed from
+(`ROUNDING`): that tells zeros from small variances. Measurements are z = H x + n, n ~ N(0, noise),
+with S = H P Hᵀ + noise.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +28,16 @@ from pgm.kernels.arrays import (
     transpose,
 )
 
-# The part of what was summed up that rounding leaves of a zero.
+# The part of what is summed up that rounding leaves where the sum ought to be zero.
 ROUNDING = 1e-14
 
 
 class Update(NamedTuple):
-    """The moments of a belief after a measurement; see `gaussian.Update`.
+    """The belief N(mean, cov) after a measurement, and the measurement's log-density (...).
 
-    Here `lower` is the root of S, NaN where that is indefinite.
+    `lower` (..., d, d) is the lower root of S, NaN where S is indefinite. Measured components that
+    those before them determine add nothing to the density; `left` (..., d) has their distances from
+    the values determined, and zero for the others; None if none is determined.
     """
 
     mean: Array
@@ -45,7 +52,10 @@ def update(
 ) -> Update:
     """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), residual z − H mean.
 
-    The formulas are those of `gaussian.update`; here the batch axes come first.
+    The mean is m + G (z − H m) with the gain G = P Hᵀ S⁺; the covariance is (I − GH) P (I − GH)ᵀ +
+    G noise Gᵀ. H is `matrix` (..., d, n), `residual` (..., d), `noise` (..., d, d). With `exact`,
+    for a noise that may be singular, pivots of S and variances of the result are compared with the
+    summands that they are computed from, and are zero where they are only rounding.
     """
     size = residual.shape[-1]
     cross = times_symmetric(matrix, cov)
@@ -80,14 +90,18 @@ def joseph(cov: Array, gain: Array, matrix: Array, noise: Array) -> tuple[Array,
 
 
 def spread(matrix: Array, cov: Array, noise: Array) -> Array:
-    """The size of the summands of the variances of F P Fᵀ + noise, (..., d)."""
+    """The sums of the sizes of all terms in the variances of F P Fᵀ + noise, (..., d).
+
+    They are the diagonal of |F| |P| |F|ᵀ + noise, F being `matrix` (..., d, n): a variance that is
+    far smaller may be rounding.
+    """
     size = np.abs(matrix)
     summed: Array = (multiply(size, np.abs(cov)) * size).sum(axis=-1)
     return summed + np.diagonal(noise, axis1=-2, axis2=-1)
 
 
 def certain(cov: Array, rounding: Array) -> Array:
-    """A covariance without the components whose variance is no more than rounding, (..., n)."""
+    """A covariance with zero rows and columns where a variance is at most `rounding`, (..., n)."""
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) > rounding
     if open_.all():
         return cov
@@ -95,7 +109,7 @@ def certain(cov: Array, rounding: Array) -> Array:
 
 
 class Conditional(NamedTuple):
-    """x given y as an affine Gaussian: x = F y + b + n, n ~ N(0, cov)."""
+    """An affine Gaussian, p(x | y): x = F y + b + n, n ~ N(0, cov), F = matrix, b = offset."""
 
     matrix: Array
     offset: Array
@@ -105,9 +119,11 @@ class Conditional(NamedTuple):
 def reverse(
     mean: Array, cov: Array, matrix: Array, noise: Array, forward_mean: Array, forward_cov: Array
 ) -> Conditional:
-    """Bayes' rule for y = A x + c + n: x given y, from x ~ N(mean, cov) and y's own moments.
+    """Bayes' rule for y = A x + c + n, n ~ N(0, noise): p(x | y) from x ~ N(mean, cov).
 
-    Gain G = P Aᵀ (P_y)⁺; the rest is (I − GA) P (I − GA)ᵀ + G noise Gᵀ, which does not subtract.
+    With y ~ N(m_y, P_y), which are `forward_mean` and `forward_cov`, and the gain G = P Aᵀ P_y⁺:
+    x = G y + (m − G m_y) + e, where e has the covariance (I − GA) P (I − GA)ᵀ + G noise Gᵀ, which
+    subtracts nothing.
     """
     cross = transpose(times_symmetric(matrix, cov))
     # The rest is right for any gain: only what is no more than rounding has to go.
@@ -118,13 +134,13 @@ def reverse(
 
 
 def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
-    """Moments of F x + b + n for x ~ N(mean, cov)."""
+    """The mean and covariance of F x + b + n for x ~ N(mean, cov) and a conditional (F, b, n)."""
     matrix, offset, noise = conditional
     return apply(matrix, mean) + offset, make_symmetric(sandwich(matrix, cov) + noise)
 
 
 def log_density(residual: Array, cov: Array) -> Array:
-    """The log-density ln N(residual; 0, cov), (...); NaN where it does not exist."""
+    """The log-density ln N(residual; 0, cov), (...); NaN where cov is singular or indefinite."""
     lower = roots.root(cov)
     singular = roots.determined(lower).any(axis=-1)
     white = solving.solve_lower(lower, residual[..., None])[..., 0]
@@ -135,7 +151,11 @@ def log_density(residual: Array, cov: Array) -> Array:
 
 
 def principal_axes(cov: Array) -> tuple[Array, Array]:
-    """Variances along the axes of (..., 2, 2), the larger first, whose angle is in (−π/2, π/2]."""
+    """The variances along the principal axes of covariances (..., 2, 2), and an axis's angle.
+
+    The variances (..., 2) are the eigenvalues, the larger first, negative ones as zero; the angle
+    (...), in (−π/2, π/2], is that of the axis of the larger one, against the first component.
+    """
     values, vectors = np.linalg.eigh(cov)
     angle = np.arctan2(vectors[..., 1, 1], vectors[..., 0, 1])
     turned = np.where(angle > 0.5 * np.pi, angle - np.pi, angle)
@@ -145,7 +165,10 @@ def principal_axes(cov: Array) -> tuple[Array, Array]:
 
 
 def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
-    """KL(N(μ, cov) ‖ N(μ', other_cov)) for μ' − μ = difference (8.4); NaN where it is undefined."""
+    """KL(N(μ, cov) ‖ N(μ′, other_cov)) in nats, (...), for μ′ − μ = difference (..., n).
+
+    NaN where either covariance is singular or indefinite.
+    """
     lower, other = roots.root(cov), roots.root(other_cov)
     singular = (roots.determined(lower) | roots.determined(other)).any(axis=-1)
     white = solving.solve_lower(other, difference[..., None])[..., 0]
@@ -161,17 +184,21 @@ def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
 
 
 def marginal_error(mean: Array, other: Array, std: Array) -> Array:
-    """The largest |mean − other| over the last axis and the first, in deviations or sizes."""
+    """The largest |mean − other| / s of means (T, ..., n) over the first and the last axis, (...).
+
+    s is the standard deviation `std`; where that is zero, max(|mean|, 1).
+    """
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     largest: Array = (np.abs(mean - other) / unit).max(axis=(0, -1), initial=0.0)
     return largest
 
 
 def moved(mean: Array, other: Array, std: Array) -> Array:
-    """How far means move in an iteration, by `marginal_error`; rounding counts as zero.
+    """How far means m (T, ..., n) move in an iteration from m′ = `other`: zero for rounding alone.
 
-    The largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the last axis and the first. Without the
-    rounding, which is no move, means of 10⁸ deviations would never settle.
+    It is the largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the first and the last axis, (...),
+    with s as of `marginal_error` and ε the rounding unit of float64. If rounding counted, means of
+    10⁸ standard deviations would never settle.
     """
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     rounding = LAST_PLACES * np.maximum(np.abs(mean), np.abs(other))

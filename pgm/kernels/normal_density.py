@@ -1,8 +1,9 @@
 """Normal densities by the root of a covariance, singular ones too: draws, whitening, log-density.
 
-To the density a component that those before it determine adds nothing: it is that of the others.
-Points stand along the last axis but one, (..., S, d), so that one root (..., d, d) serves all of
-them.
+L (..., d, d) is the lower root of the covariance, with a zero pivot for each component that those
+before it determine; the others are *open*, and the density is that of the open components. Points
+stand along the last axis but one, (..., S, d), so that one root serves all of them. A vector r is
+*whitened* by solving L s = r: s ~ N(0, I) if r ~ N(0, L Lᵀ).
 """
 
 from __future__ import annotations
@@ -20,20 +21,25 @@ from pgm.kernels.arrays import (
 from pgm.kernels.roots import NEGLIGIBLE, determined
 from pgm.kernels.solving import log_determinant, solve_lower
 
-# The part of a point and of the mean by which what users compute may take it off a subspace.
+# The part of a point and of the mean by which users' arithmetic may take a point off the subspace
+# to which a singular covariance confines it.
 INEXACT = 1e-9
-# The part of its deviation by which a component may differ from what those before it determine:
-# three times what a root takes for zero.
+# The part of its standard deviation by which a component may differ from the value that those
+# before it determine: three times what a root takes for zero.
 SLACK = 3.0 * NEGLIGIBLE**0.5
 
 
 def draw(mean: Array, lower: Array, white: Array) -> Array:
-    """Points of N(mean, L Lᵀ), (..., d), for white noise."""
+    """Points mean + L w, (..., d), which for white noise w ~ N(0, I) are those of N(mean, L Lᵀ)."""
     return mean + apply(lower, white)
 
 
 def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
-    """White residuals, (..., S, d), zero at zero pivots, and the residual left there."""
+    """The whitened residuals (..., S, d), and what they leave of determined components, or None.
+
+    White residuals are zero at determined components. What is left, (..., S, d), is the residual
+    there less that which the open components determine, and zero elsewhere; None if all are open.
+    """
     white = transpose(solve_lower(lower, transpose(residual)))
     fixed = determined(lower)
     if not fixed.any():
@@ -42,7 +48,7 @@ def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
 
 
 def whitener(lower: Array) -> Array | None:
-    """L⁻¹, by which many residuals are whitened at once; None where a component is determined."""
+    """L⁻¹, (..., d, d), by which many residuals are whitened; None if a component is determined."""
     if determined(lower).any():
         return None
     return solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape))
@@ -54,7 +60,10 @@ def _without(gone: Mask, vectors: Array) -> Array:
 
 
 def log_density(lower: Array, white: Array) -> Array:
-    """The log-density −½ (|s|² + ln |2π L Lᵀ|) of the open components, (..., S), at white s."""
+    """The log-density −½ (|s|² + ln |2π L Lᵀ|) of the open components, (..., S).
+
+    `white` are the whitened residuals s, (..., S, d), zero at determined components.
+    """
     fixed = determined(lower)
     dimension: int | Integers = lower.shape[-1]
     if fixed.any():
@@ -65,7 +74,12 @@ def log_density(lower: Array, white: Array) -> Array:
 
 
 def off(lower: Array, left: Array, error: Array) -> Mask:
-    """Whether residuals (..., S, d), wrong by at most `error`, leave the subspace of the noise."""
+    """Whether residuals, wrong by at most `error`, are off the range of L, (..., S).
+
+    There the noise never gets: the density is zero. `left` (..., S, d) is what `whitened` leaves at
+    determined components; a residual is off where any of it exceeds |L⁻¹| error, with L's zero
+    pivots as ones, plus `SLACK` standard deviations. `error` is (..., S, d).
+    """
     # What is left depends linearly on the residuals: by this matrix.
     spread = np.abs(solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))
     deviations = np.sqrt((lower * lower).sum(axis=-1))

@@ -1,8 +1,11 @@
-"""Prefixes of segments that compose, in 2 log₂ T rounds, each one batched call.
+"""A parallel prefix scan over segments of a chain, in 2 log₂ T rounds, each one batched call.
 
-Up a balanced tree, neighbours are composed; down again, a value at the left end is pushed through
-every other segment (Blelloch, 1990). Stacks are (T, R, ...), components first in memory, so that
-kernels go along rows of steps.
+A segment is what leads from the value at its left end, such as a belief, to that at its right end;
+two neighbours *compose* to one segment. Up a balanced tree neighbours are composed; down again the
+value at the left end is pushed through every other segment (Blelloch, 1990).
+
+Segments and values are named tuples of stacks (T, R, ...) of T steps and R runs, some of them None.
+In memory components are first, so that each is a row of steps, along which kernels go.
 """
 
 from __future__ import annotations
@@ -22,12 +25,15 @@ from pgm.kernels.arrays import (
 Segments = TypeVar("Segments", bound=tuple[Any, ...])
 Beliefs = TypeVar("Beliefs", bound=tuple[Any, ...])
 
-# Steps times runs that are worked on at once: what stays near the processor.
+# Steps times runs that a kernel works on at once: their arrays stay in the processor's cache.
 _CHUNK = 3072
 
 
 def by_rows(array: Array, *, copy: bool = False) -> Array:
-    """A stack with each component a row of steps in memory, copied only where it is not."""
+    """A stack (T, R, ...) with each component a row of steps and runs in memory.
+
+    The array itself where it lies so already, unless `copy`; else a copy.
+    """
     axes = array.ndim
     along, across = array.strides[:2]
     item = array.itemsize
@@ -38,19 +44,23 @@ def by_rows(array: Array, *, copy: bool = False) -> Array:
 
 
 def gather(array: Array, steps: Integers) -> Array:
-    """The steps of a stack at some indices, with components first in memory."""
+    """A copy of the steps of a stack at some indices, with components first in memory."""
     axes = array.ndim
     memory = array.transpose(*range(2, axes), 0, 1).take(steps, axis=axes - 2)
     return memory.transpose(axes - 2, axes - 1, *range(axes - 2))
 
 
 def take(parts: Segments, steps: slice) -> Segments:
-    """Some steps of every part of a stack."""
+    """The named tuple of stacks cut to some steps; None stays None."""
     return _made(parts, [None if part is None else part[steps] for part in parts])  # type: ignore[no-any-return]
 
 
 def in_chunks(kernel: Callable[..., Any], *stacks: Any) -> Any:
-    """A kernel of named tuples, a chunk of steps at a time."""
+    """The result of a kernel of named tuples of stacks, computed a chunk of steps at a time.
+
+    `kernel` takes as many named tuples as there are `stacks`, all of the same steps and runs, and
+    returns one. The first part of the first must not be None: it tells how many steps there are.
+    """
     steps, runs = stacks[0][0].shape[:2]
     size = max(_CHUNK // max(runs, 1), 1)
     if steps <= size:
@@ -68,7 +78,11 @@ def in_chunks(kernel: Callable[..., Any], *stacks: Any) -> Any:
 
 
 def levels(segments: Segments, compose: Callable[[Segments, Segments], Segments]) -> list[Segments]:
-    """Up the tree: row k of level l is the segment of the steps from k 2ˡ to (k + 1) 2ˡ."""
+    """Up the tree: row k of level l is the composition of the segments k 2ˡ to (k + 1) 2ˡ − 1.
+
+    ``compose(first, then)`` composes stacks of left and of right neighbours. Level 0 is `segments`;
+    a segment without a neighbour, at the end of a level, is in none above; the last has one row.
+    """
     tree = [segments]
     while (pairs := tree[-1][0].shape[0] // 2) > 0:
         first = take(tree[-1], slice(0, 2 * pairs, 2))
@@ -79,9 +93,10 @@ def levels(segments: Segments, compose: Callable[[Segments, Segments], Segments]
 def prefixes(
     start: Beliefs, tree: Sequence[Segments], push: Callable[[Beliefs, Segments], Beliefs]
 ) -> Beliefs:
-    """Down the tree of `levels`: the beliefs at the right ends of all segments, (T, R, ...).
+    """Down the tree of `levels`: the values at the right ends of all segments, (T, R, ...).
 
-    `start` (1, R, ...) is that at the left end of the first; `push` takes one across a segment.
+    `start` (1, R, ...) is the value at the left end of the first segment. Of stacks of values at
+    the left ends of segments, ``push(values, segments)`` gives those at the right ends.
     """
     found = in_chunks(push, start, tree[-1])
     for segments in reversed(tree[:-1]):
@@ -96,14 +111,14 @@ def prefixes(
 
 
 def _rows(parts: Any, steps: slice) -> Any:
-    """Some steps of a stack, each component a row of steps in memory; None stays None."""
+    """A named tuple of stacks cut to some steps, laid out as by `by_rows`; None stays None."""
     return _made(parts, [None if part is None else by_rows(part[steps]) for part in parts])
 
 
 def _merge(first: Any, second: Any, steps: int, here: slice, there: slice) -> Any:
-    """Two stacks as one of so many steps: the first at the places `here`, the second at `there`.
+    """Two named tuples of stacks as one of so many steps: `first` at `here`, `second` at `there`.
 
-    A part that either leaves out (None) is left out.
+    A part that is None in either is None.
     """
     merged = []
     for a, b in zip(first, second, strict=True):
@@ -116,5 +131,5 @@ def _merge(first: Any, second: Any, steps: int, here: slice, there: slice) -> An
 
 
 def _made(like: Any, parts: Sequence[Any]) -> Any:
-    """Parts as a named tuple of the same kind."""
+    """The parts as a named tuple of the class of `like`."""
     return type(like)(*parts)

@@ -16,7 +16,11 @@ _UPRIGHT = 1e-12
 
 
 def of_angles(angles: Array) -> Array:
-    """The quaternions of angles, (..., 4); w is not negative where roll and pitch are zero."""
+    """The quaternions (..., 4) of roll, pitch and yaw (..., 3), in radians.
+
+    Of the two quaternions ±q of a rotation, that of angles wrapped to [−π, π): w is not negative
+    where roll and pitch are zero.
+    """
     a, b, c = np.moveaxis(np.sin(0.5 * wrap(angles)), -1, 0)
     u, v, w = np.moveaxis(np.cos(0.5 * wrap(angles)), -1, 0)
     return np.stack(
@@ -31,7 +35,11 @@ def of_angles(angles: Array) -> Array:
 
 
 def angles(quaternion: Array) -> Array:
-    """Roll and yaw in [−π, π), pitch in [−π/2, π/2]; straight up or down roll is put into yaw."""
+    """The roll, pitch and yaw (..., 3) of unit quaternions (..., 4), in radians.
+
+    Roll and yaw are in [−π, π), pitch in [−π/2, π/2]. Where the body's x axis points straight up or
+    down, only yaw ± roll is known: roll is zero, and yaw the whole of it.
+    """
     x, y, z, w = np.moveaxis(quaternion, -1, 0)
     east, north = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)  # of the body's x axis
     level = np.hypot(east, north)

@@ -1,14 +1,16 @@
 r"""Rays through a grid of cells: how far they get, the cells that they enter, sums at their ends.
 
-Cell (row, column) is the square [column, column + 1) × [row, row + 1): coordinates are in cells.
+Cell (row, column) is the square [column, column + 1) × [row, row + 1): coordinates are in cells, x
+along a row and y along a column. A *stop* is a cell that ends rays, such as an obstacle; the other
+cells are free.
 
 A ray from p along the unit vector u leaves an axis-parallel box at the least t of the crossings
 (edge − p) / u of its axes. From one cell's box to the next, it visits all its cells (Amanatides &
 Woo, 1987). Where the next stop is c cells away in the maximum norm, all cells less than c away are
 free and their box is left in one step: the same hits, exactly (as Cohen & Sheffer, 1994).
 
-The cells of beams' ends are found in float32, to some ten thousandths of a cell on maps of some
-thousand cells a side: an end that near to an edge may count as in the next cell.
+In `summed` the ends of beams are computed in float32, to some ten thousandths of a cell on maps of
+some thousand cells a side: an end that near to an edge may count as in the next cell.
 """
 
 from __future__ import annotations
@@ -29,9 +31,10 @@ _TINY = 1e-200
 
 
 def clearances(stops: Mask) -> Cells:
-    """The distances to the nearest stop in the maximum norm, (rows + 2, columns + 2).
+    """The distance of each cell to the nearest stop in the maximum norm, (rows + 2, columns + 2).
 
-    A ring of stops is laid around the grid, so that rays end there.
+    `stops` (rows, columns) marks the stops, whose distance is zero. A ring of further stops is laid
+    around the grid, so that rays end there; hence the two rows and columns more.
     """
     ring = np.zeros((stops.shape[0] + 2, stops.shape[1] + 2), dtype=bool)
     ring[1:-1, 1:-1] = ~stops
@@ -40,9 +43,11 @@ def clearances(stops: Mask) -> Cells:
 
 
 def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
-    """The distances, up to `most`, at which rays enter a stop; infinite where they enter none.
+    """The distances (n,) in cells at which rays enter a stop; infinite for none within `most`.
 
-    Points and unit directions are (2, n), x and y in cells.
+    `clear` is `clearances` of the stops. Rays begin at `points` (2, n), x and y in cells of the
+    grid without its ring, and go along the unit vectors `units` (2, n). To enter the ring, and so
+    to leave the grid, is no hit.
     """
     found = np.full(points.shape[1], np.inf)
     for first in range(0, points.shape[1], RAYS):
@@ -52,7 +57,11 @@ def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
 
 
 def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array) -> None:
-    """Follow rays, each in a frame of its own that is mirrored so that both axes lie ahead."""
+    """Put the distances of `cast` into `found` (n,) for rays that enter a stop; leave the others.
+
+    Each ray is followed in a frame of its own, mirrored so that it goes up along both axes, from
+    the edge of one box of free cells to that of the next.
+    """
     height, width = clear.shape
     sizes, strides = np.array([[width], [height]]), np.array([[1.0], [width]])
     points = points + 1.0  # of the ring
@@ -85,10 +94,11 @@ def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array
 
 
 def _advance(rays: Array, step: Array) -> None:
-    """Move rays, in place, to where they leave the square of free cells around them, (rows, rays).
+    """Move rays, in place, to where they leave the square of free cells around their cells.
 
-    Along each axis the edge ahead is `step` cells away; the nearer edge, in time, is the one
-    crossed.
+    `rays` (13, n) has a ray in each column, with the rows that `_follow` lays out; the distance and
+    the cell change. Along each axis the edge ahead is `step` (n,) cells from the near edge of the
+    cell; the ray crosses that which it reaches first.
     """
     x, y, across, along, by_across, by_along, _, _, column, row, _, distance, _ = rays
     edge, other = column + step, row + step
@@ -102,7 +112,7 @@ def _advance(rays: Array, step: Array) -> None:
 
 
 def _between(low: Array, place: Array, edge: Array) -> Array:
-    """Cell indices of places, clipped to `low` ≤ cell < `edge` against rounding."""
+    """The cell indices of places (n,), clipped to `low` ≤ cell < `edge` against rounding."""
     cells = np.floor(place, out=place)
     np.maximum(cells, low, out=cells)
     np.minimum(cells, edge - 1.0, out=cells)
@@ -110,10 +120,11 @@ def _between(low: Array, place: Array, edge: Array) -> Array:
 
 
 def entered(points: Array, ends: Array, width: int) -> Integers:
-    """Flat indices of the cells that segments enter, their first cells included.
+    """The flat indices row · width + column of all cells that segments enter, one for each entry.
 
-    All crossings of lines of the grid are found at once, each leading into one cell. Points and
-    ends are (2, n), x and y in cells, none negative, of a grid so wide.
+    Segments lead from `points` to `ends`, (2, n), x and y in cells, none negative; their first
+    cells are included. The crossings of all segments with the lines of the grid are found at once,
+    each leading into one cell; a cell that several segments enter is there as often.
     """
     first, last = np.floor(points).astype(np.intp), np.floor(ends).astype(np.intp)
     count = np.abs(last - first)
@@ -154,11 +165,12 @@ _MANY = 2**31
 
 
 def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask) -> Array:
-    """The sums over the beams of each pose, (m,).
+    """The sum of a table's entries at the cells in which the beams of each pose end, (m,).
 
-    The table (rows, columns) is contiguous; ends beyond its edge count as in the cell on the edge.
-    Poses (m, 3) are column, row and heading; units (2, beams) directions in their frame; ranges (m
-    or 1, beams) are in cells, and of one scan where all poses share it.
+    `table` (rows, columns) is contiguous; ends beyond its edge count as in the cell on the edge.
+    `poses` (m, 3) are column and row in cells and heading in radians; `units` (2, beams) are the
+    beams' directions in the frame of the pose. `ranges`, in cells, and `seen`, the beams that
+    count, are (m, beams), or (1, beams) where all poses share one scan.
     """
     shared = len(ranges) == 1
     if shared:
@@ -195,6 +207,12 @@ def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask)
 
 
 class _Work:
+    """Work space of `summed`: columns and rows of ends (poses, beams), read from a table.
+
+    The caller fills `column` and `row`, and `taken` reads the table there. `shape` is the largest
+    number of poses and beams.
+    """
+
     def __init__(self, table: Single, shape: tuple[int, int]) -> None:
         self.table, self.flat = table, table.ravel()
         self._floats = np.empty((2, *shape), dtype=np.float32)
@@ -203,12 +221,12 @@ class _Work:
         self.cut(shape[0])
 
     def cut(self, size: int) -> None:
-        """Use the first part of the work space, for fewer rays, without memory of its own."""
+        """Make `column`, `row` and the indices views of the work space of `size` poses."""
         self.column, self.row = self._floats[:, :size]
         self._index, self._other = self._indices[:, :size]
 
     def taken(self) -> Single:
-        """The entries of the table at columns and rows, which are overwritten."""
+        """The entries of the table at `column` and `row`, (poses, beams); both are overwritten."""
         height, width = self.table.shape
         np.clip(self.column, np.float32(0.0), np.float32(width - 1), out=self.column)
         np.clip(self.row, np.float32(0.0), np.float32(height - 1), out=self.row)

@@ -1,4 +1,9 @@
-"""Linear models of functions by regression on sigma points."""
+"""Linear models of functions by regression on sigma points.
+
+The points s are those of a standard normal vector of n components, mapped to x = m + L s by a root
+L; the N values Y of the function are regressed on s by weighted least squares. The weights of means
+and of covariances (N,) are those of the rule that the points belong to.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +24,12 @@ def regress(
     *,
     known: bool = False,
 ) -> tuple[Array, Array, Array]:
-    """The line through values (..., N, d) at points s (..., N, n) of N(0, I).
+    """The regression line through values (..., N, d) at points s (..., N, n) of N(0, I).
 
-    Returns the slope J (..., d, n), the line's value at s = 0, (..., d), and the covariance of what
-    the line leaves, (..., d, d). Components of s that a root L does not use have no part in it. The
-    mean and covariance of s are those of the sample, or, where `known`, 0 and I; what is left may
-    then be indefinite.
+    Returns the slope J (..., d, n), the line's value at s = 0, (..., d), and the covariance of the
+    residuals, (..., d, d). The slope is zero by components of s with a zero column in L = `lower`.
+    The mean and covariance of s are those of the sample, or, where `known`, 0 and I; then the
+    residual covariance may be indefinite.
     """
     value_mean, s_mean = mean_weights @ values, mean_weights @ s
     deviation, ds = values - value_mean[..., None, :], s - s_mean[..., None, :]
@@ -46,10 +51,11 @@ def regress(
 
 
 class Fit(NamedTuple):
-    """The regression on points that do not change: linear in the values, but for a square.
+    """The regression on fixed points, as one matrix to multiply values Y (N, d) with.
 
-    `rows` (N, N) times N values Y has the line's value at s = 0, its slope in n rows, and N − n − 1
-    rows R: what the line leaves has the covariance Rᵀ diag(signs) R. Signs None are all one.
+    The product of `rows` (N, N) and Y has, row by row: the line's value at s = 0; the transposed
+    slope Jᵀ, n rows; and N − n − 1 rows R, by which the covariance of the residuals is
+    Rᵀ diag(signs) R. `signs` (N − n − 1,) are ±1; None stands for all +1.
     """
 
     rows: Array
@@ -57,7 +63,10 @@ class Fit(NamedTuple):
 
 
 def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
-    """The `regress` of points s (N, n) of which every component is used."""
+    """The matrix of the regression on points s (N, n), for a root without a zero column.
+
+    It is that of `regress`, with the mean and covariance of s as in the sample.
+    """
     count, size = s.shape
     s_mean = mean_weights @ s
     ds = s - s_mean
@@ -75,7 +84,12 @@ def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
 
 
 def range_inverse(lower: Array, std: Array) -> tuple[Array, Array]:
-    """A root's pseudo-inverse L⁺, scaled by deviations, and the projector I − L L⁺."""
+    """A generalised inverse L⁻ of a root L (..., n, n), and the matrix I − L L⁻, (..., n, n).
+
+    `std` (..., n) are the standard deviations of the components; L⁻ is pinv(D⁻¹ L) D⁻¹ with D =
+    diag(std), ones for zeros, so that it does not depend on units. I − L L⁻ is zero on the range of
+    L: it leaves what lies in directions without variance.
+    """
     unit = np.where(std > 0.0, std, 1.0)
     inverse = np.linalg.pinv(lower / unit[..., None], rcond=1e-10) / unit[..., None, :]
     return inverse, np.eye(lower.shape[-1]) - lower @ inverse

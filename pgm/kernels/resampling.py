@@ -1,7 +1,9 @@
 """Drawing particles anew in proportion to their weights.
 
-All ways are unbiased, E[counts_i] = count · w_i; the variance of systematic draws is least in
-most uses, that of multinomial ones largest (Douc, Cappé & Moulines, 2005).
+Each way takes weights (n,), which need not sum to one, the number `count` of draws and a generator,
+and returns how often each particle is drawn, (n,): whole numbers that sum to `count`, zero where
+the weight is. All are unbiased, E[counts_i] = count · w_i / Σ w; the variance of systematic draws
+is least in most uses, that of multinomial ones largest (Douc, Cappé & Moulines, 2005).
 """
 
 from __future__ import annotations
@@ -20,11 +22,9 @@ Resampler = Callable[[Array, int, np.random.Generator], Integers]
 
 
 def systematic(weights: Array, count: int, rng: np.random.Generator) -> Integers:
-    """Systematic resampling: one random offset for an even comb.
+    """Systematic resampling: `count` evenly spaced levels with one random offset.
 
-    Counts are ⌊·⌋ or ⌈·⌉ of count · w.
-
-    Zero where the weight is; weights need not sum to one. Madow, On the theory of systematic
+    Each particle is drawn ⌊·⌋ or ⌈·⌉ of count · w times. Madow, On the theory of systematic
     sampling, 1949; the low variance sampler of Thrun, Burgard & Fox, Probabilistic Robotics, 2005,
     table 4.4.
     """
@@ -61,7 +61,7 @@ def residual(weights: Array, count: int, rng: np.random.Generator) -> Integers:
 
 
 def multinomial(weights: Array, count: int, rng: np.random.Generator) -> Integers:
-    """Independent draws; as of `systematic`."""
+    """Multinomial resampling: `count` independent draws."""
     edges = _edges(weights, count)
     levels = np.sort(rng.random(count)) * count
     below = np.nextafter(float(count), 0.0)  # a product may round up to the last edge
@@ -69,7 +69,7 @@ def multinomial(weights: Array, count: int, rng: np.random.Generator) -> Integer
 
 
 def indices(counts: Integers) -> Integers:
-    """The place of each draw, ascending: each as often as its count."""
+    """The particle of each draw, ascending, from counts (n,): (2, 0, 1) gives 0, 0, 2."""
     return np.repeat(np.arange(len(counts)), counts)
 
 

@@ -1,4 +1,7 @@
-"""Poses (x, y, heading) in the plane: points seen from them and turned with them."""
+"""Poses (x, y, heading) in the plane, headings in radians, and points in their frames.
+
+The frame of a pose has its origin at the pose and its first axis along the heading.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +11,18 @@ from pgm.kernels.arrays import Array
 
 
 def mounted(poses: Array, mount: Array) -> Array:
-    """Poses (..., 3) of a sensor mounted on bodies, from its pose (3,) in the body frame."""
+    """Poses (..., 3) of a sensor whose pose in the frame of each body, of `poses`, is `mount`."""
     return _stacked(turned(mount[:2], poses[..., 2]) + poses[..., :2], poses[..., 2] + mount[2])
 
 
 def points_from(frame: Array, points: Array) -> Array:
-    """Points (..., 2) in the frame of a pose (3,)."""
+    """Points (..., 2) of the world as seen in the frame of a pose (3,)."""
     away = points - frame[:2]
     return away if frame[2] == 0.0 else turned(away, -frame[2])
 
 
 def points_out_of(frame: Array, points: Array) -> Array:
-    """Points (..., 2), given in the frame of a pose (3,), in the frame of that pose."""
+    """Points (..., 2) in the world, from their coordinates in the frame of a pose (3,)."""
     along = points if frame[2] == 0.0 else turned(points, frame[2])
     return along + frame[:2]
 
@@ -32,7 +35,7 @@ def turned(points: Array, angle: Array | float) -> Array:
 
 
 def directions(angles: Array) -> Array:
-    """The unit vectors of angles (...), (..., 2)."""
+    """The unit vectors (cos, sin) of angles (...), (..., 2)."""
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 

@@ -1,7 +1,8 @@
 """Roots of symmetric positive semidefinite matrices, and what their pivots say.
 
-A root is a lower triangular L with A = L Lᵀ. Where a component is determined by those before it,
-its column in L is zero; a matrix and the same matrix in other units have the same zero columns.
+A root is a lower triangular L with A = L Lᵀ; its *pivots* are the L_jj², the variance of each
+component given those before it. A component whose pivot is zero is *determined* by those before it,
+and its column in L is zero; a matrix and the same matrix in other units have the same zero columns.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ INDEFINITE = 1e-9
 
 
 def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIBLE) -> Array:
-    """The lower triangular root of stacked matrices; NaN where one is indefinite or not finite.
+    """The lower triangular root (..., n, n); NaN where a matrix is indefinite or not finite.
 
-    A pivot below the `negligible` part of the scale, (..., n), is rounding: of the diagonal, or of
-    larger matrices of which this is a difference.
+    A pivot of at most `negligible` times `scale` (..., n) is rounding: it and its column are zero.
+    The scale is the diagonal if None; else the size of the terms whose sum the diagonal is.
     """
     diagonal = variances(matrix) if scale is None else scale
     if by_runs(matrix):
@@ -47,9 +48,10 @@ def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIB
 
 
 def regular_root(matrix: Array, least: float, scale: Array | None = None) -> Array | None:
-    """The roots of matrices (n, n, *batch), whose batch stands together in memory.
+    """The roots of positive definite matrices (n, n, *batch), or None.
 
-    None where a pivot is not above the `least` part of the diagonal, or of the scale, (n, *batch).
+    None if any pivot of the batch is not above `least` times the diagonal, or `scale` (n, *batch).
+    It is fast where the batch stands together in memory.
     """
     lower = np.zeros_like(matrix)
     with np.errstate(invalid="ignore", divide="ignore"):  # such pivots are not proper: see below
@@ -67,9 +69,9 @@ def regular_root(matrix: Array, least: float, scale: Array | None = None) -> Arr
 def _semidefinite_root(matrix: Array, diagonal: Array, negligible: float) -> Array:
     """The root by columns, with zero columns of determined components (Higham, 2002, section 10.3).
 
-    A pivot below the `negligible` part of the scale is zero, and so is its column. A matrix is
-    indefinite, and its root NaN, where a pivot is clearly negative, or where a component whose
-    pivot is zero still varies with a later one.
+    A pivot of at most `negligible` times `diagonal` (..., n) is zero, and so is its column. A
+    matrix counts as indefinite, and its root is NaN, where it is not finite, where a pivot is
+    clearly negative, or where a component whose pivot is zero still varies with a later one.
     """
     size = matrix.shape[-1]
     lower = np.zeros_like(matrix)
@@ -90,25 +92,28 @@ def _semidefinite_root(matrix: Array, diagonal: Array, negligible: float) -> Arr
 
 
 def determined(lower: Array) -> Mask:
-    """The mask of components that earlier ones determine (a zero pivot), (..., n)."""
+    """The mask of determined components, (..., n), from a root: those with a zero pivot."""
     fixed: Mask = np.diagonal(lower, axis1=-2, axis2=-1) == 0.0
     return fixed
 
 
 def smallest_pivot(lower: Array) -> float:
-    """The smallest L_ii² / P_ii over the stack, P = L Lᵀ."""
+    """The smallest L_ii² / P_ii, P = L Lᵀ, of roots (..., n, n) in the stack; at most 1."""
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
     total = np.einsum("...ij,...ij->...i", lower, lower)
     return float((pivots * pivots / np.where(total > 0.0, total, 1.0)).min(initial=1.0))
 
 
 def is_regular(cov: Array, least: float) -> bool:
-    """Whether each component keeps over `least` of its variance given the earlier ones."""
+    """Whether each component keeps over `least` of its variance given those before it.
+
+    That is in all covariances (..., n, n); a component without a variance passes.
+    """
     pivots = np.diagonal(root(cov), axis1=-2, axis2=-1)
     variance = variances(cov)
     return bool(((pivots * pivots > least * variance) | (variance == 0.0)).all())
 
 
 def is_proper(lower: Array) -> bool:
-    """Whether every root of the stack exists (its matrix was semidefinite and finite)."""
+    """Whether no root of the stack is NaN: each matrix was semidefinite and finite."""
     return not np.isnan(np.diagonal(lower, axis1=-2, axis2=-1).sum())

@@ -1,7 +1,9 @@
-"""Messages between clusters as rows: products, damping, and how much they change.
+"""Messages between clusters as `rows.Rows`: products, damping, and how much they change.
 
-All are stacks (V, B, s, s) with right sides (V, B, s, N): of V runs with a matrix each and N = 1,
-or of N runs that share one, V = 1.
+Stacks of B messages over s variables have rows (V, B, s, s) and right sides (V, B, s, N): V runs
+have a matrix each and N = 1, or N runs share one and V = 1. The *exact relations* of a message are
+its equations C x = c without noise. Variables are in the units of the model's frame, (x − prior
+mean) / prior standard deviation, so that differences compare.
 """
 
 from __future__ import annotations
@@ -11,23 +13,29 @@ import numpy as np
 from pgm.kernels.arrays import LAST_PLACES, Array, Mask, transpose
 from pgm.kernels.rows import Rows, eliminate, triangular
 
-# Exact relations that differ by less, in units of the frame, differ by rounding.
+# Exact relations that differ by less, in units of the frame, differ by rounding alone.
 STEADY = 1e-12
 
 
 def product(a: Rows, b: Rows) -> Rows:
-    """The product of two stacks of factors: the rows of both together."""
+    """The products of two stacks of factors, one by one: their rows below one another.
+
+    Without exact relations where either stack has None.
+    """
     parts = zip(a, b, strict=True)
     return Rows._make(None if p is None or q is None else _together(p, q) for p, q in parts)
 
 
 def first(stack: Rows) -> Rows:
-    """The only factor of a stack, (V, s, s)."""
+    """The only factor (V, s, s) of a stack (V, 1, s, s), with its right sides (V, s, N)."""
     return Rows._make(None if part is None else part[:, 0] for part in stack)
 
 
 def damped(old: Rows, new: Rows, damping: float) -> Rows:
-    """The geometric mean: information adds up with the shares of both."""
+    """The weighted geometric mean old^damping · new^(1 − damping) of messages, in s rows.
+
+    Information matrices and vectors are added with these shares; exact relations are the new ones.
+    """
     kept, taken = np.sqrt(damping), np.sqrt(1.0 - damping)
     size = new.matrix.shape[-1]
     both = triangular(
@@ -38,11 +46,13 @@ def damped(old: Rows, new: Rows, damping: float) -> Rows:
 
 
 def change(old: Rows, new: Rows, against: Rows) -> Array:
-    """The relative move of the sepsets' beliefs, (B, runs): of means and variances.
+    """The relative change of sepsets' beliefs by new messages in place of the old ones, (B, runs).
 
-    With a message's information K and h, and the belief N(m, D²) that the new one makes with the
-    message against it: the largest of D |ΔK| D and (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, a move less the
-    rounding of the mean, as `moments.moved`; infinite where it is undefined.
+    K and h are the information of a message; the new one times the message `against` it, which goes
+    the opposite way, is the sepset's belief, with means m and standard deviations D. The change is
+    the largest entry of D |ΔK| D, of information; of (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, the move of
+    the mean in standard deviations less its rounding; and of the difference of exact relations. It
+    is infinite where the belief does not exist.
     """
     belief = eliminate(product(new, against), new.matrix.shape[-1])
     std = np.sqrt(np.maximum(np.diagonal(belief.noise, axis1=-2, axis2=-1), 0.0))[..., None]
@@ -61,9 +71,11 @@ def change(old: Rows, new: Rows, against: Rows) -> Array:
 
 
 def steady(old: Rows, new: Rows) -> Rows:
-    """New rows, but exact relations as they were where they differ by rounding.
+    """The new messages, with the old exact relations where the new ones differ by rounding alone.
 
-    Loops feed certainties back to themselves, and can amplify their rounding without end.
+    That is for messages whose relations differ by less than 10⁻¹² in units of the frame, in all
+    runs that share them. Loops feed certainties back to themselves, and can amplify their rounding
+    without end.
     """
     found = _relations(old, new)
     if found is None:
@@ -76,7 +88,10 @@ def steady(old: Rows, new: Rows) -> Rows:
 
 
 def choose(active: Mask, new: Rows, old: Rows) -> Rows:
-    """New rows for the active runs; where runs share matrices, only right-hand sides differ."""
+    """The new messages in the `active` runs (runs,), the old ones in the others.
+
+    Where runs share a matrix, V = 1, that is the new one for all, and only right sides are chosen.
+    """
     shared = new.matrix.shape[0] == 1
     each = active[:, None, None, None]
 
@@ -95,7 +110,10 @@ def choose(active: Mask, new: Rows, old: Rows) -> Rows:
 
 
 def _relations(old: Rows, new: Rows) -> tuple[Array, Array, Array, Array] | None:
-    """Exact relations of old and new rows, the old ones cut to as many; None if there are none."""
+    """The matrix and right side of the old exact relations, then of the new ones.
+
+    The old ones are cut to as many rows as the new ones have. None if either has no relations.
+    """
     exact, sides, new_exact, new_sides = *old[2:], *new[2:]
     if exact is None or sides is None or new_exact is None or new_sides is None:
         return None
@@ -104,7 +122,11 @@ def _relations(old: Rows, new: Rows) -> tuple[Array, Array, Array, Array] | None
 
 
 def _moved(exact: Array, sides: Array, new_exact: Array, new_sides: Array) -> Array:
-    """The difference of exact relations, (V, B, N), whatever rows they are written as."""
+    """The largest difference of exact relations C x = c, (V, B, N), in units of the frame.
+
+    It is that of the entries of CᵀC and Cᵀc, which are the same for any orthonormal rows C of the
+    same relations.
+    """
     relations = transpose(new_exact) @ new_exact - transpose(exact) @ exact
     targets = transpose(new_exact) @ new_sides - transpose(exact) @ sides
     far = np.abs(relations).max(axis=(-2, -1), initial=0.0)[..., None]

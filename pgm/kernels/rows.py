@@ -1,10 +1,15 @@
 """Gaussian factors as rows: exp(−½ ‖A x − r‖² + g) Π δ(C x − c), on stacked arrays.
 
 A (..., k, n) is a root of the information matrix, K = AᵀA and h = Aᵀr, so that nothing is ever
-squared or subtracted: a product stacks rows, and a QR factorisation integrates variables out.
-Several right sides r, (..., k, N), share one A. C (..., m, n) with c (..., m, N) are exact
-relations, which have no K; a row of zeros says nothing. Where a result does not exist it is NaN;
-the callers, who know the names, raise (Bierman, 1977; Schoeman, van Daalen & du Preez, 2022).
+squared or subtracted: a product puts rows below one another, and a QR factorisation integrates
+variables out (Bierman, 1977; Schoeman, van Daalen & du Preez, 2022). The columns of r (..., k, N)
+are N right sides that share one A: N factors. The *exact relations* C x = c, C (..., m, n) and c
+(..., m, N), have no noise, and so no K; a row of zeros says nothing. The log-scale g is kept by
+the callers. Where a result does not exist it is NaN; the callers, who know the names of variables,
+raise.
+
+The variables are in units of a *frame*, (x − prior mean) / prior standard deviation, so that fixed
+thresholds tell rounding.
 """
 
 from __future__ import annotations
@@ -17,14 +22,14 @@ from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 
 # A singular value or a pivot below this part of its column is rounding.
 NEGLIGIBLE = 1e-11
-# What is larger, of a frame's units, may be no rounding.
+# What is larger, in units of the frame, may be more than rounding.
 ROUNDING = 1e-13
 # How far exact relations may miss one another, in units of the frame, and still be rounding.
 CONTRADICTION = 1e-7
 
 
 class Rows(NamedTuple):
-    """A stack of factors: A (..., k, n), r (..., k, N); exact relations C x = c, or None."""
+    """A stack of factors: A (..., k, n) and r (..., k, N); C (..., m, n), c (..., m, N) or None."""
 
     matrix: Array
     right: Array
@@ -33,12 +38,15 @@ class Rows(NamedTuple):
 
 
 class Eliminated(NamedTuple):
-    """A factor over (x, s) as a conditional of x given s, times a factor over s.
+    """A factor over (x, s) as a conditional p(x | s), times the factor over s that is left.
 
-    x = gain s + offset + n, n ~ N(0, noise). `rest`, over s, has s rows, triangular; `log_scale`
-    (..., N) is g of it, less that of the factor. `contradiction` tells where exact relations
-    contradict one another; `largest` is of rows' entries after these were put in, and of
-    reciprocals of their divisors, infinite where it is not certain which are independent.
+    p(x | s) is x = gain s + offset + n, n ~ N(0, noise), with a column of the offset for each right
+    side. `rest` is the factor over s, with a triangular square A; `log_scale` (..., N) is its g
+    less that of the given factor. `contradiction` (..., N) marks right sides whose exact relations
+    contradict one another; None if there are none. `largest` measures the digits that exact
+    relations cost: the largest entry of the rows after x was solved for in them, or the largest
+    reciprocal of a singular value divided by; infinite where it is not certain which relations are
+    independent, 0 if there are none.
     """
 
     gain: Array
@@ -51,14 +59,18 @@ class Eliminated(NamedTuple):
 
 
 def eliminate(factor: Rows, count: int) -> Eliminated:
-    """Integrate the first `count` variables out, keeping their conditional."""
+    """Integrate the first `count` variables x out of a factor, keeping p(x | the others)."""
     if factor.exact is None or factor.exact_right is None or not factor.exact.shape[-2]:
         return _eliminate_proper(factor.matrix, factor.right, count)
     return _eliminate_exact(factor.matrix, factor.right, factor.exact, factor.exact_right, count)
 
 
 def triangular(matrix: Array, right: Array) -> Array:
-    """The triangular factor of [A | r], of A's columns or more; rows sorted by size keep digits."""
+    """The triangular factor R of a QR factorisation of [A | r], (..., rows, n + N).
+
+    `matrix` A is (..., k, n), `right` r (..., k, N). R has min(max(k, n), n + N) rows, n or more;
+    rows of [A | r] are taken by size, the largest first, which keeps digits.
+    """
     rows, size = matrix.shape[-2:]
     if rows < size:
         spare = [(0, 0)] * (matrix.ndim - 2) + [(0, size - rows), (0, 0)]
@@ -70,7 +82,10 @@ def triangular(matrix: Array, right: Array) -> Array:
 
 
 def largest_first(correlation: Array) -> Integers:
-    """The pivot order of components, (..., n): each has the largest conditional variance left."""
+    """The pivot order of components, (..., n), of correlations (..., n, n).
+
+    Each has the largest variance given those before it in the order.
+    """
     left = correlation
     order = np.empty(left.shape[:-1], dtype=np.intp)
     taken = np.zeros(left.shape[:-1], dtype=bool)
@@ -88,9 +103,9 @@ def largest_first(correlation: Array) -> Integers:
 def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
     """Integrate the first `count` variables out of rows without exact relations.
 
-    A QR factorisation makes the rows [E F; 0 G], with sides [e; g]: the rest is G with g, and the
-    variables are E⁻¹ (e − F s) + noise of covariance E⁻¹ E⁻ᵀ, given the others s. The log-scale is
-    ½ count ln 2π − ln |det E| − ½ ‖what is left of r‖².
+    A QR factorisation makes the rows [E F; 0 G; 0 0], with right sides [e; g; q]: the rest is G
+    with g, and the variables are E⁻¹ (e − F s) + noise of covariance E⁻¹ E⁻ᵀ, given the others s.
+    The log-scale is ½ count ln 2π − ln |det E| − ½ ‖q‖². NaN where E is singular but for rounding.
     """
     size = matrix.shape[-1]
     factor = triangular(matrix, right)
@@ -133,9 +148,11 @@ def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
 def _eliminate_exact(
     matrix: Array, right: Array, exact: Array, exact_right: Array, count: int
 ) -> Eliminated:
-    """`eliminate` with exact relations: they determine some directions of x, the rest is proper.
+    """Integrate the first `count` variables x out of rows with exact relations C_x x + C_s s = c.
 
-    With C_x = U S Vᵀ, directions V₁ are determined by s; V₂ are left to the rows.
+    With the singular value decomposition C_x = U S Vᵀ, the relations determine x by s along V₁, the
+    directions of nonzero singular values; along the others x is left to the rows, as in
+    `_eliminate_proper`. The relations in which no x is left, U₂ᵀ (C_s s − c) = 0, go to the rest.
     """
     sepset = matrix.shape[-1] - count
     known = np.concatenate([exact[..., count:], exact_right], axis=-1)
@@ -174,11 +191,13 @@ def _eliminate_exact(
 def _independent(
     exact: Array, right: Array, size: Array
 ) -> tuple[Array, Array, Array, Mask, float]:
-    """Orthonormal rows of noise-free relations.
+    """Exact relations C x = c as orthonormal rows, without those that the others imply.
 
-    With them: ln of the scale removed, contradictions, and rows in doubt.
-
-    A relation that the others imply is left out. Right sides come of numbers of a size, (..., N).
+    `exact` is C (..., m, n), `right` c (..., m, N), and `size` (..., N) the size of the numbers
+    that c is computed from. Returns the new C and c, with rows of zeros for what is left out; the
+    sum of ln of the singular values of C that they were divided by, (...); the mask (..., N) of c
+    that contradict themselves, where an implied relation is missed by more than 10⁻⁷ `size`; and
+    the largest reciprocal of those values, infinite where what is implied may be independent.
     """
     independent, solved, left, log_size, doubt = _solved(exact, right)
     far = np.abs(left).max(axis=-2, initial=0.0)
@@ -188,10 +207,12 @@ def _independent(
 
 
 def _solved(matrix: Array, right: Array) -> tuple[Array, Array, Array, Array, float]:
-    """Relations solved for directions: matrix x = right is rows x = solved, and left = 0.
+    """The equations A x = B, (..., m, n) and (..., m, N), solved by the decomposition A = U S Vᵀ.
 
-    Returns orthonormal rows, and rows of zeros; `solved`; `left`; the sum of logarithms of
-    divisors, (...); and the reciprocal of the least, infinite if one left out may be no rounding.
+    They are equal to V₁ᵀ x = S₁⁻¹ U₁ᵀ B and 0 = U₂ᵀ B, with V₁, S₁, U₁ those of the singular values
+    that are not rounding, and U₂ the rest of U. Returns V₁ᵀ, S₁⁻¹ U₁ᵀ B and U₂ᵀ B, each with rows
+    of zeros in the places of the others; the sum of ln S₁, (...); and max(1, 1 / the least of S₁),
+    infinite if a value left out may be more than rounding.
     """
     u, values, vt = _svd(matrix)
     count = values.shape[-1]
@@ -207,7 +228,7 @@ def _solved(matrix: Array, right: Array) -> tuple[Array, Array, Array, Array, fl
 
 
 def _svd(matrix: Array) -> tuple[Array, Array, Array]:
-    """U, S and Vᵀ with a square U, also where there are no columns."""
+    """The decomposition A = U S Vᵀ with square U, also of no columns; NaN if A is not finite."""
     if matrix.size:
         try:
             return np.linalg.svd(matrix, full_matrices=True)

@@ -1,4 +1,9 @@
-"""Segments of a chain without evidence, which compose: conditionals, and linear maps of values."""
+"""Segments of a chain without evidence, which compose: affine conditionals, and affine maps.
+
+A segment leads from the variables at its left end to those at its right end. `prefixes` composes
+many: conditionals take moments from end to end (`compose_conditionals`, `push_moments`), maps take
+vectors (`after`, `send`).
+"""
 
 from __future__ import annotations
 
@@ -16,14 +21,14 @@ from pgm.kernels.moments import Conditional
 
 
 class Moments(NamedTuple):
-    """Mean (..., n) and covariance (..., n, n)."""
+    """The mean (..., n) and covariance (..., n, n) of a belief."""
 
     mean: Array
     cov: Array
 
 
 def compose_conditionals(first: Conditional, then: Conditional) -> Conditional:
-    """The composition p(z|x) of p(y|x) and p(z|y)."""
+    """The conditional p(z | x) = ∫ p(y | x) p(z | y) dy; `first` is p(y | x), `then` p(z | y)."""
     return Conditional(
         multiply(then.matrix, first.matrix),
         apply(then.matrix, first.offset) + then.offset,
@@ -32,12 +37,12 @@ def compose_conditionals(first: Conditional, then: Conditional) -> Conditional:
 
 
 def push_moments(belief: Moments, conditional: Conditional) -> Moments:
-    """Moments of F x + b + n."""
+    """The moments of F x + b + n, n ~ N(0, cov), for x of these moments and a conditional of x."""
     return Moments(*moments.push(*belief, conditional))
 
 
 class Map(NamedTuple):
-    """The map F x + b."""
+    """The map F x + b: `matrix` F (..., n, n) and `offset` b (..., n)."""
 
     matrix: Array
     offset: Array
@@ -55,5 +60,5 @@ class Value(NamedTuple):
 
 
 def send(value: Value, through: Map) -> Value:
-    """The map of a vector."""
+    """The vector F x + b of a vector x and a map."""
     return Value(apply(through.matrix, value.value) + through.offset)

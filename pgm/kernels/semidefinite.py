@@ -10,14 +10,16 @@ from pgm.kernels.arrays import (
     symmetric,
 )
 
-# A share of the variances beyond which a negative eigenvalue is visible in float64.
+# The size beyond which a negative eigenvalue of correlations is more than those of float64 vary by.
 _VISIBLE = 1e-12
 
 
 def semidefinite(cov: Array, largest: float) -> Array:
-    """Covariances without the asymmetry and the negative eigenvalues that rounding has left.
+    """Covariances (..., n, n) without the asymmetry and negative eigenvalues left by rounding.
 
-    Eigenvalues are in units of the variances; one that is `largest` below zero is no rounding.
+    The eigenvalues are those of the correlations. Negative ones become zero where the least is
+    between −`largest` and −10⁻¹²; a covariance with one at −`largest` or below, which is no
+    rounding, is only made symmetric, as are all if any entry is infinite or NaN.
     """
     cov = symmetric(cov)
     unit = deviation(cov)

@@ -1,4 +1,8 @@
-"""Semirings of tables: the product and the sum that a pass of messages is made of."""
+"""Semirings of tables: the product and the sum that a pass of messages is made of.
+
+Entries are non-negative numbers in `SUM_PRODUCT`. They are logarithms in `LOG_SUM_PRODUCT`, whose
+sum is ln Σ exp, and in `MAX_PRODUCT`, whose sum is the maximum.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,9 @@ Axes = int | tuple[int, ...]
 class Semiring:
     """A product and a sum of entries of tables, and their neutral entries.
 
-    ``total(values, axes, out)`` sums along axes; `linear` entries are numbers, not logarithms.
+    `times` and `over` multiply and divide entries; `zero` and `one` are neutral for sum and
+    product. ``total(values, axes, out)`` sums along one or more axes, into `out` if that is not
+    None. `linear`: entries are numbers, not logarithms.
     """
 
     zero: float
@@ -27,7 +33,7 @@ class Semiring:
     linear: bool
 
     def divisor(self, values: Array) -> Array:
-        """The values with 1 for 0, so that the message quotient 0/0 becomes 0."""
+        """The values with `one` for `zero`, so that as divisors they make 0/0 zero."""
         safe: Array = np.where(values == self.zero, self.one, values)
         return safe
 
@@ -56,7 +62,7 @@ def _maximum(values: Array, axis: Axes, out: Array | None) -> Array:
 
 
 def log_sum(values: Array, axis: Axes, out: Array | None = None) -> Array:
-    """The value ln Σ exp(values) along axes; −∞ where all are −∞."""
+    """The sums ln Σ exp(values) along axes, which are dropped; −∞ where all values are −∞."""
     top = np.maximum.reduce(values, axis, keepdims=True)
     top = np.where(top == -np.inf, 0.0, top)
     with np.errstate(divide="ignore", under="ignore"):
@@ -66,7 +72,7 @@ def log_sum(values: Array, axis: Axes, out: Array | None = None) -> Array:
 
 
 def exp(logs: Array, out: Array | None = None) -> Array:
-    """The numbers of logarithms; zero, where they are too small."""
+    """The exponentials of logarithms; zero, without a warning, where they are too small."""
     with np.errstate(under="ignore"):
         values: Array = np.exp(logs, out)
     return values

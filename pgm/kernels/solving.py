@@ -1,8 +1,9 @@
 """Linear equations, gains and determinants of covariances, by their roots.
 
-A root L, L Lᵀ = P, is lower triangular, with a zero column for each component that those before it
-determine (`roots`). Equations are solved over the other components; of a singular P the solution is
-one of many, and a gain C P⁺ is the same for all of them where the rows of C lie in its range.
+A root L (..., n, n), L Lᵀ = P, is lower triangular, with a zero column for each *determined*
+component, whose variance given those before it is zero (`roots`). Equations are solved over the
+other components; of a singular P the solution is one of many, and a gain C P⁺ is the same for all
+of them where the rows of C lie in its range.
 """
 
 from __future__ import annotations
@@ -22,19 +23,22 @@ _MANY = 16
 
 
 def _regular(lower: Array, fixed: Mask) -> Array:
-    """The root with ones for its zero pivots, so that division by it is safe."""
+    """The root with ones for its zero pivots, which `fixed` (..., n) marks: a regular matrix."""
     if not fixed.any():
         return lower
     return lower + fixed[..., None] * np.eye(lower.shape[-1])
 
 
 def solve_lower(lower: Array, right: Array) -> Array:
-    """The solution Y of L Y = B, (..., n, m); rows of zero pivots keep the residual of B."""
+    """The Y with L Y = B, (..., n, m), for the rows of all components that are not determined.
+
+    The row j of a determined component is what the others leave of B there: B_j − Σ_k L_jk Y_k.
+    """
     return _solve(_regular(lower, determined(lower)), right, range(lower.shape[-1]))
 
 
 def solve_upper(lower: Array, right: Array) -> Array:
-    """The X with Lᵀ X = B, (..., n, m), zero in rows of determined components."""
+    """The X with Lᵀ X = B, (..., n, m); rows of determined components are zero, B unused there."""
     fixed = determined(lower)
     if fixed.any():
         right = np.where(fixed[..., None], 0.0, right)
@@ -42,7 +46,11 @@ def solve_upper(lower: Array, right: Array) -> Array:
 
 
 def _solve(triangle: Array, right: Array, order: range) -> Array:
-    """Solve with regular triangular matrices; row by row, in this order, where they are many."""
+    """The X with T X = B, (..., n, m), for regular triangular matrices T (..., n, n).
+
+    Where they are many, rows of X are solved for in the order given: 0 to n − 1 for lower T, n − 1
+    to 0 for upper T.
+    """
     if triangle.size < _MANY * len(order) ** 2:
         return np.asarray(np.linalg.solve(triangle, right), dtype=np.float64)
     batch = triangle.shape[:-2]
@@ -64,7 +72,11 @@ def solve(lower: Array, right: Array) -> Array:
 
 
 def regression(cross: Array, cov: Array) -> Array:
-    """The gain C P⁺ of a cross-covariance C, (..., m, n), P⁺ in units of deviations."""
+    """The gain C P⁺ of a cross-covariance C, (..., m, n), by eigenvalues of P = `cov` (..., n, n).
+
+    P⁺ is D⁻¹ R⁺ D⁻¹, with D the diagonal matrix of standard deviations and R⁺ the pseudo-inverse of
+    the correlations, so that what counts as zero does not depend on units.
+    """
     variance = variances(cov)
     unit = np.sqrt(np.where(variance > 0.0, variance, 1.0))
     correlation = cov / (unit[..., :, None] * unit[..., None, :])
@@ -74,9 +86,10 @@ def regression(cross: Array, cov: Array) -> Array:
 
 
 def gain(cross: Array, lower: Array, cov: Array | None = None) -> Array:
-    """C P⁺ for P = L Lᵀ and a cross-covariance C, (..., m, n), whose rows lie in the range of P.
+    """The gain C P⁺, P = L Lᵀ, of a cross-covariance C, (..., m, n), with rows in the range of P.
 
-    With P itself, by `regression` where its root was lost to rounding.
+    `cov`, if given, is P itself: where its root is NaN by rounding, the gain is that of
+    `regression`.
     """
     result = transpose(solve(lower, transpose(cross)))
     if cov is not None:
@@ -87,16 +100,13 @@ def gain(cross: Array, lower: Array, cov: Array | None = None) -> Array:
 
 
 def whiten(lower: Array, residual: Array) -> Array:
-    """L⁻¹ r, (..., n), zero in determined components."""
+    """The whitened residual s, (..., n), with L s = r; zero in determined components."""
     white = solve_lower(lower, residual[..., None])[..., 0]
     return np.where(determined(lower), 0.0, white)
 
 
 def log_determinant(lower: Array) -> Array:
-    """The value ln |L Lᵀ| over the components with positive variance, (...).
-
-    A zero on the diagonal stands for a component that is known exactly, and is left out.
-    """
+    """The value ln |L Lᵀ| over the components that are not determined, (...): 2 Σ ln L_jj."""
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
     fixed = pivots == 0.0
     if fixed.any():

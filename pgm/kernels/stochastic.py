@@ -1,4 +1,8 @@
-"""Linear maps of probabilities: dense, sparse, and products of maps of single axes."""
+"""Matrices of p(child | parent) as linear maps: dense, sparse, and Kronecker products of such.
+
+A map is applied along one axis of an array, for all others at once: forward, an axis of parents
+becomes one of children; backward, one of children becomes one of parents.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ import numpy as np
 from pgm.kernels.arrays import Array, Integers, unravelled
 from pgm.kernels.semirings import Semiring
 
-# Entries that a step with logarithms spreads out at a time.
+# Entries of the sums of pairs that `Dense.logs` holds at a time.
 _CHUNK = 2**22
 
 
@@ -24,36 +28,39 @@ class Transition(ABC):
 
     @abstractmethod
     def forward(self, belief: Array, axis: int = 0) -> Array:
-        """Σ_parent p(child | parent) belief(parent), along the axis of parents."""
+        """Σ_parent p(child | parent) belief(parent), along an axis of parents."""
 
     @abstractmethod
     def backward(self, message: Array, axis: int = 0) -> Array:
-        """Σ_child p(child | parent) message(child): the transpose of `forward`."""
+        """Σ_child p(child | parent) message(child), along an axis of children."""
 
     @abstractmethod
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """`forward`, or `backward` with `back`, of logarithms, in a semiring of logarithms."""
+        """What `forward`, or with `back` `backward`, makes of logarithms, as logarithms.
+
+        `semiring` is one of logarithms; its sum takes the place of Σ, ln Σ exp or the maximum.
+        """
 
     @abstractmethod
     def entries(self, parent: Integers, child: Integers) -> Array:
-        """The probabilities p(child | parent) of pairs of indices that broadcast."""
+        """The probabilities p(child | parent) of pairs of state indices that broadcast."""
 
     @abstractmethod
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
-        """Children drawn given parents, of the same shape."""
+        """Child states drawn from p(child | parent), of the shape of the parents' state indices."""
 
     @abstractmethod
     def parents(self, children: Integers) -> Array:
-        """The columns p(child | parent) of some children, (children, parents)."""
+        """The columns p(child | ·) of m children (m,), as rows over all parents, (m, parents)."""
 
     @property
     @abstractmethod
     def smallest(self) -> float:
-        """The smallest positive entry."""
+        """The smallest positive entry; 1 if that is larger or there is none."""
 
     @abstractmethod
     def dense(self) -> Array:
-        """The matrix."""
+        """The whole matrix as an array, (parents, children)."""
 
 
 class Dense(Transition):
@@ -65,13 +72,13 @@ class Dense(Transition):
 
     @cached_property
     def turned(self) -> Array:
-        """The transpose, row after row."""
+        """The transpose (children, parents), in C order."""
         turned: Array = np.ascontiguousarray(self.matrix.T)
         return turned
 
     @cached_property
     def _logarithms(self) -> Array:
-        """The logarithms of the entries."""
+        """The logarithms of the entries, (parents, children)."""
         with np.errstate(divide="ignore"):
             logs: Array = np.log(self.matrix)
         return logs
@@ -103,11 +110,11 @@ class Dense(Transition):
 
     @cached_property
     def _cumulative(self) -> Array:
-        """The cumulative probabilities of each row."""
+        """The cumulative probabilities along each row, (parents, children)."""
         return np.cumsum(self.matrix, axis=-1)
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
-        """Children drawn given parents, by bisection of each row's cumulative probabilities."""
+        """Child states drawn by bisection of each row's cumulative probabilities; any shape."""
         cumulative = self._cumulative
         # A uniform below one, times the last sum, stays below it, so that what rounding leaves of
         # the sum from one goes to no state of its own.
@@ -121,13 +128,13 @@ class Dense(Transition):
         return low
 
     def parents(self, children: Integers) -> Array:
-        """The columns p(child | parent) of some children, (children, parents)."""
+        """The columns p(child | ·) of some children; see `Transition.parents`."""
         found: Array = self.turned[children]
         return found
 
     @cached_property
     def smallest(self) -> float:
-        """The smallest positive entry."""
+        """The smallest positive entry; at most 1."""
         return float(self.matrix.min(where=self.matrix > 0.0, initial=1.0))
 
     def dense(self) -> Array:
@@ -147,7 +154,7 @@ class Sparse(Transition):
 
     @cached_property
     def turned(self) -> Any:
-        """The transpose, row after row."""
+        """The transpose (children, parents), a sparse matrix by rows."""
         return self.matrix.T.tocsr()
 
     def forward(self, belief: Array, axis: int = 0) -> Array:
@@ -159,7 +166,7 @@ class Sparse(Transition):
         return _along(self.matrix, message, axis)
 
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """Logarithms moved along an axis: the k-th entries of all rows at once, for each k."""
+        """Logarithms moved along an axis: the k-th stored entries of all rows at once, k by k."""
         own = self.matrix if back else self.turned
         moved = np.moveaxis(values, axis, 0)
         flat = moved.reshape(len(moved), -1)
@@ -182,7 +189,10 @@ class Sparse(Transition):
 
     @cached_property
     def _levels(self) -> Array:
-        """The row's index plus the cumulative probability within the row, of each entry."""
+        """For each stored entry, the index of its row plus the cumulative probability in the row.
+
+        So one array (entries,) ascends over all rows, which one search serves.
+        """
         own = self.matrix
         rows = np.repeat(np.arange(own.shape[0]), np.diff(own.indptr))
         sums = np.cumsum(own.data)
@@ -192,7 +202,7 @@ class Sparse(Transition):
         return levels
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
-        """Children drawn given parents, by one search in all rows' cumulative probabilities."""
+        """Child states drawn by one search in all rows' cumulative probabilities; any shape."""
         level = parent + rng.random(parent.shape)
         entry = np.searchsorted(self._levels, level, side="right")
         own = self.matrix
@@ -202,13 +212,13 @@ class Sparse(Transition):
         return found
 
     def parents(self, children: Integers) -> Array:
-        """The columns p(child | parent) of some children, (children, parents)."""
+        """The columns p(child | ·) of some children; see `Transition.parents`."""
         found: Array = self.turned[children].toarray()
         return found
 
     @cached_property
     def smallest(self) -> float:
-        """The smallest positive entry."""
+        """The smallest positive entry; at most 1."""
         return float(self.matrix.data.min(initial=1.0))
 
     def dense(self) -> Array:
@@ -218,7 +228,11 @@ class Sparse(Transition):
 
 
 class Product(Transition):
-    """The Kronecker product of maps: each moves an axis of the states by itself."""
+    """The Kronecker product of maps: the state has several axes, and each factor moves one.
+
+    States are numbered by flat indices in C order: of parents over `before`, the numbers of parents
+    of the factors, and of children over `after`.
+    """
 
     def __init__(self, factors: Sequence[Transition]) -> None:
         self.factors = tuple(factors)
@@ -249,12 +263,15 @@ class Product(Transition):
 
     @staticmethod
     def _split(values: Array, axis: int, sizes: tuple[int, ...]) -> Array:
-        """An array whose axis of all states is an axis for each factor."""
+        """An array with its axis of flat states made into one axis for each factor, of `sizes`."""
         return values.reshape(*values.shape[:axis], *sizes, *values.shape[axis + 1 :])
 
     @staticmethod
     def _joined(found: Array, like: Array, axis: int, size: int) -> Array:
-        """The inverse of `_split`, with the axes before and after of `like`."""
+        """An array with the factors' axes made into one of `size` flat states again.
+
+        Its other axes are those of `like`, whose axis of flat states is `axis`.
+        """
         return found.reshape(*like.shape[:axis], size, *like.shape[axis + 1 :])
 
     def entries(self, parent: Integers, child: Integers) -> Array:
@@ -266,18 +283,18 @@ class Product(Transition):
         return found
 
     def _parts(self, parent: Integers, child: Integers) -> tuple[Any, Any]:
-        """Flat indices of parents and of children as indices along each axis."""
+        """The indices along each factor's axis, of flat indices of parents and of children."""
         return unravelled(parent, self.before), unravelled(child, self.after)
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
-        """Children drawn given parents, each axis by its own factor."""
+        """Child states drawn axis by axis, each by its own factor; see `Transition.draw`."""
         parents = unravelled(parent, self.before)
         drawn = [f.draw(own, rng) for f, own in zip(self.factors, parents, strict=True)]
         found: Integers = np.ravel_multi_index(drawn, self.after)
         return found
 
     def parents(self, children: Integers) -> Array:
-        """The columns p(child | parent) of some children, (children, parents)."""
+        """The columns p(child | ·) of some children; see `Transition.parents`."""
         found = np.ones((len(children), 1))
         for factor, own in zip(self.factors, unravelled(children, self.after), strict=True):
             pairs = found[:, :, None] * factor.parents(own)[:, None, :]
@@ -286,7 +303,7 @@ class Product(Transition):
 
     @cached_property
     def smallest(self) -> float:
-        """The product of the factors' smallest positive entries."""
+        """The smallest positive entry: the product of the factors' smallest ones."""
         return math.prod(factor.smallest for factor in self.factors)
 
     def dense(self) -> Array:

@@ -1,6 +1,7 @@
 """Arithmetic of stacks of tables with log-scales, beyond the range of float64.
 
-Stacked tables are non-negative arrays times exp(log-scale); the last `axes` axes are a table.
+A stack of tables φ is an array of non-negative values, whose last `axes` axes are the entries of a
+table, times exp(log-scale), with one log-scale for each table, (...).
 """
 
 from __future__ import annotations
@@ -22,14 +23,18 @@ SAFE = 1e-6
 LEAST = 1e-300
 # Tables whose largest entry is between these stay as they are: products and sums of such hold.
 SMALL, LARGE = 1e-100, 1e100
-# What stands for the exponent of zero: below all exponents, and sums of two of it fit 32 bits.
+# This stands for the exponent of zero: it is below all exponents, and twice it fits 32 bits.
 NOWHERE = -(10**6)
 # Beyond this log-scale no entry of a double's range stays in it.
 OUTSIDE = 3000.0
 
 
 def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
-    """Tables whose largest entry, if very small or very large, goes into the log-scale."""
+    """The same tables, as values and log-scale, with extreme largest entries divided out.
+
+    That is for a largest entry below 10⁻¹⁰⁰ or above 10¹⁰⁰, whose logarithm is added to the
+    log-scale. If any table is such, those that are all zero get a log-scale of zero.
+    """
     top = largest(values, axes)
     extreme = (top < SMALL) | (top > LARGE)
     if not extreme.any():
@@ -40,12 +45,18 @@ def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
 
 
 def multiply(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
-    """Product of tables, as values and log-scale."""
+    """The products of tables of values a and b, which broadcast, as values and log-scale (...).
+
+    Log-scales of a and b themselves are for the caller to add.
+    """
     return _combined(np.multiply, np.add, a, b, axes)
 
 
 def divide(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
-    """Quotient of tables, zero wherever b is, as values and log-scale."""
+    """The quotients of tables of values a and b, zero wherever b is, as values and log-scale (...).
+
+    Log-scales of a and b themselves are for the caller to subtract.
+    """
     return _combined(_quotient, np.subtract, a, b, axes)
 
 
@@ -58,7 +69,12 @@ def _quotient(a: Array, b: Array) -> Array:
 def _combined(
     of_values: Operation, of_powers: Operation, a: Array, b: Array, axes: int
 ) -> tuple[Array, Array]:
-    """Values and log-scale: with plain numbers, and again by powers of two where these are lost."""
+    """A product or quotient of values a and b, as values and log-scale.
+
+    `of_values` combines numbers, `of_powers` their powers of two accordingly: by sum or difference.
+    Tables that would lose digits to overflow or underflow are computed again as mantissas and
+    powers of two.
+    """
     with np.errstate(over="ignore", under="ignore"):
         plain = of_values(a, b)
     held = _held(plain, a, b, axes)
@@ -71,10 +87,10 @@ def _combined(
 
 
 def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
-    """The mask of tables whose products or quotients are right as computed in plain numbers.
+    """The mask (...) of tables of which a product or quotient `result` of a and b lost nothing.
 
-    A table whose largest entry is well above the smallest float has its digits; else the entries
-    that are zero must be so since a factor is, not by underflow.
+    A table whose largest entry is finite and above 10⁻⁶ has lost only entries 10⁻³⁰⁰ times smaller.
+    Another finite one has lost nothing if no entry is below 10⁻³⁰⁰ but where a or b is zero.
     """
     top = largest(result, axes)
     held = (top > SAFE) & (top < np.inf)
@@ -85,13 +101,13 @@ def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
 
 
 def _instead(plain: Array, held: Mask, values: Array, log_scale: Array) -> tuple[Array, Array]:
-    """Plain tables, of log-scale zero, where they are right; scaled tables elsewhere."""
+    """The `plain` tables, with log-scale zero, where `held` (...); the scaled ones elsewhere."""
     kept = _per_table(held, plain.ndim - held.ndim)
     return np.where(kept, plain, values), np.where(held, 0.0, log_scale)
 
 
 def largest(values: Array, axes: int) -> Array:
-    """The largest entry of each table."""
+    """The largest entry of each table, (...)."""
     result: Array = values.max(axis=_span(axes))
     return result
 
@@ -103,21 +119,27 @@ def normalise(values: Array, axes: int) -> Array:
 
 
 def log_total(values: Array, log_scale: Array, axes: int) -> Array:
-    """The value ln Σ φ of each table; −∞ if it is all zero. The sum of the values must hold."""
+    """The value ln Σ φ of each table, (...); −∞ if it is all zero.
+
+    The sum of the values without the log-scale may neither overflow nor underflow.
+    """
     with np.errstate(divide="ignore"):
         result: Array = np.log(values.sum(axis=_span(axes))) + log_scale
     return result
 
 
 def log_entries(values: Array, log_scale: Array, axes: int) -> Array:
-    """The values ln φ; −∞ where φ is zero."""
+    """The logarithms of the entries of tables, ln φ; −∞ where φ is zero."""
     with np.errstate(divide="ignore"):
         result: Array = np.log(values) + _per_table(log_scale, axes)
     return result
 
 
 def entries(values: Array, log_scale: Array) -> Array:
-    """The values v exp(s), which overflow or underflow only where the result does."""
+    """The entries v exp(s) of values v and log-scales s that broadcast with them.
+
+    They overflow or underflow only where the result does.
+    """
     held = np.clip(log_scale, -OUTSIDE, OUTSIDE)
     powers = np.rint(held / LOG_2)
     with np.errstate(over="ignore"):
@@ -135,13 +157,16 @@ def _per_table(stacked: Stacked, axes: int) -> Stacked:
 
 
 def _exponents(values: Array) -> tuple[Array, Array]:
-    """The mantissas and powers of two of values; of zero the power of the smallest number."""
+    """The mantissas and powers of two of values; for zero the power is `NOWHERE`."""
     mantissa, power = np.frexp(values)
     return mantissa, np.where(values > 0.0, power, NOWHERE)
 
 
 def _assemble(mantissa: Array, power: Array, axes: int) -> tuple[Array, Array]:
-    """Tables from mantissas and powers of two, with their largest power put into the log-scale."""
+    """Tables mantissa · 2^power as values and log-scale, which takes each table's largest power.
+
+    A table that is all zero has the log-scale zero.
+    """
     top = power.max(axis=_span(axes))
     values: Array = np.ldexp(mantissa, power - _per_table(top, axes))
     return values, np.where(top > NOWHERE // 2, top * LOG_2, 0.0)

@@ -15,7 +15,8 @@ from pgm.kernels.arrays import (
 class Tridiagonal(NamedTuple):
     """The symmetric equations Aₖ₋₁ᵀ xₖ₋₁ + Dₖ xₖ + Aₖ xₖ₊₁ = rₖ, for stacks with the steps k first.
 
-    D (N, R, n, n) is positive definite as a whole.
+    There are N steps and R runs: D = `diagonal` (N, R, n, n), A = `above` (N − 1, R, n, n) and r =
+    `right` (N, R, n). The whole matrix is to be positive definite.
     """
 
     diagonal: Array
@@ -24,7 +25,7 @@ class Tridiagonal(NamedTuple):
 
 
 def solve_tridiagonal(system: Tridiagonal) -> Array:
-    """The solution, (N, R, n); NaN in runs whose system is not positive definite."""
+    """The solution x, (N, R, n); NaN in runs whose whole matrix is not positive definite."""
     from scipy.linalg.lapack import dpbsv  # here, since LAPACK is slow to import
 
     steps, runs, size = system.right.shape

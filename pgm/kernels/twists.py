@@ -1,6 +1,9 @@
-"""Motions (forward, left, turn) in the plane: composed, turned back, and divided along their arcs.
+"""Motions (forward, left, turn) in the plane: composed, inverted, and divided along their arcs.
 
-A steady motion, with twist τ = (v, w, φ) over its whole time, has after the share s of it made
+A motion leads from a pose (x, y, heading) to another: forward and left are the other's place in the
+frame of the first, turn, in radians, is the difference of headings. A *steady* motion has constant
+velocities forward, left and of the turn; times its whole duration they are its *twist*
+τ = (v, w, φ). After the share s of its time it has made the motion
 
     [forward; left] = s sinc(s φ / 2) R(s φ / 2) [v; w],    turn = s φ,
 
@@ -15,26 +18,30 @@ from pgm.kernels.angles import TURN, wrap
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.rigid import turned
 
-# Whole turns have no arc that ends elsewhere; of turns nearer to one it would be huge.
+# A steady motion of a whole turn ends where it began, so that none has another end; of a turn
+# nearer to that the twist would be huge.
 WHOLE = TURN * (1.0 - 1e-6)
 
 
 def motions(twists: Array, share: Array | float = 1.0) -> Array:
-    """The motions (..., 3) after fractions of a steady motion with twists (..., 3)."""
+    """The motions (..., 3) made after a share (...) of steady motions with twists (..., 3)."""
     half = 0.5 * share * twists[..., 2]
     chord = turned(twists[..., :2], half) * (share * _sinc(half))[..., None]
     return np.concatenate([chord, np.asarray(share * twists[..., 2])[..., None]], axis=-1)
 
 
 def twists(steady: Array) -> Array:
-    """The twists (..., 3) of steady motions (..., 3) that turn by less than `WHOLE`."""
+    """The twists (..., 3) of steady motions (..., 3) of less than a whole turn, `WHOLE`."""
     half = 0.5 * steady[..., 2]
     chord = turned(steady[..., :2], -half) / _sinc(half)[..., None]
     return np.concatenate([chord, steady[..., 2:]], axis=-1)
 
 
 def composed(parts: Array, first: Integers) -> Array:
-    """The motions (m, 3) of rows of parts (n, 3), each beginning at its place in `first`."""
+    """The motions (m, 3) that successive motions `parts` (n, 3) make together, in m groups.
+
+    Group k is the rows from first[k] up to, but without, first[k + 1], or the end; first[0] is 0.
+    """
     after = np.cumsum(parts[:, 2])
     before = after - parts[:, 2]
     counts = np.diff(first, append=len(parts))
@@ -44,20 +51,23 @@ def composed(parts: Array, first: Integers) -> Array:
 
 
 def path(start: Array, parts: Array) -> Array:
-    """The poses (n + 1, 3) from a start (3,) on, motion (n, 3) after motion."""
+    """The poses (n + 1, 3) of a path from `start` (3,), along motions `parts` (n, 3) in turn.
+
+    Headings are not wrapped.
+    """
     headings = start[2] + np.concatenate([[0.0], np.cumsum(parts[:, 2])])
     steps = np.cumsum(turned(parts[:, :2], headings[:-1]), axis=0)
     return np.column_stack([np.concatenate([start[None, :2], start[:2] + steps]), headings])
 
 
 def between(poses: Array) -> Array:
-    """The motions (n − 1, 3) from each pose (n, 3) to the next, turning by half a turn at most."""
+    """The motions (n − 1, 3) from each pose (n, 3) to the next, with turns in [−π, π)."""
     away = np.diff(poses, axis=0)
     return np.column_stack([turned(away[:, :2], -poses[:-1, 2]), wrap(away[:, 2])])
 
 
 def inverse(motions: Array) -> tuple[Array, Array]:
-    """The inverse motions (n, 3), and their Jacobians by the motions, (n, 3, 3)."""
+    """The inverse motions (n, 3), and their Jacobians with respect to the motions, (n, 3, 3)."""
     ahead, left = turned(-motions[:, :2], -motions[:, 2]).T
     slope = np.zeros((len(motions), 3, 3))
     slope[:, 0, 0] = slope[:, 1, 1] = -np.cos(motions[:, 2])

@@ -1,4 +1,10 @@
-"""Summing the variables of a query out, for many runs at once; impossible evidence is refused."""
+"""Summing the variables of a query out, for many runs at once; impossible evidence is refused.
+
+The factors of an elimination are numbered: the CPDs' tables first, then the weights of evidence
+that is soft or of some runs alone, as in the scopes of the `EliminationPlan`, then the result of
+each of its steps. A table has an axis for each variable of its scope, whose members are places in
+the plan's order, and a last axis of runs: (sizes..., runs or 1).
+"""
 
 from __future__ import annotations
 
@@ -22,9 +28,10 @@ from pgm.variables import Discrete
 
 
 def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
-    """The joint of the asked variables, (sizes..., runs or 1); NaN where evidence is impossible.
+    """The joint probabilities of the variables asked for, (sizes..., runs or 1), in plan order.
 
-    With logarithms, where a number would be lost to underflow.
+    NaN in runs of impossible evidence. If any number under- or overflows, all is computed again
+    with logarithms.
     """
     try:
         with np.errstate(all="raise"):
@@ -40,7 +47,7 @@ def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
 
 
 def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) -> Array:
-    """The table that remains after all eliminations, (sizes..., runs or 1)."""
+    """The table after all steps of a plan, (sizes..., runs or 1), in entries of a semiring."""
     tables = Tables(plan, evidence, semiring)
     for step in plan.steps:
         tables.do(step)
@@ -48,7 +55,7 @@ def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) ->
 
 
 class Tables:
-    """The tables of an elimination under way, (sizes..., runs or 1)."""
+    """The tables of an elimination under way, (sizes..., runs or 1); `last` is that made last."""
 
     last: Array
 
@@ -61,7 +68,10 @@ class Tables:
         self._count = len(plan.scopes)
 
     def do(self, step: Step) -> None:
-        """Make one product, and sum over its first axes."""
+        """Multiply the factors of a step and sum over its first axes: that makes one more factor.
+
+        Plain numbers are divided by their largest entry in each run, since only ratios matter.
+        """
         product: Array | None = None
         for factor in step.factors:
             table = self._over(step.scope, *self._take(factor))
@@ -78,7 +88,10 @@ class Tables:
         self._count += 1
 
     def _take(self, factor: int) -> tuple[Sequence[int], Array]:
-        """A factor's table and variables; an intermediate product is dropped once it is taken."""
+        """The scope of a factor and its table, (sizes..., runs or 1).
+
+        The result of a step is dropped once it is taken.
+        """
         plan = self.plan
         first = len(plan.scopes)
         if factor >= first:
@@ -92,7 +105,10 @@ class Tables:
         return plan.scopes[factor], self.semiring.entries(table)
 
     def _reduced(self, cpd: TableCPD, unknown: Sequence[Discrete], scope: Sequence[int]) -> Array:
-        """A CPD's table at the states of the known variables, (hidden sizes..., runs or 1)."""
+        """A CPD's table at the states of its observed variables, (sizes of scope..., runs or 1).
+
+        `unknown` are its variables that are not observed in all runs, `scope` their places.
+        """
         states = self.evidence.states
         index: list[int | slice] = []
         left: list[Discrete] = []
@@ -116,14 +132,18 @@ class Tables:
         return reduced
 
     def _weights(self, variable: Discrete) -> Array:
-        """The weights (states, runs) of evidence for a variable not known in all runs."""
+        """The weights (states, runs or 1) of the evidence of a variable that it leaves open.
+
+        They are soft weights, or, of states observed in some runs alone, one for the state observed
+        and zero for the others; all ones in the other runs.
+        """
         soft = self.evidence.weights.get(variable)
         if soft is not None:
             return soft.T
         return one_hot(np.asarray(self.evidence.states[variable]), variable.size)
 
     def _over(self, scope: Sequence[int], own: Sequence[int], table: Array) -> Array:
-        """A view with an axis for each variable of a scope, of length one where it is new."""
+        """A view of a table over `own` with axes for all of `scope`, of length one for others."""
         if len(own) == len(scope):
             return table
         members = set(own)
@@ -132,7 +152,7 @@ class Tables:
 
 
 def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
-    """Refuse evidence of probability zero, where probabilities (sizes..., runs or 1) are NaN."""
+    """Raise ImpossibleEvidence if probabilities (sizes..., runs or 1) are NaN in any run."""
     lost = np.asarray(np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1))))
     if not lost.any():
         return
@@ -151,7 +171,12 @@ def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
 
 
 def _contradiction(plan: EliminationPlan, run: int) -> tuple[list[Discrete], States]:
-    """The evidence in the first product that is zero throughout, and its variables."""
+    """The evidence of a run that contradicts itself, and the variables whose states it excludes.
+
+    The elimination is done again up to the first table that is zero throughout. Returns the
+    variables with hard, then with soft evidence of which that table was made, and its scope before
+    its sum.
+    """
     evidence = some_runs(plan.requisite.evidence, slice(run, run + 1))
     tables = Tables(plan, evidence, LOG_SUM_PRODUCT)
     first, cpds = len(plan.scopes), plan.requisite.cpds

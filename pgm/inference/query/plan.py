@@ -1,4 +1,7 @@
-"""The order in which the variables of a query are summed out."""
+"""The order in which the variables of a query are summed out, and the products that this takes.
+
+Variables are given by their place in the order; a *scope* is an ascending tuple of places.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,17 @@ from pgm.inference import limits
 from pgm.inference.query.requisite import Requisite
 from pgm.resources import gibibytes
 
-# Orders are compared where tables are as large as this: finding one more takes less time then.
+# From this cost of a plan on, a second order is tried: that takes less time than it may save.
 LARGE = 2**16
 
 
 @dataclass(frozen=True)
 class Step:
-    """One elimination: a product of tables, smallest first, summed over its first variable."""
+    """A product of tables over `scope`, summed over the first `summed` variables of it.
+
+    `factors` are the numbers of the tables, the smallest table first; numbers count the tables of
+    `EliminationPlan.scopes`, then the results of its steps.
+    """
 
     factors: tuple[int, ...]
     scope: tuple[int, ...]
@@ -30,11 +37,16 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class EliminationPlan:
-    """Products and sums of tables, one after the other, each making one table more.
+    """The steps by which the joint of the variables asked for is computed, each making one table.
 
     The axes of all tables are in the order in which the variables are summed out, those asked for
-    last: no table is ever transposed, and sums are over the first axes. `scopes` are those of the
-    CPDs' tables, then of weights, by place in the order.
+    last: no table is ever transposed, and sums are over the first axes.
+
+    requisite: The CPDs and the evidence that bear on the query.
+    order: Its hidden variables in this order.
+    scopes: Those of the CPDs' tables, then of the evidence weights of each of `weighted`.
+    weighted: Hidden variables with soft evidence, or observed in some runs alone.
+    steps: The last one multiplies what is left to the joint.
     """
 
     requisite: Requisite
@@ -45,7 +57,10 @@ class EliminationPlan:
 
     @classmethod
     def of(cls, requisite: Requisite, wanted: States) -> EliminationPlan:
-        """The plan by weighted min-fill; of a dear one the cheaper of that and plain min-fill."""
+        """The plan in the order of min-fill weighted by numbers of states, `wanted` variables last.
+
+        Where that costs more than `LARGE`, plain min-fill is tried too, and the cheaper is taken.
+        """
         hidden = requisite.hidden
         place = {v: k for k, v in enumerate(hidden)}
         families = [tuple(place[v] for v in scope) for scope in requisite.open]
@@ -75,9 +90,10 @@ class EliminationPlan:
         weights: Sequence[int],
         stages: Sequence[int],
     ) -> EliminationPlan:
-        """The plan in min-fill order, stage after stage: variables of the last stage are kept.
+        """The plan in weighted min-fill order: variables of stage 0, then those of 1, which stay.
 
-        `families` are the variables of each table, as vertices of the graph `adjacent`.
+        The vertices of the graph `adjacent` are places in `requisite.hidden`, as are the variables
+        of the CPDs' tables in `families`; `weights` and `stages` have a number for each vertex.
         """
         found = min_fill(adjacent, weights, stages)
         position = [0] * len(found)
@@ -101,12 +117,12 @@ class EliminationPlan:
 
     @cached_property
     def cost(self) -> int:
-        """Entries of the tables of all steps, for one run."""
+        """The entries of the tables of all steps together, before their sums, for one run."""
         return sum(self.sizes)
 
     @cached_property
     def peak(self) -> int:
-        """The largest number of table entries held at a time, for one run."""
+        """The largest number of entries of steps' tables held at a time, for one run."""
         first = len(self.scopes)
         states = [v.size for v in self.order]
         waiting: dict[int, int] = {}
@@ -119,7 +135,7 @@ class EliminationPlan:
         return peak
 
     def require_size(self) -> None:
-        """Refuse a plan whose tables would not fit, before any is made."""
+        """Raise a GraphError if `peak` is above the limit of memory, before any table is made."""
         if self.peak <= limits.LIMIT:
             return
         sizes = self.sizes
@@ -137,7 +153,13 @@ class EliminationPlan:
 
 
 def _steps(scopes: Sequence[tuple[int, ...]], sizes: Sequence[int], hidden: int) -> list[Step]:
-    """Bucket elimination: a table waits in the bucket of the first of its variables."""
+    """The steps of bucket elimination for tables over `scopes`: the first `hidden` are summed out.
+
+    `sizes` are the numbers of states of all variables. Each table waits in the bucket of the first
+    of its variables; a step multiplies those of a bucket, and its result goes to a later one. A
+    result alone in its bucket is summed over one more variable by the step that makes it. The last
+    step multiplies what is left, and sums over nothing.
+    """
     buckets: list[list[int]] = [[] for _ in range(hidden + 1)]
     held = list(scopes)
     for factor, scope in enumerate(held):

@@ -31,9 +31,9 @@ from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Variable
 
-# What a pass up and down a tree takes, for each entry of its tables and at the least; and what
-# planning and summing out a variable takes at the least: as entries of an elimination's tables.
-# Measured, to a factor of two.
+# Times, in units of that for an entry of an elimination's tables: for each entry of a tree's tables
+# in a pass up and down (ENTRY), for such a pass at the least (PASS), and for planning and summing
+# out a variable at the least (VARIABLE). Measured, to a factor of two.
 ENTRY, PASS, VARIABLE = 3, 10_000, 2_000
 
 
@@ -50,17 +50,19 @@ def query(
     .. math:: p(\text{variables} \mid \text{evidence})
               \propto \sum_{\text{others}} \prod_{\text{CPDs}} p(\text{child} \mid \text{parents})
 
-    The answer is exact, and that of ``infer(compile(network), evidence).joint(*variables)``, but
-    for columns that were rounded. It is computed from what bears on the variables alone: CPDs of
-    which nothing that is asked for or observed depends are left out, and what the evidence
-    separates from the variables. So a network whose junction tree is too large may still be asked.
-    One question costs less than all marginals; for many at the same evidence, `infer` once.
+    The answer is exact, and that of ``infer(compile(network), evidence).joint(*variables)`` if the
+    columns of CPDs sum to one exactly; rounded ones may change it as much as they are off. It is
+    computed from what bears on the variables alone: CPDs on which nothing that is asked for or
+    observed depends are left out, and those that the evidence separates from the variables. So a
+    network whose junction tree is too large may still be asked. One question costs less than all
+    marginals; for many at the same evidence, `infer` once.
 
     Parameters
     ----------
     network : BayesianNetwork or ClusterGraph
-        Discrete. Of a compiled tree the posterior answers where that takes less: keep the graph
-        where a small network is asked often. A graph with loops stands for its network.
+        Discrete. With a compiled tree, the tree's posterior gives the answer where that takes less
+        time: keep the graph where a small network is asked often. A graph with loops stands for its
+        network.
     variables : Discrete or iterable of Discrete
         Not observed in all runs. The axes of the result are in this order.
     evidence : mapping of Discrete, optional
@@ -81,10 +83,11 @@ def query(
         If the evidence does not fit the network or has probability zero, or one of the variables
         is observed or unknown.
     GraphError
-        If the network is dynamic or continuous, a table on the way is too large, or the answer
-        over all runs.
+        If the network is dynamic or continuous, or if a table on the way, or the answer over all
+        runs, is too large.
     ModelError
-        If it is no network, or one of the variables is asked for twice.
+        If it is no network, one of the variables is asked for twice, or `impossible` is neither of
+        the two.
 
     References
     ----------
@@ -117,7 +120,10 @@ def query(
 
 
 def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
-    """The network asked about, and the graph compiled from it, if one was given."""
+    """The network asked about, and the graph compiled from it or None, from what the user gave.
+
+    Raises a GraphError for one that is dynamic or continuous, a ModelError for anything else.
+    """
     if isinstance(network, DynamicBayesianNetwork | DynamicGraph):
         raise GraphError(
             "query is for discrete networks, and this one is dynamic; its beliefs are "
@@ -138,7 +144,11 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
 
 
 def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -> States:
-    """The variables that are asked for, none of which may be observed in all runs."""
+    """The variables that the user asks for, as a tuple.
+
+    Raises an EvidenceError for none, or for one that is not `known`, or is observed in all runs; a
+    ModelError for one that is asked for twice.
+    """
     several = None if is_unordered(variables) else as_tuple(variables)
     found = (variables,) if several is None else several
     for variable in found:
@@ -162,7 +172,11 @@ def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -
 def _answer(
     graph: ClusterGraph | None, requisite: Requisite, scope: States, *, allow: bool
 ) -> Array:
-    """The probabilities of variables, (sizes..., runs or 1), by whichever way takes less."""
+    """The joint of the variables `scope`, (sizes..., runs or 1), in whichever way takes less time.
+
+    That is from the posterior of the tree `graph`, if there is one, or by elimination. With
+    `allow`, runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
+    """
     if not requisite.hidden:
         return np.ones((*sizes(scope), 1))
     runs, least = requisite.evidence.runs, VARIABLE * len(requisite.hidden)
@@ -178,7 +192,7 @@ def _answer(
 
 
 def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
-    """The joint of some variables, (sizes..., runs or 1), by summing the others out."""
+    """The joint of the variables `scope`, (sizes..., runs or 1), by summing the others out."""
     plan.require_size()
     some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
     parts = [eliminate(plan, piece) for piece in some]
@@ -191,6 +205,6 @@ def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
 
 
 def _read(graph: ClusterGraph, evidence: BoundStates, scope: States, *, allow: bool) -> Array:
-    """The joint of some variables, (sizes..., runs or 1), from the posterior of a tree."""
+    """The joint of the variables `scope`, (sizes..., runs or 1), from the posterior of a tree."""
     values = of_tree(graph, evidence, limits.Room.of(None, graph), allow=allow).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)

@@ -15,7 +15,15 @@ from pgm.variables import Discrete, Variable
 
 @dataclass(frozen=True, eq=False)
 class Requisite:
-    """The part of a network that bears on a query; `open` are each CPD's variables not known."""
+    """The part of a network that bears on a query.
+
+    A variable is *known* if it has one state alone or is observed in all runs.
+
+    cpds: The CPDs of the part.
+    open: The variables of each of them that are not known.
+    hidden: All variables that are not known, those asked for first.
+    evidence: That of the variables of the part; its `lead` is () if it is given once for all runs.
+    """
 
     cpds: tuple[TableCPD, ...]
     open: tuple[States, ...]
@@ -26,7 +34,7 @@ class Requisite:
     def of(
         cls, network: BayesianNetwork, wanted: Iterable[Discrete], evidence: BoundStates
     ) -> Requisite:
-        """Find the part that bears on some variables.
+        """Find the part of a network that bears on the variables `wanted`, given evidence.
 
         A variable is *barren* if neither it nor any variable below it is asked for or observed:
         its CPD sums to one. Others bear on the query if CPDs join them to it through variables
@@ -75,12 +83,15 @@ class Requisite:
 
 
 def certain(evidence: BoundStates) -> set[Discrete]:
-    """The variables that are observed in all runs."""
+    """The variables with a hard observation in every run."""
     return {v for v, s in evidence.states.items() if isinstance(s, int) or s.min() >= 0}
 
 
 def _part(evidence: BoundStates, members: set[Variable]) -> BoundStates:
-    """The evidence of some variables, without axes of runs where it is the same in all."""
+    """The evidence of the variables `members`, without those of a single state.
+
+    States (1,), given once for all runs, become a number; if all evidence is such, `lead` is ().
+    """
     states = {
         v: s if isinstance(s, int) or s.size > 1 else int(s[0])
         for v, s in evidence.states.items()
