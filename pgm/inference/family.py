@@ -136,9 +136,10 @@ class Family(Rows):
         return vacant(self.shape[:2], self.shape[2:3])
 
     def of(self, runs: slice) -> Family:
-        """The family of some runs: views of its evidence and noise.
+        """The family of some runs, with views of its evidence.
 
-        An affine CPD keeps F and b; a nonlinear one is to be linearised anew.
+        An affine CPD keeps F and b; a nonlinear one is to be linearised anew, with Q in an array of
+        its own, so that the whole stays as it is.
         """
         count = runs.stop - runs.start
         part = replace(
@@ -149,6 +150,8 @@ class Family(Rows):
             batch=() if count == 1 else (count,),
         )
         part.noise = cut(self.noise, runs)
+        if self.approximate:
+            part.noise = part.noise.copy("K")
         if self.exact:
             part.matrix, part.offset = cut(self.matrix, runs), cut(self.offset, runs)
             part.affine = self.affine[0], cut(self.affine[1], runs)

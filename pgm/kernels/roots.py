@@ -107,11 +107,13 @@ def smallest_pivot(lower: Array) -> float:
 def is_regular(cov: Array, least: float) -> bool:
     """Whether each component keeps over `least` of its variance given those before it.
 
-    That is in all covariances (..., n, n); a component without a variance passes.
+    That is in all covariances (..., n, n); a component without a variance passes, an indefinite
+    matrix does not.
     """
     pivots = np.diagonal(root(cov), axis1=-2, axis2=-1)
     variance = variances(cov)
-    return bool(((pivots * pivots > least * variance) | (variance == 0.0)).all())
+    certain = (variance == 0.0) & (pivots == 0.0)
+    return bool(((pivots * pivots > least * variance) | certain).all())
 
 
 def is_proper(lower: Array) -> bool:

@@ -436,6 +436,8 @@ def test_what_is_regular(size):
         )
     known = np.diag([0.0, *np.ones(size)])
     assert gaussian.is_moderate(np.ones(size + 1), known, known, 1e-7, 2.0)
+    indefinite = np.array([[0.0, 1.0], [1.0, 0.0]])
+    assert not gaussian.is_moderate(np.ones(2), indefinite, np.zeros((2, 2)), 1e-7, 2.0)
 
 
 @pytest.mark.parametrize("size", [1, 3, 6])
