@@ -86,6 +86,10 @@ CLOSE_POINTS = (
     "differ in few digits; use a larger alpha, pgm.Unscented() or pgm.Cubature(), or count "
     "coordinates from a place nearby"
 )
+LAST_PLACE = (
+    "a standard deviation is too small beside its mean, of which the last digit in float64 is too "
+    "coarse for it; count coordinates from a place nearby, and give what is known exactly cov=0"
+)
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
@@ -126,8 +130,9 @@ class Status(Shown, Immutable):
         others, and where it would take more than 8 MiB.
     digits : ndarray or None
         (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
-        standard deviation (6 are an error of 10⁻⁶ deviations); None where they are not measured.
-        Below six there is a `PrecisionWarning`.
+        standard deviation (6 are an error of 10⁻⁶ deviations). The last place of the mean itself
+        in float64 counts. None where they are not measured, and the last place leaves six. Below
+        six there is a `PrecisionWarning`.
     compilation : str
         An account of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not
         compiled: ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call
@@ -148,6 +153,7 @@ class Status(Shown, Immutable):
     edge_residuals: Array | None
     digits: Array | None
     compilation: str
+    _cause: str
 
     def __init__(
         self,
@@ -158,6 +164,8 @@ class Status(Shown, Immutable):
         digits: Array | None = None,
         edge_residuals: Array | None = None,
         compilation: str = "",
+        *,
+        _cause: str = FAR_APART,
     ) -> None:
         for record in (residuals, converged, digits, edge_residuals):
             if record is not None:
@@ -170,6 +178,7 @@ class Status(Shown, Immutable):
             edge_residuals=edge_residuals,
             digits=digits,
             compilation=compilation,
+            _cause=_cause,
         )
 
     @classmethod
@@ -188,15 +197,39 @@ class Status(Shown, Immutable):
 
         `cause` says in the warning why digits are few, and what helps.
         """
-        least = float(digits.min(initial=np.inf))
-        if least < ENOUGH_DIGITS:
-            runs = int((digits < ENOUGH_DIGITS).sum())
-            message = (
-                f"rounding leaves {max(least, 0.0):.1f} decimal digits of a mean, counted from its "
-                f"standard deviation, in {runs} of {digits.size} runs (status.digits): {cause}"
-            )
-            warnings.warn(message, PrecisionWarning, stacklevel=levels_to_user())
-        return self._with(digits=digits)
+        found = self._measured(digits, cause)
+        found._warn()
+        return found
+
+    def _measured(self, digits: Array, cause: str) -> Status:
+        """The same status with digits (*runs), and why the least of them are no more."""
+        return self._with(digits=digits, _cause=cause)
+
+    def _losing(self, error: Array, cause: str) -> Status:
+        """The same status with a further error (runs,) of means, in standard deviations.
+
+        It is added to that of digits measured before; the cause of the larger error stays. Nothing
+        is warned of until `_warn`, once a call.
+        """
+        past = np.zeros(error.shape)
+        if self.digits is not None:
+            past = 10.0 ** -self.digits.reshape(-1)
+            if past.max(initial=0.0) >= np.where(np.isfinite(error), error, 1.0).max(initial=0.0):
+                cause = self._cause
+        return self._measured(digits(past + error, self.converged.shape), cause)
+
+    def _warn(self) -> None:
+        """Give a `PrecisionWarning` if fewer than six digits are left."""
+        if self.digits is None or not (self.digits < ENOUGH_DIGITS).any():
+            return
+        least = float(self.digits.min())
+        runs = int((self.digits < ENOUGH_DIGITS).sum())
+        message = (
+            f"rounding leaves {max(least, 0.0):.1f} decimal digits of a mean, counted from its "
+            f"standard deviation, in {runs} of {self.digits.size} runs (status.digits): "
+            f"{self._cause}"
+        )
+        warnings.warn(message, PrecisionWarning, stacklevel=levels_to_user())
 
     def with_compilation(self, words: str) -> Status:
         """The same status with an account of the sweeps in machine code, as of `compilation`."""
@@ -204,7 +237,7 @@ class Status(Shown, Immutable):
 
     def _with(self, **changes: Any) -> Status:
         names = ("iterations", "residuals", "converged", "by_edge", "edge_residuals", "digits")
-        same = {name: getattr(self, name) for name in (*names, "compilation")}
+        same = {name: getattr(self, name) for name in (*names, "compilation", "_cause")}
         return Status(**same | changes)
 
     @property

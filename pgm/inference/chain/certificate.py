@@ -35,7 +35,7 @@ from pgm.inference.chain import reversal_rounding
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.vector import stacks
-from pgm.kernels import along_runs, roots
+from pgm.kernels import along_runs, last_place, roots
 from pgm.kernels.arrays import Array, apply, deviation, sandwich, variances
 
 # The largest ratio at which float64 leaves all the digits that are promised.
@@ -112,15 +112,9 @@ def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
     ones. It counts where it is over 3·10⁻⁸ and over 30 times the rounding of the step's own means.
     """
     mean, left = swept.mean, variances(swept.cov)
-    axes = tuple(range(mean.ndim - 1))
-    farthest = np.maximum(mean.max(axis=axes), -mean.min(axis=axes))
-    least = left.min(axis=axes)
-    if (least > 0.0).all() and (_EPS * farthest <= _COUNTS * np.sqrt(least)).all():
+    if not last_place.may_count(mean, left, _COUNTS):
         return False
     mean, known = np.abs(mean), left <= 0.0
-    least = np.where(known, np.inf, left).min(axis=axes)
-    if (_EPS * farthest <= _COUNTS * np.sqrt(least)).all():
-        return False
     parts = _EPS * np.where(known, 0.0, mean / np.sqrt(np.where(known, 1.0, left))).max(axis=-1)
     largest = parts.max(axis=0) if both else np.maximum.accumulate(parts, axis=0)
     return bool(((largest > _COUNTS) & (largest > _FARTHER * parts)).any())

@@ -74,26 +74,33 @@ def error(plan: ChainPlan, swept: Forward | Filtered) -> Array | None:
                 if sensor.taken is not None:
                     share = np.where(sensor.taken, share, 0.0)
                 np.add.at(added, rows, share.sum(axis=-1))
-        return _kept(ahead, added)
+        return carried(ahead, added)
 
 
-def of_step(plan: ChainPlan, before: Moments, after: Moments, digits: Array | None) -> Array | None:
+def of_step(
+    plan: ChainPlan,
+    before: Moments,
+    after: Moments,
+    digits: Array | None,
+    place: Array | float = 0.0,
+) -> Array | None:
     """The `error` (runs,) after a step of an online filter, from the decimal digits it had before.
 
     `before` and `after` are the beliefs that it went from and to; `digits` is None as long as none
     were lost, and a step whose rules have no weights that cancel keeps what was. Slopes are not at
     hand: the share of the step is taken to be ε c |m| / σ of the component that is farthest from
-    zero. None where the error is below 10⁻⁹ in all runs.
+    zero. A further share is that of the means' last `place`. None where the error is below 10⁻⁹ in
+    all runs.
     """
     times = largest(families(plan))
-    if not times and digits is None:
+    if not times and digits is None and isinstance(place, float):
         return None
     (_, known), (mean, cov) = before.by_run, after.by_run
     was, left = np.maximum(variances(known), 0.0), np.maximum(variances(cov), 0.0)
     stays = _ratio(np.minimum(left, was), np.maximum(left, was))
     past = 0.0 if digits is None else 10.0 ** (-2.0 * digits.reshape(-1))
     added = times * _farthest(plan, mean, cov) if times else 0.0
-    total: Array = np.sqrt(past * stays + added**2)
+    total: Array = np.sqrt(past * stays + added**2 + place**2)
     return total if (total > NOTHING).any() else None
 
 
@@ -182,7 +189,7 @@ def _of_reading(moved: Array, family: Family, cov: Array, noise: Array) -> Array
     return found
 
 
-def _kept(ahead: Forward, added: Array) -> Array:
+def carried(ahead: Forward, added: Array) -> Array:
     """The largest √ν_t of all steps, (runs,), from each step's Σ share², `added` (T+1, runs)."""
     before, left = variances(ahead.predicted_cov), variances(ahead.cov)
     stays = _ratio(left[:-1], before[1:]) * _ratio(left[1:], before[1:])
@@ -198,5 +205,6 @@ def _kept(ahead: Forward, added: Array) -> Array:
 def _ratio(part: Array, whole: Array) -> Array:
     """The largest `part` / `whole` of variances (..., n), at most 1; 0 where `whole` is zero."""
     found = np.where(whole > 0.0, part / np.where(whole > 0.0, whole, 1.0), 0.0)
+    found = np.where(np.isfinite(part), found, 1.0)  # of what a flat prior leaves unknown
     stays: Array = np.asarray(np.minimum(found.max(axis=-1, initial=0.0), 1.0))
     return stays

@@ -28,6 +28,7 @@ from pgm.inference.chain import (
     fixed_lag,
     forward,
     gate,
+    last_places,
     parallel,
     smoother,
 )
@@ -42,7 +43,15 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.starting_points import Start, over_runs, require_hidden
-from pgm.inference.status import CLOSE_POINTS, FILTERED, SMOOTHED, Kind, Status, digits
+from pgm.inference.status import (
+    CLOSE_POINTS,
+    FAR_APART,
+    FILTERED,
+    LAST_PLACE,
+    SMOOTHED,
+    Kind,
+    Status,
+)
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -99,7 +108,7 @@ class Solver(ABC):
         """
         status = status.with_compilation(plan.account.words(plan.runs))
         if error is not None:
-            status = status.with_digits(digits(error, plan.lead))
+            status = status._losing(error, FAR_APART)
         parts = kind, plan, swept, smoothed, reverse, careful, windows
         if isinstance(self.graph, BalancedGraph):
             return BalancedPosterior(self.graph, status, *parts)
@@ -256,7 +265,8 @@ def run(
 
     `start` maps hidden variables to means for the first linearisation; `room` has arrays for the
     moments of a filter. Numbers that are too large are refused where they end up, so that NumPy
-    need not warn. Traces stand in for users' functions; where one proves wrong, all is done again.
+    need not warn; of lost digits the status tells, and the caller warns. Traces stand in for users'
+    functions; where one proves wrong, all is done again.
     """
     schedule = Smoothing() if schedule is None else schedule
     if isinstance(schedule, FixedLag) and not schedule.lag and not isinstance(graph, BalancedGraph):
@@ -307,20 +317,25 @@ def _solved(
 
 
 def _told(posterior: ChainPosterior) -> ChainPosterior:
-    """The posterior, its status telling how many digits sigma points close together leave.
+    """The posterior, its status telling what sigma points close together and last places cost.
 
-    It stays as it is where these cost no digits, or less than the passes. Functions are evaluated
-    in float64, whatever the passes are in.
+    It stays as it is where these cost no digits. Functions are evaluated in float64, whatever the
+    passes are in, and means are float64 in the end.
     """
-    lost = close_points.error(posterior._planned, posterior._swept)
-    if lost is None:
-        return posterior
-    status, left = posterior.status, digits(lost, posterior._planned.lead)
-    if status.digits is not None:
-        if (status.digits <= left).all():
-            return posterior
-        left = np.asarray(np.minimum(left, status.digits))
-    return replace(posterior, status=status.with_digits(left, CLOSE_POINTS))
+    plan, swept, status = posterior._planned, posterior._swept, posterior.status
+    lost = close_points.error(plan, swept)
+    if lost is not None:
+        status = status._losing(lost, CLOSE_POINTS)
+    lost = last_places.error(
+        plan,
+        swept,
+        posterior._smoothed,
+        careful=posterior._careful is not None,
+        measured=status.digits is not None,
+    )
+    if lost is not None:
+        status = status._losing(lost, LAST_PLACE)
+    return posterior if status is posterior.status else replace(posterior, status=status)
 
 
 def _refuse_infinite(posterior: ChainPosterior) -> None:

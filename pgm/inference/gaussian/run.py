@@ -16,7 +16,7 @@ from pgm.evidence.rows import as_rows, require_finite
 from pgm.evidence.static import BoundValues, bind_values
 from pgm.inference.argument_checks import require_gaussian, require_plain
 from pgm.inference.gaussian import careful
-from pgm.inference.gaussian.beliefs import Calibrated, TreePoint, relinearise
+from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, TreePoint, relinearise
 from pgm.inference.gaussian.certificate import SAFE_DIGITS, cause, kept_digits
 from pgm.inference.gaussian.layout import Layout, barren, known_parents
 from pgm.inference.gaussian.messages import RowMessages
@@ -29,7 +29,8 @@ from pgm.inference.limits import require_runs, require_size
 from pgm.inference.loopy import run_loopy
 from pgm.inference.schedule import Calibration, Loopy, Schedule, Smoothing
 from pgm.inference.starting_points import Start, over_runs, require_hidden
-from pgm.inference.status import Status
+from pgm.inference.status import ENOUGH_DIGITS, LAST_PLACE, Status
+from pgm.kernels import last_place
 from pgm.kernels.arrays import Array, Mask, quiet
 from pgm.linearisers import Lineariser
 from pgm.tracing import Judge, judged
@@ -61,7 +62,9 @@ def run(
     loopy = isinstance(schedule, Loopy)
     again = not loopy and careful.work(plan.layout, bound.runs, linear) <= careful.MOST_WORK
     with quiet():
-        return judged(partial(_solved, graph, plan, bound, schedule, lineariser, at, again))
+        found = judged(partial(_solved, graph, plan, bound, schedule, lineariser, at, again))
+    found.status._warn()
+    return found
 
 
 def _solved(
@@ -85,19 +88,36 @@ def _solved(
             done, status = _iterated(model, lambda: calibrate(plan, buffer), schedule)
             found = GaussianPosterior(graph, status, plan, model, done)
         digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
-        if digits >= SAFE_DIGITS or (loopy and not found.status.converged.all()):
-            return found
-        if not again:
-            every = np.full(bound.lead, digits)
-            return replace(found, status=found.status.with_digits(every, cause(model)))
+        enough = digits >= SAFE_DIGITS or (loopy and not found.status.converged.all())
+        if enough or not again:
+            lost = None if enough else np.full(bound.runs, 10.0**-digits)
+            status = _told(found.status, model, found._done.beliefs, lost)
+            return replace(found, status=status)
     except NumericalError:
         if not again:
             raise
     model = Model.make(plan.layout, bound, lineariser, at, careful.predictive, judge=judge)
     done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
     assert done.digits is not None
-    status = status.with_digits(done.digits.reshape(bound.lead), cause(model))
+    status = _told(status, model, done.beliefs, 10.0**-done.digits, share=0.5)
     return GaussianPosterior(graph, status, plan, model, done)
+
+
+def _told(
+    status: Status, model: Model, beliefs: Beliefs, lost: Array | None, share: float = 1.0
+) -> Status:
+    """The status with the digits that are left by what was `lost` and by the means' last place.
+
+    `lost` (runs,) is in deviations, None where nothing was measured: then a last place counts if it
+    is over 10⁻⁶ of a deviation. Rounding is the part `share` of one.
+    """
+    mean, std = beliefs.components()
+    place = last_place.in_deviations(mean, std)
+    if lost is not None:
+        status = status._losing(lost, cause(model))
+    elif not (place > 10.0**-ENOUGH_DIGITS).any():
+        return status
+    return status._losing(np.broadcast_to(share * place, (model.runs,)), LAST_PLACE)
 
 
 def _plan(

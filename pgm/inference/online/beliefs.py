@@ -24,7 +24,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable, set_writeable
 from pgm.inference.associations import NONE, Found
-from pgm.inference.chain import certificate, close_points
+from pgm.inference.chain import certificate, close_points, last_places
 from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.plan import ChainPlan
@@ -35,7 +35,7 @@ from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
 from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.inference.schedule import Filtering, FixedLag
-from pgm.inference.status import CLOSE_POINTS, Kind, Status, digits
+from pgm.inference.status import CLOSE_POINTS, FAR_APART, LAST_PLACE, Kind, Status, digits
 from pgm.inference.summaries import at_a_step
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, Integers, Mask, block, symmetric
@@ -340,7 +340,11 @@ def careful_belief(
     mean, cov = found.moments
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
         refuse(step)
-    status = status.with_digits(digits(found.error(), plan.lead))
+    status = status._losing(found.error(), FAR_APART)
+    # A nonlinear function is rounded, too.
+    rounded = 0.5 if plan.exact else 1.0
+    status = status._losing(rounded * last_places.of_beliefs(mean, cov), LAST_PLACE)
+    status._warn()
     parts = Moments.of(plan, mean, cov), log_evidence, status, kind, behind, found
     return belief_of(plan, step, *parts)
 
@@ -384,14 +388,22 @@ def is_moderate(found: Moments, before: Moments) -> bool:
 def told(
     status: Status, plan: ChainPlan, before: Moments, after: Moments, belief: OnlineBelief
 ) -> Status:
-    """The status of a step, with the digits of means that sigma points close together leave.
+    """The status of a step, with the digits that sigma points close together and last places leave.
 
     `before` and `after` are the moments, and the `belief` before has the digits that were left
-    then. Without a loss the status stays as it is; see `close_points`.
+    then. Without a loss the status stays as it is; see `close_points` and `last_places`.
     """
     left = belief.status.digits if belief.careful is None else None
-    lost = close_points.of_step(plan, before, after, left)
-    return status if lost is None else status.with_digits(digits(lost, plan.lead), CLOSE_POINTS)
+    place = last_places.of_step(after)
+    lost = close_points.of_step(plan, before, after, left, place)
+    if lost is None:
+        return status
+    cause = CLOSE_POINTS if left is None else belief.status._cause
+    if np.max(place) ** 2 > 0.5 * lost.max(initial=0.0) ** 2:
+        cause = LAST_PLACE
+    status = status._measured(digits(lost, plan.lead), cause)
+    status._warn()
+    return status
 
 
 def refuse(step: int) -> NoReturn:

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.inference.chain import close_points
+from pgm.inference.chain import close_points, last_places
 from pgm.inference.chain.readings import Moments
 from pgm.inference.online.beliefs import OnlineBelief, belief_of, nothing_to_iterate, refuse
 from pgm.inference.online.window import Make, Sliding
-from pgm.inference.status import CLOSE_POINTS, FAR_APART, FILTERED, PREDICTED, Status, digits
+from pgm.inference.status import (
+    CLOSE_POINTS,
+    FAR_APART,
+    FILTERED,
+    LAST_PLACE,
+    PREDICTED,
+    Status,
+)
 from pgm.kernels.arrays import Array
 
 
@@ -23,17 +30,24 @@ def slid(make: Make, step: int, behind: Sliding, log_evidence: Array) -> OnlineB
         alone = behind.ahead(make, step)
         mean, cov, error = alone.ahead.mean[-1], alone.ahead.cov[-1], alone.error
         status, kind, plan, ahead = nothing_to_iterate(lead), PREDICTED, alone.plan, alone.ahead
+        smoothed = None
     else:
         mean, cov, plan = window.beliefs.mean[-1], window.beliefs.cov[-1], window.plan
-        ahead = window.ahead
+        ahead, smoothed = window.ahead, window.beliefs
         error = None if window.careful is None else window.careful.error
         status, kind = Status.of(window.residuals, window.converged, lead), FILTERED
         log_evidence = behind.log_evidence.reshape(lead)
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
         refuse(step)
-    lost, cause = close_points.error(plan, ahead), FAR_APART
-    if lost is not None:
-        error, cause = lost if error is None else np.maximum(lost, error), CLOSE_POINTS
+    careful = error is not None
     if error is not None:
-        status = status.with_digits(digits(error, lead), cause)
+        status = status._losing(error, FAR_APART)
+    lost = close_points.error(plan, ahead)
+    if lost is not None:
+        status = status._losing(lost, CLOSE_POINTS)
+    measured = status.digits is not None
+    lost = last_places.error(plan, ahead, smoothed, careful=careful, measured=measured)
+    if lost is not None:
+        status = status._losing(lost, LAST_PLACE)
+    status._warn()
     return belief_of(plan, step, Moments.of(plan, mean, cov), log_evidence, status, kind, behind)

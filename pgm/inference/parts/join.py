@@ -81,16 +81,18 @@ def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
 def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
     """One status of all runs, with `lead` as the user's axes of runs.
 
-    Residuals of a part with fewer iterations are continued with its last one. The texts about
-    machine code are joined, and digits that were not measured count as all that float64 has.
+    Residuals of a part with fewer iterations are continued with its last one; those of a part
+    without any, in which nothing moved, are zero. The texts about machine code are joined. Digits
+    that were not measured count as all that float64 has, and the cause of few digits is that of the
+    part with the fewest.
     """
     every = tuple(statuses)
     longest = max(len(status.residuals) for status in every)
     records = []
     for status in every:
         record = status.residuals.reshape(len(status.residuals), status.converged.size)
-        last = record[-1:].repeat(longest - len(record), axis=0)
-        records.append(np.concatenate([record, last]))
+        last = record[-1] if len(record) else np.zeros(status.converged.size)
+        records.append(np.concatenate([record, np.tile(last, (longest - len(record), 1))]))
     converged = np.concatenate([status.converged.reshape(-1) for status in every])
     status = Status.of(list(np.concatenate(records, axis=1)), converged, lead)
     told = {part: None for each in every for part in [each.compilation] if part}
@@ -98,7 +100,8 @@ def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
     if all(each.digits is None for each in every):
         return status
     digits = [_digits(each) for each in every]
-    return status.with_digits(np.concatenate(digits).reshape(lead))
+    fewest = min(range(len(every)), key=lambda k: digits[k].min(initial=np.inf))
+    return status._measured(np.concatenate(digits).reshape(lead), every[fewest]._cause)
 
 
 def _digits(status: Status) -> Array:

@@ -55,14 +55,29 @@ def run(
 
     With `keep` or an `executor` runs are worked through in parts; with `keep` nothing is held but
     the marginals of its variables, which bounds memory. Sightings of unknown identity are
-    associated first.
+    associated first. Of lost digits a call warns once, for all runs together.
     """
+    found = _solved(graph, bound, schedule, lineariser, start, keep, executor)
+    found.status._warn()
+    return found
+
+
+def _solved(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    schedule: Schedule | None,
+    lineariser: Lineariser,
+    start: Start | None,
+    keep: Keep | None,
+    executor: Executor | None,
+) -> ChainPosterior | KeptPosterior:
+    """The posterior for the arguments of `run`, before anything is warned of."""
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     if is_open(bound):
         gate = getattr(schedule, "gate", None)
         bound, found = associated(graph, bound, lineariser, gate)
-        posterior = run(graph, bound, schedule, lineariser, start, keep, executor)
+        posterior = _solved(graph, bound, schedule, lineariser, start, keep, executor)
         return replace(posterior, associations=found)
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from pgm.errors import ExecutorError, PrecisionWarning
+from pgm.errors import ExecutorError
 from pgm.inference.parts.parcels import Parcel, loads
 from pgm.inference.parts.shared_memory import (
     Name,
@@ -77,19 +77,11 @@ def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, in
 
 
 def _watched(work: Callable[[Any], Any], job: Any) -> Done:
-    """Do some work and record its warnings, but for each `PrecisionWarning`.
-
-    The caller's process gives them again; a status tells it of lost digits.
-    """
+    """Do some work and record its warnings, which the caller's process gives again."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         done = here(work, job)
-    told = tuple(
-        (str(each.message), each.category, each.filename, each.lineno)
-        for each in found
-        # Of lost digits the status tells, of all runs together.
-        if not issubclass(each.category, PrecisionWarning)
-    )
+    told = tuple((str(each.message), each.category, each.filename, each.lineno) for each in found)
     return done._replace(warned=told)
 
 
