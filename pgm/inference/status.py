@@ -130,9 +130,10 @@ class Status(Shown, Immutable):
         others, and where it would take more than 8 MiB.
     digits : ndarray or None
         (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
-        standard deviation (6 are an error of 10⁻⁶ deviations). The last place of the mean itself
-        in float64 counts. None where they are not measured, and the last place leaves six. Below
-        six there is a `PrecisionWarning`.
+        standard deviation (6 are an error of 10⁻⁶ deviations), or, if that is larger, from 10⁻⁹ of
+        the largest deviation that the component had. The last place of the mean itself in float64
+        counts. None where digits are not measured, and half a last place is at most 10⁻⁶.
+        Below six there is a `PrecisionWarning`.
     compilation : str
         An account of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not
         compiled: ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call

@@ -11,16 +11,20 @@ import numpy as np
 from pgm.kernels.arrays import Array
 
 _EPS = float(np.finfo(np.float64).eps)
+# Deviations below this part of the largest one that a component had are not told apart.
+_FLOOR = 1e-9
 
 
-def in_deviations(mean: Array, std: Array) -> Array:
-    """The largest u(m) / σ of the components of means and deviations (..., n), as (...).
+def rounding(mean: Array, std: Array, largest: Array) -> Array:
+    """The largest ½ u(m) / σ of the components of means and deviations (..., n), as (...).
 
-    A component that is certain, or of which nothing is known, has no deviation to count in.
+    `largest` (..., n) are the largest deviations that the components ever had, of which 10⁻⁹ is the
+    least σ to count in. A component that is certain, or of which nothing is known, has none.
     """
     open_ = (std > 0.0) & (std < np.inf) & np.isfinite(mean)
-    place = np.spacing(np.abs(np.where(open_, mean, 0.0)))
-    found: Array = np.where(open_, place / np.where(open_, std, 1.0), 0.0)
+    half = 0.5 * np.spacing(np.abs(np.where(open_, mean, 0.0)))
+    unit = np.where(open_, np.maximum(std, _FLOOR * largest), 1.0)
+    found: Array = np.where(open_, half / unit, 0.0)
     return np.asarray(found.max(axis=-1, initial=0.0))
 
 

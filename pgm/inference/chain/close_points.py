@@ -97,7 +97,7 @@ def of_step(
         return None
     (_, known), (mean, cov) = before.by_run, after.by_run
     was, left = np.maximum(variances(known), 0.0), np.maximum(variances(cov), 0.0)
-    stays = _ratio(np.minimum(left, was), np.maximum(left, was))
+    stays = ratio(np.minimum(left, was), np.maximum(left, was))
     past = 0.0 if digits is None else 10.0 ** (-2.0 * digits.reshape(-1))
     added = times * _farthest(plan, mean, cov) if times else 0.0
     total: Array = np.sqrt(past * stays + added**2 + place**2)
@@ -189,10 +189,13 @@ def _of_reading(moved: Array, family: Family, cov: Array, noise: Array) -> Array
     return found
 
 
-def carried(ahead: Forward, added: Array) -> Array:
-    """The largest √ν_t of all steps, (runs,), from each step's Σ share², `added` (T+1, runs)."""
+def carried(ahead: Forward, added: Array, old: Array | float = 1.0) -> Array:
+    """The largest √ν_t of all steps, (runs,), from each step's Σ share², `added` (T+1, runs).
+
+    `old` (T, runs) bounds the part of a predicted variance that is not new, if that is known.
+    """
     before, left = variances(ahead.predicted_cov), variances(ahead.cov)
-    stays = _ratio(left[:-1], before[1:]) * _ratio(left[1:], before[1:])
+    stays = np.minimum(ratio(left[:-1], before[1:]), old) * ratio(left[1:], before[1:])
     total = added[0]
     most = total
     for row, more in zip(stays, added[1:], strict=True):
@@ -202,9 +205,9 @@ def carried(ahead: Forward, added: Array) -> Array:
     return found
 
 
-def _ratio(part: Array, whole: Array) -> Array:
-    """The largest `part` / `whole` of variances (..., n), at most 1; 0 where `whole` is zero."""
+def ratio(part: Array, whole: Array, most: float = 1.0) -> Array:
+    """The largest `part` / `whole` of variances (..., n), `most` at most; 0 where `whole` is 0."""
     found = np.where(whole > 0.0, part / np.where(whole > 0.0, whole, 1.0), 0.0)
     found = np.where(np.isfinite(part), found, 1.0)  # of what a flat prior leaves unknown
-    stays: Array = np.asarray(np.minimum(found.max(axis=-1, initial=0.0), 1.0))
+    stays: Array = np.asarray(np.minimum(found.max(axis=-1, initial=0.0), most))
     return stays

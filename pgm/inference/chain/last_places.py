@@ -1,13 +1,19 @@
 """The digits of a chain's means that their own last place in float64 leaves.
 
-Half a last place u(m) is the error of a mean that was found in twice the digits and rounded once.
-A pass in float64 rounds at each step, and so do nonlinear functions in any pass: shares u(m) / σ
-are carried along the chain as in `close_points`,
+A mean that was found in twice the digits is rounded once, by up to half a last place u(m). A pass
+in float64 rounds three times at each step (prediction, residual, update), by e = 1½ u(m) at most,
+and a nonlinear function in any pass by e = ½ u(m). Shares e/σ are carried along the chain as in
+`close_points`,
 
-    ν_t = ρ_t ν_{t−1} + (u(m_t) / σ_t)²,
+    ν_t = ρ_t ν_{t−1} + (e_t/σ_t)²,
 
-and a smoother adds the last place of its own means. As long as no u(m) / σ exceeds 10⁻⁶ a pass in
-float64 has six digits, and nothing is told.
+with max 1 − Q/P⁻_t in place of max P_{t−1}/P⁻_t where that is less. A smoother's pass in float64
+carries them back, with e = 2 u(m) of its own means and, P′ being smoothed variances,
+
+    ρ′_t = (max P_t/P⁻_{t+1})² · max P′_{t+1}/P′_t.
+
+σ is at least 10⁻⁹ of the largest deviation that a component had, as for all digits. As long as no
+½ u(m)/σ exceeds 10⁻⁶ nothing is told.
 """
 
 from __future__ import annotations
@@ -15,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.inference.chain.backward import Beliefs
-from pgm.inference.chain.close_points import carried
+from pgm.inference.chain.close_points import carried, ratio
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
@@ -23,9 +29,11 @@ from pgm.inference.status import ENOUGH_DIGITS
 from pgm.kernels import last_place
 from pgm.kernels.arrays import Array, deviation, variances
 
-# The last place of a mean, in standard deviations, from which on it is told.
+# The rounding of a mean, in standard deviations, from which on it is told.
 TOLD = 10.0**-ENOUGH_DIGITS
-_NEAR = (TOLD / float(np.finfo(np.float64).eps)) ** 2
+# Roundings, of half a last place each, of a step forward and of one back.
+_FORWARD, _BACK = 3.0, 4.0
+_NEAR = (2.0 * TOLD / float(np.finfo(np.float64).eps)) ** 2
 
 
 def error(
@@ -58,30 +66,69 @@ def error(
             every = [each for each in every if _may_count(*each)]
         if not every:
             return None
-        most = np.max([of_beliefs(*each).max(axis=0, initial=0.0) for each in every], axis=0)
+        ahead = swept.whole if isinstance(swept, Filtered) else swept
+        widest = _widest(ahead)
+        most = np.max([of_beliefs(*each, widest).max(axis=0) for each in every], axis=0)
         if careful and plan.exact:
-            return np.asarray(0.5 * most)
+            return np.asarray(most)
+        times = 1.0 if careful else _FORWARD
         if not measured and not (most > TOLD).any():
             return None
-        ahead = swept.whole if isinstance(swept, Filtered) else swept
-        past = carried(ahead, of_beliefs(ahead.mean, ahead.cov) ** 2)
-        return past if smoothed is None else np.hypot(past, most)
+        added = (times * of_beliefs(ahead.mean, ahead.cov, widest)) ** 2
+        past = carried(ahead, added, _old(plan, ahead))
+        if smoothed is None:
+            return past
+        if careful:
+            return np.asarray(np.hypot(past, most))
+        return np.asarray(np.hypot(past, _back(ahead, smoothed, widest)))
 
 
 def of_step(moments: Moments) -> Array | float:
-    """The largest u(m) / σ after a step of an online filter, (runs,); 0 where none exceeds 10⁻⁶."""
+    """The largest e/σ after a step of an online filter, (runs,); 0 if no ½ u(m)/σ exceeds 10⁻⁶."""
     mean, cov = moments.mean, moments.cov
     variance = np.einsum("ii...->i...", cov)
     if not (mean * mean > _NEAR * variance).any():
         return 0.0
-    found = of_beliefs(*moments.by_run)
-    return found if (found > TOLD).any() else 0.0
+    found = of_beliefs(*moments.by_run, np.zeros(1))
+    return _FORWARD * found if (found > TOLD).any() else 0.0
 
 
 def _may_count(mean: Array, cov: Array) -> bool:
-    return last_place.may_count(mean, variances(cov), TOLD)
+    return last_place.may_count(mean, variances(cov), 2.0 * TOLD)
 
 
-def of_beliefs(mean: Array, cov: Array) -> Array:
-    """The largest u(m) / σ of the components of beliefs (..., n) and (..., n, n), as (...)."""
-    return last_place.in_deviations(mean, deviation(cov))
+def of_beliefs(mean: Array, cov: Array, largest: Array) -> Array:
+    """The largest ½ u(m) / σ of the components of beliefs (..., n) and (..., n, n), as (...).
+
+    `largest` (..., n) are the largest variances that the components had.
+    """
+    return last_place.rounding(mean, deviation(cov), np.sqrt(largest))
+
+
+def _old(plan: ChainPlan, ahead: Forward) -> Array:
+    """The largest part of a predicted variance that is not the transition's noise, (T, runs)."""
+    front, spread = plan.layout.state_size, variances(ahead.predicted_cov)[1:]
+    new = np.zeros(spread.shape)
+    for link in plan.transition if plan.steps else ():
+        new[..., link.child.start - front : link.child.stop - front] = variances(link.family.noise)
+    return ratio(np.maximum(spread - new, 0.0), spread)
+
+
+def _back(ahead: Forward, smoothed: Beliefs, widest: Array) -> Array:
+    """The largest root of what a backward pass in float64 has added up of shares², (runs,)."""
+    after = variances(smoothed.cov)
+    stays = ratio(variances(ahead.cov)[:-1], variances(ahead.predicted_cov)[1:]) ** 2
+    stays = np.minimum(stays * ratio(after[1:], after[:-1], most=np.inf), 1.0)
+    added = (_BACK * of_beliefs(smoothed.mean, smoothed.cov, widest)) ** 2
+    total = most = added[-1]
+    for row, more in zip(stays[::-1], added[-2::-1], strict=True):
+        total = row * total + more
+        most = np.maximum(most, total)
+    return np.asarray(np.sqrt(most))
+
+
+def _widest(ahead: Forward) -> Array:
+    """The largest finite variance of each component at any step, (runs, n)."""
+    spread = np.maximum(variances(ahead.predicted_cov), variances(ahead.cov))
+    found: Array = np.where(spread < np.inf, np.maximum(spread, 0.0), 0.0).max(axis=0, initial=0.0)
+    return found

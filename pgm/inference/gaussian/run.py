@@ -99,25 +99,22 @@ def _solved(
     model = Model.make(plan.layout, bound, lineariser, at, careful.predictive, judge=judge)
     done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
     assert done.digits is not None
-    status = _told(status, model, done.beliefs, 10.0**-done.digits, share=0.5)
+    status = _told(status, model, done.beliefs, 10.0**-done.digits)
     return GaussianPosterior(graph, status, plan, model, done)
 
 
-def _told(
-    status: Status, model: Model, beliefs: Beliefs, lost: Array | None, share: float = 1.0
-) -> Status:
+def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) -> Status:
     """The status with the digits that are left by what was `lost` and by the means' last place.
 
-    `lost` (runs,) is in deviations, None where nothing was measured: then a last place counts if it
-    is over 10⁻⁶ of a deviation. Rounding is the part `share` of one.
+    `lost` (runs,) is in deviations, None where nothing was measured: then a last place counts if
+    half of it is over 10⁻⁶ of a deviation.
     """
-    mean, std = beliefs.components()
-    place = last_place.in_deviations(mean, std)
+    place = last_place.rounding(*beliefs.components(), model.frame.scale)
     if lost is not None:
         status = status._losing(lost, cause(model))
     elif not (place > 10.0**-ENOUGH_DIGITS).any():
         return status
-    return status._losing(np.broadcast_to(share * place, (model.runs,)), LAST_PLACE)
+    return status._losing(np.broadcast_to(place, (model.runs,)), LAST_PLACE)
 
 
 def _plan(

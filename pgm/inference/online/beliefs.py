@@ -341,9 +341,7 @@ def careful_belief(
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
         refuse(step)
     status = status._losing(found.error(), FAR_APART)
-    # A nonlinear function is rounded, too.
-    rounded = 0.5 if plan.exact else 1.0
-    status = status._losing(rounded * last_places.of_beliefs(mean, cov), LAST_PLACE)
+    status = status._losing(last_places.of_beliefs(mean, cov, found.largest), LAST_PLACE)
     status._warn()
     parts = Moments.of(plan, mean, cov), log_evidence, status, kind, behind, found
     return belief_of(plan, step, *parts)

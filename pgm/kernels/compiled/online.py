@@ -25,7 +25,7 @@ from pgm.kernels.compiled.sweeps import joined, moved
 # Offset + B u, for each of so many rows.
 (OFFSET, BASE, MATRIX, INPUTS, HEIGHT, SIZE, COUNT, SHIFT) = range(8)
 # As of `beliefs.is_moderate`, and of `last_places.of_step`, which tells what has lost digits.
-_REGULAR, _FAR = 1.0 / 2e7, (1e-6 / 2.0**-52) ** 2
+_REGULAR, _FAR = 1.0 / 2e7, (2e-6 / 2.0**-52) ** 2
 
 
 @compiled
