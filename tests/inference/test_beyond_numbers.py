@@ -56,17 +56,25 @@ def test_a_density_beyond_float64_is_refused(way, value):
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("lead", [(), (40,)])
 def test_means_that_go_far_and_back(way, lead):
-    """What is lost at 10¹² counts a step later, where the mean is small."""
+    """What is lost at 10¹² counts a step later, where the mean is small.
+
+    Means are right but for their last places there, which are more than their deviations' digits.
+    """
     steps, rng = 6, np.random.default_rng(0)
     model = network(MOVED, 1e-4, 1e-10, 1e-2)
     moves, values = np.zeros((steps, 2)), rng.normal(size=(steps, 1))
     moves[:2, 0], values[0] = [1e12, -1e12], 1e12
     due = Reference(model, steps, {u: moves}, [(z, k + 1, values[k], {}) for k in range(steps)])
     evidence = {u: moves, z: np.broadcast_to(values, (*lead, steps, 1))}
-    found = WAYS[way](model, evidence)
+    with pytest.warns(pgm.PrecisionWarning, match="too small beside its mean") as said:
+        found = WAYS[way](model, evidence)
+    assert len(said) == 1
     beliefs = due.filtered if way in ("filter", "kept") else due.smoothed
     mean, cov = (floats([each[k] for each in beliefs]) for k in (0, 1))
     std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
+    left = -np.log10((0.5 * np.spacing(np.abs(mean)) / std).max())
+    assert (found.status.digits <= left + 0.1).all()
+    assert (found.status.digits > left - 1.0).all()
     off = np.abs(found[x].mean - mean) - 2.0 * np.spacing(np.abs(mean))
     assert (off / std).max() <= 1e-6
     np.testing.assert_allclose(found.log_evidence, float(due.log_evidence), rtol=0, atol=1e-6)

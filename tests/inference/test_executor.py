@@ -17,7 +17,9 @@ from robots import LANDMARKS, P0, SENSORS, controls, drive_along, drive_cpd, m, 
 import pgm
 from models import discrete
 from pgm.inference.parts import split as parts
+from pgm.inference.parts.join import one_status
 from pgm.inference.parts.shared_memory import idle_blocks
+from pgm.inference.status import CLOSE_POINTS, FAR_APART, Status
 
 RUNS, T = 23, 8
 SIGHT = SENSORS["range_bearing"]
@@ -509,6 +511,79 @@ def test_runs_that_take_twice_the_digits(run, kind, workers):
     kept = run(model, evidence, executor=workers[kind], keep=[a])
     assert_allclose(kept[a].mean, whole[a].mean, rtol=1e-9)
     assert kept.status.digits.shape == (RUNS,)
+
+
+def still(far):
+    """A number far from zero that a nonlinear CPD keeps."""
+    a, b = pgm.variables("a b")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, far, 1.0)],
+        transition=[pgm.NonlinearGaussianCPD(a, a.previous, np.abs, cov=0.1)],
+        observation=[pgm.LinearGaussianCPD(b, {a: 1.0}, cov=0.5)],
+    )
+    return a, model, {b: np.broadcast_to(far, (RUNS, 1))[:, None] + np.full((T, 1), 0.3)}
+
+
+@pytest.mark.parametrize("kind", [None, *KINDS])
+@pytest.mark.parametrize("keep", [False, True])
+@pytest.mark.parametrize("run", [pgm.filter, pgm.smooth])
+def test_lost_digits_are_told_once_with_their_cause(run, keep, kind, workers):
+    """Of all runs together, though parts know of their own alone; as of one call for all."""
+    rule, far = pgm.Unscented(alpha=1e-3), np.full((RUNS, 1), 1e6)
+    far[:7] = 10.0  # parts that lose nothing
+    a, model, evidence = still(far)
+    with pytest.warns(pgm.PrecisionWarning) as due:
+        whole = run(model, evidence, lineariser=rule)
+    options = {"keep": [a]} if keep else {}
+    with pytest.warns(pgm.PrecisionWarning) as said:
+        found = run(model, evidence, lineariser=rule, executor=workers.get(kind), **options)
+    assert [str(each.message) for each in said] == [str(each.message) for each in due]
+    assert len(said) == 1
+    assert f"in {RUNS - 7} of {RUNS} runs" in str(said[0].message)
+    assert "sigma points of a small alpha" in str(said[0].message)
+    assert said[0].filename == __file__
+    assert_allclose(found.status.digits, whole.status.digits, rtol=0, atol=0.1)
+
+
+@pytest.mark.parametrize("kind", [None, *KINDS])
+def test_the_cause_is_told_if_one_part_alone_loses_digits(kind, workers):
+    """The last run loses all of them to its means' last places."""
+    far = np.full((RUNS, 1), 1e6)
+    far[-1] = 1e17
+    a, model, evidence = still(far)
+    with pytest.warns(pgm.PrecisionWarning, match="too small beside its mean") as said:
+        pgm.filter(model, evidence, executor=workers.get(kind), keep=[a])
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])
+def test_the_cause_is_that_of_the_fewest_digits(order):
+    parts = [Status.of([], np.ones(2, dtype=bool), (2,)) for _ in range(3)]
+    parts[0] = parts[0]._losing(np.array([1e-9, 1e-5]), FAR_APART)
+    parts[1] = parts[1]._losing(np.array([1e-3, 1e-9]), CLOSE_POINTS)
+    found = one_status([parts[k] for k in order], (6,))
+    due = np.concatenate([[[9.0, 5.0], [3.0, 9.0], [15.65, 15.65]][k] for k in order])
+    assert_allclose(found.digits, due, rtol=0, atol=0.01)
+    with pytest.warns(pgm.PrecisionWarning, match="3.0 decimal .* in 2 of 6 runs .*sigma points"):
+        found._warn()
+
+
+def test_a_part_without_residuals_moved_nothing():
+    """Its residuals are zero; those of a part with fewer iterations stay as they were."""
+    ones = np.ones(2, dtype=bool)
+    parts = [
+        Status.of([], ones, (2,)),
+        Status.of([np.array([3.0, 4.0]), np.array([1.0, 2.0])], ~ones, (2,)),
+        Status.of([np.array([5.0])], ones[:1], (1,)),
+    ]
+    due = [[0.0, 0.0, 3.0, 4.0, 5.0], [0.0, 0.0, 1.0, 2.0, 5.0]]
+    for order in ([0, 1, 2], [2, 1, 0]):
+        found = one_status([parts[k] for k in order], (5,))
+        places = np.concatenate([[[0, 1], [2, 3], [4]][k] for k in order])
+        assert_array_equal(found.residuals, np.array(due)[:, places])
+        assert found.iterations == 3
+    nothing = one_status([parts[0], parts[0]], (2, 2))
+    assert nothing.residuals.shape == (0, 2, 2)
 
 
 @pytest.mark.parametrize("executor", [0, 2, True, "2", ThreadPoolExecutor, get_context()])

@@ -342,7 +342,7 @@ def test_sharp_readings_of_what_is_hardly_known_cost_no_digits():
 
 @pytest.mark.parametrize("lead", [(), (3,)])
 def test_a_mean_that_goes_far_keeps_its_digits(lead):
-    """At 10¹² float64 has none of a deviation of 10⁻⁶; the belief there says so."""
+    """At 10¹² float64 has none of a deviation of 10⁻⁶; the belief there says so, and warns."""
     place, push = pgm.variables("place push")
     model = pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(place, 0.1, 1e-12)],
@@ -350,7 +350,9 @@ def test_a_mean_that_goes_far_keeps_its_digits(lead):
         [],
     )
     robot = pgm.OnlineFilter(model)
-    belief = robot.predict(robot.initial(), {push: np.full((*lead, 1), 1e12)})
+    with pytest.warns(pgm.PrecisionWarning, match="too small beside its mean"):
+        belief = robot.predict(robot.initial(), {push: np.full((*lead, 1), 1e12)})
+    assert (belief.status.digits < 0.0).all()
     belief = robot.predict(belief, {push: np.full((*lead, 1), -1e12)})
     np.testing.assert_allclose(belief[place].mean, np.full((*lead, 1), 0.1), rtol=0, atol=1e-13)
     assert (belief.status.digits > 6).all()

@@ -57,27 +57,12 @@ def run(
     the marginals of its variables, which bounds memory. Sightings of unknown identity are
     associated first. Of lost digits a call warns once, for all runs together.
     """
-    found = _solved(graph, bound, schedule, lineariser, start, keep, executor)
-    found.status._warn()
-    return found
-
-
-def _solved(
-    graph: DynamicGraph,
-    bound: BoundEvidence,
-    schedule: Schedule | None,
-    lineariser: Lineariser,
-    start: Start | None,
-    keep: Keep | None,
-    executor: Executor | None,
-) -> ChainPosterior | KeptPosterior:
-    """The posterior for the arguments of `run`, before anything is warned of."""
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     if is_open(bound):
         gate = getattr(schedule, "gate", None)
         bound, found = associated(graph, bound, lineariser, gate)
-        posterior = _solved(graph, bound, schedule, lineariser, start, keep, executor)
+        posterior = run(graph, bound, schedule, lineariser, start, keep, executor)
         return replace(posterior, associations=found)
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
@@ -88,15 +73,16 @@ def _solved(
         parts = list(split(whole, lineariser, workers.count))
     if len(parts) == 1:
         if kept is None:
-            return run_chain(graph, bound, schedule, lineariser, start)
+            return _told(run_chain(graph, bound, schedule, lineariser, start))
         workers = Workers(None)
     share = Share.of(graph, schedule, start, kept)
     room = workers.room(share.shapes(graph, bound))
     results = _results(workers, whole, parts, schedule, lineariser, share, room)
     if kept is None and any(result.careful for result in results):
         # Its joints need all that the careful pass leaves.
-        return run_chain(graph, bound, schedule, lineariser, start)
+        return _told(run_chain(graph, bound, schedule, lineariser, start))
     status = one_status((result.status for result in results), bound.lead)
+    status._warn()
     if kept is not None:
         kinds = {result.log_evidence_kind for result in results}
         return KeptPosterior(
@@ -111,6 +97,12 @@ def _solved(
         return swept_once(graph, bound, lineariser, status, room)
     each = [result.found for result in results if result.found is not None]
     return joined(graph, bound, lineariser, status, each)
+
+
+def _told(posterior: ChainPosterior) -> ChainPosterior:
+    """The posterior of all runs, after a `PrecisionWarning` where digits are few."""
+    posterior.status._warn()
+    return posterior
 
 
 def _results(
