@@ -546,14 +546,20 @@ def test_lost_digits_are_told_once_with_their_cause(run, keep, kind, workers):
 
 
 @pytest.mark.parametrize("kind", [None, *KINDS])
-def test_the_cause_is_told_if_one_part_alone_loses_digits(kind, workers):
-    """The last run loses all of them to its means' last places."""
+@pytest.mark.parametrize("keep", [False, True])
+@pytest.mark.parametrize("run", [pgm.filter, pgm.smooth])
+def test_one_part_alone_loses_digits(run, keep, kind, workers):
+    """The last run all of them; the others are told those that their means' last places leave."""
     far = np.full((RUNS, 1), 1e6)
     far[-1] = 1e17
     a, model, evidence = still(far)
+    options = {"keep": [a]} if keep else {}
     with pytest.warns(pgm.PrecisionWarning, match="too small beside its mean") as said:
-        pgm.filter(model, evidence, executor=workers.get(kind), keep=[a])
+        found = run(model, evidence, executor=workers.get(kind), **options)
     assert len(said) == 1
+    places = (0.5 * np.spacing(np.abs(found[a].mean)) / found[a].std).max(axis=(-2, -1))
+    assert (found.status.digits <= -np.log10(places)).all()
+    assert (found.status.digits > -np.log10(places) - 2.0).all()
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])

@@ -89,8 +89,13 @@ def of_step(moments: Moments) -> Array | float:
     variance = np.einsum("ii...->i...", cov)
     if not (mean * mean > _NEAR * variance).any():
         return 0.0
-    found = of_beliefs(*moments.by_run, np.zeros(1))
-    return _FORWARD * found if (found > TOLD).any() else 0.0
+    found = of_each_step(moments)
+    return found if (found > _FORWARD * TOLD).any() else 0.0
+
+
+def of_each_step(moments: Moments) -> Array:
+    """The largest e/σ after a step of an online filter, (runs,), however small."""
+    return np.asarray(_FORWARD * of_beliefs(*moments.by_run, np.zeros(1)))
 
 
 def _may_count(mean: Array, cov: Array) -> bool:

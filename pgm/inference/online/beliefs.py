@@ -397,7 +397,9 @@ def told(
     if lost is None:
         return status
     cause = CLOSE_POINTS if left is None else belief.status._cause
-    if np.max(place) ** 2 > 0.5 * lost.max(initial=0.0) ** 2:
+    if isinstance(place, float):  # digits are told anyhow
+        lost = np.hypot(lost, last_places.of_each_step(after))
+    elif place.max(initial=0.0) ** 2 > 0.5 * lost.max(initial=0.0) ** 2:
         cause = LAST_PLACE
     status = status._measured(digits(lost, plan.lead), cause)
     status._warn()

@@ -18,6 +18,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, as_scope, listed, namesake
 from pgm.inference.argument_checks import require_gaussian
 from pgm.inference.associations import is_open
+from pgm.inference.chain import last_places
 from pgm.inference.chain.association import associated
 from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
@@ -28,7 +29,7 @@ from pgm.inference.parts.split import Part, split
 from pgm.inference.parts.workers import Workers
 from pgm.inference.schedule import Calibration, Filtering, Schedule
 from pgm.inference.starting_points import Start
-from pgm.inference.status import Kind, Status
+from pgm.inference.status import LAST_PLACE, Kind, Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
 from pgm.progress import counted
@@ -82,6 +83,7 @@ def run(
         # Its joints need all that the careful pass leaves.
         return _told(run_chain(graph, bound, schedule, lineariser, start))
     status = one_status((result.status for result in results), bound.lead)
+    status = _with_places(status, share, room, parts, results)
     status._warn()
     if kept is not None:
         kinds = {result.log_evidence_kind for result in results}
@@ -103,6 +105,25 @@ def _told(posterior: ChainPosterior) -> ChainPosterior:
     """The posterior of all runs, after a `PrecisionWarning` where digits are few."""
     posterior.status._warn()
     return posterior
+
+
+def _with_places(
+    status: Status,
+    share: Share,
+    room: Sequence[Array],
+    parts: Sequence[Part],
+    results: Sequence[Result],
+) -> Status:
+    """The status with what last places cost where other parts alone have measured digits."""
+    if status.digits is None or all(result.status.digits is not None for result in results):
+        return status
+    lost = np.zeros(status.digits.size)
+    for part, result in zip(parts, results, strict=True):
+        if result.status.digits is None:
+            for mean, cov in share.moments(_of(room, part), result.found):
+                error = last_places.of_beliefs(mean, cov, np.zeros(1)).max(axis=0)
+                lost[part.runs] = np.maximum(lost[part.runs], error)
+    return status._losing(lost, LAST_PLACE)
 
 
 def _results(
@@ -255,6 +276,17 @@ class Share:
             moments = [(everywhere, (layout.slice_size,)), (everywhere, (layout.slice_size,) * 2)]
             return [*moments, (everywhere, ()), *(moments if self.smoothed else ())]
         return []
+
+    def moments(
+        self, arrays: Sequence[Array], found: ChainPosterior | None
+    ) -> Iterable[tuple[Array, Array]]:
+        """Means and covariances in a part's `arrays`, or of its posterior `found` as it is sent."""
+        if found is not None:
+            every = [found._swept, found._smoothed]
+            return [(each.mean, each.cov) for each in every if each is not None]
+        if self.kept is not None:
+            return zip(arrays[:-1:2], arrays[1:-1:2], strict=True)
+        return zip(arrays[::3], arrays[1::3], strict=True)  # with log-densities between
 
     def arrays(self, found: ChainPosterior, runs: int) -> list[Array]:
         """The arrays of a part's posterior that are sent back, in the order of `shapes`.
