@@ -38,6 +38,7 @@ def check(drawn, seed, digits, tolerance=1e-9):
     assert_log(posterior.log_evidence, due.log_evidence, tolerance)
 
 
+@pytest.mark.filterwarnings("ignore:.*too small beside its mean:pgm.PrecisionWarning")
 @pytest.mark.parametrize("coordinate", [2.0**20, 2.0**27])
 def test_large_coordinates(coordinate):
     """About the frame, sharp noise at 10⁶ … 10⁸ costs no digits but those of the coordinates."""
@@ -46,6 +47,7 @@ def test_large_coordinates(coordinate):
         check(drawn, seed, 4e-16)
 
 
+@pytest.mark.filterwarnings("ignore:.*too small beside its mean:pgm.PrecisionWarning")
 @pytest.mark.parametrize("ratio", [10, 20, 25])
 def test_sharp_noise_beside_weak_priors(ratio):
     """Deviations from 2⁻²⁵ to 2⁹ in one network: variances, and means but for their digits."""
