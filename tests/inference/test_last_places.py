@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pgm
+from pgm.inference.chain.forward import Filtered
 
 x, z, y = pgm.variables("x z y")
 FAR, STEPS = 374866.7, 12
@@ -209,6 +210,20 @@ def test_a_motion_that_forgets_keeps_digits():
             for n in (10, 1000)
         )
     assert 0.0 <= few - many < 0.1
+
+
+def test_a_filter_that_keeps_its_digits_is_swept_once(monkeypatch):
+    """Precise at the origin, and far away where it is vague: no step has a coarse last place."""
+    u, runs = pgm.Variable("u"), 9
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1e-12)],
+        [pgm.LinearGaussianCPD(x, {x.previous: 1.0, u: 1.0}, cov=1.0)],
+        [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=1.0)],
+    )
+    far = 1e6 * np.arange(1.0, STEPS + 1)
+    evidence = {u: np.full((STEPS, 1), 1e6), z: np.tile(far[:, None], (runs, 1, 1))}
+    monkeypatch.setattr(Filtered, "whole", property(lambda _: pytest.fail("swept again")))
+    assert pgm.filter(model, evidence, compiled=False).status.digits is None
 
 
 # ---- networks without time

@@ -63,7 +63,8 @@ def error(
         every.append((swept.mean, swept.cov))
     with np.errstate(all="ignore"):
         if not measured:
-            every = [each for each in every if _may_count(*each)]
+            # Without a floor, since only a whole pass knows the largest deviations.
+            every = [each for each in every if _may_count(*each) and _counts(*each)]
         if not every:
             return None
         ahead = swept.whole if isinstance(swept, Filtered) else swept
@@ -100,6 +101,10 @@ def of_each_step(moments: Moments) -> Array:
 
 def _may_count(mean: Array, cov: Array) -> bool:
     return last_place.may_count(mean, variances(cov), 2.0 * TOLD)
+
+
+def _counts(mean: Array, cov: Array) -> bool:
+    return bool((of_beliefs(mean, cov, np.zeros(1)) > TOLD).any())
 
 
 def of_beliefs(mean: Array, cov: Array, largest: Array) -> Array:
