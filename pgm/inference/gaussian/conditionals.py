@@ -77,7 +77,7 @@ class Conditionals:
         return runs_first(decimals.floats(values))
 
     def root(self, noise: Array, family: Family) -> Root:
-        """The factors L and D of a noise covariance (d, d), L D Lᵀ in decimals, cached by its value.
+        """The factors L, D of a noise covariance (d, d), L D Lᵀ in decimals, cached by its value.
 
         An indefinite one is the NumericalError `indefinite_noise`, which names the family's CPD.
         """
