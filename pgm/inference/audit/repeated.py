@@ -46,7 +46,10 @@ def repeated(plan: ChainPlan, count: int) -> ChainPlan:
 
 
 def of_family(family: Family, count: int, runs: int) -> Family:
-    """The family of a CPD with all runs `count` times, not linearised yet."""
+    """A CPD's family in which all runs come `count` times, not linearised yet.
+
+    Without a lineariser of its own a nonlinear CPD is expanded to first order.
+    """
     rows, _, height, width = family.shape
     own = tiled(family.own_noise, count)
     total = count * runs
@@ -69,7 +72,7 @@ def of_family(family: Family, count: int, runs: int) -> Family:
 
 
 def tiled(array: npt.NDArray[Kind], count: int) -> npt.NDArray[Kind]:
-    """An array (rows, runs or 1, ...) with its runs `count` times; one for all runs stays."""
+    """An array (rows, runs or 1, ...) with its runs `count` times; one for all runs stays one."""
     if array.shape[1] == 1:
         return array
     return np.concatenate([array] * count, axis=1)

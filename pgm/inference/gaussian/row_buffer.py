@@ -74,7 +74,7 @@ class Buffer:
         return Rows(*self.proper.at(entries, rows), *exact)
 
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
-        """Integrate the first columns out of a stack's factors; also the log-scales left, (V, B, N).
+        """Integrate the first columns out of a stack's factors; log-scales are (V, B, N).
 
         A log-scale is g of the factor exp(g − ½ ‖A ξ − r‖²) that is left, for integrals in the
         user's units. Exact relations that contradict one another are a NumericalError.

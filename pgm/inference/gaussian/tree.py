@@ -49,7 +49,7 @@ class TreePlan:
 
     @cached_property
     def levels(self) -> list[list[Stack]]:
-        """Stacks of the messages to parents, a list for each depth, deepest first; last the roots'."""
+        """Stacks of messages to parents by depth, deepest first; last of the roots' beliefs."""
         *below, roots = reversed(self.forest.levels)
         found = [self.rounds.messages(self.upward[level].tolist()) for level in below]
         return [*found, self.rounds.beliefs(roots.tolist())]
