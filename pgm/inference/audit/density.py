@@ -189,7 +189,10 @@ class Term:
         return total
 
     def _robust(self, noise: RobustNoise, rows: slice, residual: Array) -> Array:
-        """The log-density (..., S) of residuals (..., S, d), of robust noise; −ρ + const if improper."""
+        """The log-density (..., S) of residuals (..., S, d) of robust noise.
+
+        An improper one has the Gaussian's constant, −½ ln |2π R|.
+        """
         count: Integers = np.asarray(self.family.shape[2])
         if self.taken is not None:
             count = self.taken[rows].sum(axis=-1)[..., None]
@@ -243,7 +246,7 @@ class Term:
         on_chart: bool = False,
         strict: bool = True,
     ) -> tuple[Array, Mask]:
-        """The values f(parents) (..., S, d) at draws (..., S, n), and a mask of lost draws, (..., S).
+        """The values f(parents) (..., S, d) at draws (..., S, n), and a mask of lost ones (..., S).
 
         Lost ones have the linearised mean; if `strict` they are a LinearisationError. If
         `on_chart`, angles are on the branch of the linearised mean, which depends on the parents

@@ -43,8 +43,8 @@ def starts(plan: ChainPlan, answer: Array) -> Array:
     μ after step k, they are
 
     - μ itself, and ρ;
-    - mirror images 2ρ − μ, of all components together and of one after another; and 2ρ_k − μ, k being
-      the middle step;
+    - mirror images 2ρ − μ, of all components together and of one after another; and 2ρ_k − μ for
+      the middle step k;
     - drives from points that fill the prior, without noise and with it.
 
     They are the same in each call. One that is not finite is replaced by μ.

@@ -20,7 +20,7 @@ from pgm.variables import Variable
 
 # Above this Pareto shape of the weights' tail no estimate made of them is to be trusted.
 UNTRUSTED = 0.7
-# An answer is suspect if its moments are so many nats from the exact ones, or its log-evidence is so
+# An answer is suspect if its moments are so many nats from the exact ones, or its log-evidence so
 # many off beyond so many standard errors; an estimate to be trusted has so many effective draws.
 SUSPECT, ERRORS, ENOUGH = 0.5, 3.0, 10.0
 
@@ -261,7 +261,7 @@ class Audit(Shown, Immutable):
         return [f"SUSPECT{runs}: {told}"]
 
     def _others(self) -> list[str]:
-        """Lines about other modes: how many, the part of their mass left out, or that none was sought."""
+        """Lines about other modes: how many, which mass is left out, or that none was sought."""
         found, missed = int(self.modes.max(initial=0)), float(np.nanmax(self.missed, initial=0.0))
         told = [f"other modes found: {found}{' at the most' * (self.modes.ndim > 0)}"] * (found > 0)
         if missed > MISSED:

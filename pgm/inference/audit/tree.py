@@ -93,7 +93,7 @@ class TreeDraws:
 
     @property
     def width(self) -> int:
-        """The number of floats that one draw of one run occupies while it is made; see `Drawing`."""
+        """The number of floats that a draw of one run occupies while it is made; see `Drawing`."""
         return 3 * self.density.model.layout.size
 
     @property

@@ -30,7 +30,7 @@ class Weighed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TreeDensity:
-    """The product of all CPDs of a network with its evidence, as a function of its hidden variables.
+    """The product of all CPDs of a network with its evidence, over the hidden variables.
 
     model : Model
     terms : list of Term

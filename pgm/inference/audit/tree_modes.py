@@ -123,15 +123,16 @@ class Search:
         return calibrate(self.plan, Buffer.make(self.plan.rounds, model))
 
     def climb(self, at: Array) -> Array:
-        """Raise the log-density from points (runs, C, n) by Gauss–Newton; where it ends, (runs, C, n).
+        """Where steps of Gauss–Newton that raise the log-density lead from points (runs, C, n).
 
         A step goes the part t of the way to the mean x̂ of the network linearised at x,
 
             x ← x + t (x̂ − x),
 
-        with that t of 1, 0.5, 0.2 and 0.05 for which ln p(x, z) is largest; if none raises it the
-        point stays. It ends after 12 steps, or with one in which no component of any point moves by
-        more than 0.02 standard deviations of the linearised network.
+        with that t of 1, 0.5, 0.2 and 0.05 for which the log-density of `density` is largest; if
+        none raises it the point stays. Steps end after 12, or with one in which no component of any
+        point moves by more than 0.02 standard deviations of the linearised network. Returns (runs,
+        C, n).
         """
         runs, count, size = at.shape
         parts = np.array((0.0, *PARTS))[:, None]
