@@ -278,7 +278,7 @@ class _Law:
 
 
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
-    """The mask of components that have noise given their parents, (rows, runs, n).
+    """The mask of components that have noise given their parents, of `shape` (rows, runs, n).
 
     `start` is where the slice begins in the vector in which the links' children stand.
     """

@@ -67,7 +67,7 @@ class Term:
 
     @classmethod
     def make(cls, family: Family, *, relative: bool, taken: Mask | None = None) -> Term:
-        """Take the roots of the noise.
+        """The density of a CPD at its rows, from the roots of its noise.
 
         Relative densities of robust noise, or of a nonlinear CPD with a singular noise, are a
         NumericalError.

@@ -103,8 +103,8 @@ class Excursions:
 class Density(NamedTuple):
     """The density of draws so far: shares of the stages (4, runs, S) times exp(scale), (runs, S).
 
-    A share may be too small for float64 beside another: so it stays, since what follows has a
-    similar density in either stage.
+    A share that is too small for float64 beside another becomes zero and stays so, which changes
+    little: what may follow one stage may follow the other.
     """
 
     scale: Array

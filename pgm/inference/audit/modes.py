@@ -89,8 +89,8 @@ class FixedPoints:
     mean, std : ndarray
         (C, runs, n): of all components of all slices.
     log_evidence : ndarray
-        (C, runs): of the linearisation there, which is Laplace's of the mode; −∞ where a smoother
-        has failed.
+        (C, runs): that of the linearisation there, Laplace's approximation of the mode's mass; −∞
+        where a smoother has failed.
     angles : ndarray
         (n,): the components that are angles; whole turns are no difference.
     """

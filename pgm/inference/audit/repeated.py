@@ -16,9 +16,9 @@ from pgm.linearisers import TAYLOR
 def repeated(plan: ChainPlan, count: int) -> ChainPlan:
     """The plan with all its runs one after another `count` times: run r of copy c is c · runs + r.
 
-    Arrays that are the same for all runs are shared. Nonlinear CPDs are expanded to first order,
-    whose steps can be controlled by their cost, unless they have a lineariser of their own; what
-    gates have rejected stays so.
+    Arrays that are the same for all runs are shared. Nonlinear CPDs without a lineariser of their
+    own are expanded to first order, so that the steps of a smoother can be controlled by their
+    cost. What gates have rejected stays rejected.
     """
     runs = plan.runs
 

@@ -32,8 +32,8 @@ MISSED = 0.01
 def _is_trusted(mixture: Mixture, modes: Modes) -> Mask:
     """Whether each run's estimates can be used, (runs,).
 
-    That takes a tail of the weights that is not too heavy, enough effective draws, and no mode left
-    out.
+    That takes a Pareto shape of at most 0.7, ten effective draws, and no more than a hundredth of
+    the mass in modes that are not drawn from.
     """
     draws = (mixture.pareto_k <= UNTRUSTED) & (mixture.effective_draws >= ENOUGH)
     return np.asarray(draws & (modes.missed <= MISSED))

@@ -116,7 +116,7 @@ class Search:
     def solve(self, at: Array) -> Calibrated:
         """Calibrate the network linearised at points (runs, C, n).
 
-        The beliefs are of C · runs runs. What has none is a NumericalError.
+        The beliefs are of C · runs runs. A network without proper beliefs is a NumericalError.
         """
         flat = at.swapaxes(0, 1).reshape(-1, at.shape[-1])
         model = self._linearised(flat)

@@ -48,10 +48,10 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
 
 
 def _walk(plan: TreePlan, wanted: Integers) -> list[int]:
-    """The clusters of the smallest subtrees that hold some components, parents before children.
+    """The clusters that connect the components at places `wanted` (n,), parents before children.
 
-    Each component is held by its smallest cluster, `Places.homes`; a network of several trees may
-    have a subtree of each.
+    They are the smallest subtree with the smallest cluster that holds each component,
+    `Places.homes`; where these are in several trees, the paths from them to the roots.
     """
     home, _ = plan.places.homes
     parent, depth = plan.forest.parent, plan.forest.depth

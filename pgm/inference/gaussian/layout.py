@@ -49,9 +49,9 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Copies of one CPD whose same parents are hidden: one row a copy, linearised in one call.
+    """Copies of one CPD, a row each, of whose parents the same are hidden; linearised together.
 
-    `hidden` are the hidden parents of the first. `child` (rows, d), empty if observed, and
+    `hidden` are the hidden parents of the first copy. `child` (rows, d), empty if observed, and
     `parents` (rows, n) are places among all hidden components; `clusters` (rows,) the clusters that
     the CPDs are assigned to.
     """

@@ -1,8 +1,8 @@
 """Messages between clusters as rows: sent by rounds, damped, compared, and absorbed.
 
-A message is the factor exp(−½ ‖A ξ − r‖²) over the s components of a sepset, in the coordinates ξ
-of a frame, with A (V, s, s) and r (V, s, N): V = 1 where N runs share matrices, else V runs and N =
-1. It is numbered as in `Directed`, with the message back at number ^ 1.
+A message is the factor exp(g − ½ ‖A ξ − r‖²) over the s components of a sepset, in the coordinates
+ξ of a frame, with A (V, s, s), r (V, s, N) and the log-scale g (V, N): V = 1 where N runs share
+matrices, else V runs and N = 1. It is numbered as in `Directed`, and the one back is number ^ 1.
 """
 
 from __future__ import annotations
@@ -133,18 +133,18 @@ class RowMessages:
                 self.buffer.store(stack, done.rest, log_scale)
 
     def kept(self, message: int) -> tuple[Rows, Array]:
-        """A message, (V, s, s), and its log-scale, (V, N)."""
+        """A stored message, by number: rows (V, s, s), and its log-scale, (V, N)."""
         size = int(self.buffer.rounds.sizes[message])
         one = self.buffer.messages(np.array([message]), size)
         log_scale = self.buffer.log_scale[:, len(self.places.sizes) + message]
         return row_messages.first(one), log_scale
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
-        """A cluster's factor times all messages to it, (V, k, n), and its log-scale, (V, N)."""
+        """The product of a cluster's CPDs and all messages to it, (V, k, n); log-scale (V, N)."""
         return self._product(*self.buffer.rounds.beliefs([cluster]))
 
     def potential(self, cluster: int) -> tuple[Rows, Array]:
-        """A cluster's factor alone, (V, k, n), and its log-scale, (V, N)."""
+        """The product of a cluster's CPDs alone, (V, k, n); log-scale (V, N)."""
         return self._product(*self.buffer.rounds.potentials([cluster]))
 
     def _product(self, stack: Stack) -> tuple[Rows, Array]:

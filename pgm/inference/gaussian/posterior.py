@@ -214,7 +214,12 @@ class GaussianPosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`: exact, linearised, laplace or bethe."""
+        """The kind of `log_evidence`: exact, linearised, laplace or bethe.
+
+        On a tree it is exact if all CPDs are affine, Laplace's approximation if all are expanded to
+        first order and the means have converged, else that of the linearised network. On a graph
+        with loops, and while a loopy schedule has not converged, it is Bethe's.
+        """
         model = self._model
         sent = self._sent is None or bool(self.status.converged.all())
         if not self.graph.is_tree or not sent:

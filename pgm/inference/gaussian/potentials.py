@@ -23,19 +23,20 @@ from pgm.kernels import roots, solving
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent, transpose
 from pgm.kernels.rows import NEGLIGIBLE, largest_first
 
-# The number of a residual's summands costs this many times the digits of an entry of its size.
+# A residual with summands of size s costs as many digits as an entry of this times s.
 COARSE = 1e-1
 
 
 @dataclass(frozen=True, eq=False)
 class Potentials:
-    """The rows of all CPDs, one after another in the order of the groups, (V, ...) and N sides.
+    """The rows of all CPDs, one after another in the order of the groups.
 
     Where all runs share their matrices, V is 1 and each of N runs is a right side; else each of V
-    runs has a matrix, and N is 1. `proper` rows have noise, and `exact` ones none, with zeros in
-    place of the rows of the other kind; log-scales are (V, CPDs, N). `coarse` is a tenth of the
-    largest number that a residual is a difference of, over the standard deviation of the noise, or
-    over the length of an exact row; infinite where rounding alone may make a component certain.
+    runs has a matrix, and N is 1. `proper` has the rows with noise, and `exact` those without, None
+    if there are none; in each there are zeros in place of the other's rows. Log-scales are (V,
+    CPDs, N). `coarse` is a tenth of the largest number that a residual is a difference of, over the
+    standard deviation of the noise, or over the length of an exact row; infinite where rounding
+    alone may make a component certain.
     """
 
     proper: Flat
@@ -119,9 +120,11 @@ class _Linearised(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Factor:
-    """The rows of CPDs of one shape, (V, CPDs, d, w), with sides (V, CPDs, d, N).
+    """The rows of CPDs of one shape, (V, CPDs, d, w), with right sides (V, CPDs, d, N).
 
-    `fixed` says whether some are exact; log-scales are (V, CPDs, N), `coarse` as of `Potentials`.
+    `matrix` and `right` have those with noise, `exact` and `exact_right` those without, zeros
+    elsewhere; `fixed` says whether some are exact. Log-scales are (V, CPDs, N); `coarse` is that of
+    `Potentials`.
     """
 
     matrix: Array

@@ -43,7 +43,7 @@ def run(
     lineariser: Lineariser,
     start: Start | None,
 ) -> GaussianPosterior:
-    """Send the messages of a schedule; see `pgm.infer`."""
+    """The posterior of a Gaussian network, by the messages of a schedule; see `pgm.infer`."""
     network = graph.network
     require_gaussian(network.cpds, "Gaussian beliefs")
     require_plain(network.cpds)
@@ -76,8 +76,9 @@ def _solved(
 ) -> GaussianPosterior:
     """The posterior in float64, or where that keeps too few digits or fails, in decimals.
 
-    It is calculated `again`, in decimals, only if the network is small enough; else its status has
-    the digits, and warns. `at` are the means of a start, (runs, size), or None.
+    Only if `again` is it calculated in decimals, as small networks are; else a failure is raised,
+    and for too few digits the status has their number, and warns. `at` are the means of a start,
+    (runs, size), or None.
     """
     loopy = isinstance(schedule, Loopy)
     try:
