@@ -58,7 +58,10 @@ class RobustNoise(InCode, ABC):
         """The weight 2 ρ′(s)."""
 
     def weight(self, square: Array, count: npt.ArrayLike) -> Array:
-        """The weights ρ'(s) at squares of `count` components, above zero."""
+        """The weights w(s) = 2 ρ′(s) at squares of `count` components; 1 where there are none.
+
+        They are at least 10⁻¹⁵⁰, so that R / w exists.
+        """
         found = np.maximum(self.slope(square, count), _LEAST)
         return np.where(np.asarray(count) > 0, found, 1.0)
 
@@ -348,7 +351,10 @@ class TruncatedLeastSquares(RobustNoise):
         return np.where(square <= self.threshold**2, 1.0, 0.0)
 
     def weight(self, square: Array, count: npt.ArrayLike) -> Array:
-        """The weights ρ'(s) at squares s, above zero; 1 where nothing was measured."""
+        """The weights w(s) = 2 ρ′(s) at squares s; 1 where nothing was measured.
+
+        For a weight of 0 they are 10⁻¹² / max(1, s).
+        """
         return np.where(np.asarray(count) > 0, _some(self.slope(square, count), square), 1.0)
 
     def is_proper(self, size: int) -> bool:

@@ -55,7 +55,7 @@ class InnovationCheck(Shown):
 
     @property
     def fits(self) -> bool:
-        """Whether neither number speaks against the model."""
+        """Whether both numbers are within their bands."""
         apart = abs(self.overall - 1.0) > self.band
         return not apart and not abs(self.autocorrelation) > self.autocorrelation_band
 

@@ -1,7 +1,8 @@
 """The rounding of linearised CPDs of a network, and by how much it shifts its variables.
 
-F x + b is a difference of numbers as large as F μ, and where sigma points lie close together
-(`Points.cancellation`) a sum of values with large weights of both signs besides.
+A linearised mean F x + b is a difference of numbers as large as F μ, μ being the parents' mean. The
+values that sigma points give are weighted besides; where these lie close together the weights are
+large, and of both signs (`Points.cancellation`).
 """
 
 from __future__ import annotations
@@ -15,12 +16,17 @@ from pgm.kernels.arrays import Array, apply, deviation
 from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
 
-# Rounding of a linearised value, in parts of its summands.
+# Rounding of a linearised value, as a part of its summands.
 ROUNDING = 2.0**-52
 
 
 def rounding(model: Model, g: int) -> Array:
-    """The rounding that F x + b of a linearised CPD may have, (CPDs, runs, d)."""
+    """A bound on the rounding of F x + b of the CPDs of group g, (CPDs, runs, d).
+
+    It is 2⁻⁵² times the sum of the summands' sizes, |F| |μ| + |b|, at the point of linearisation,
+    and times what the lineariser multiplies the rounding of a value by: the sums of its sigma
+    points' absolute weights, or a standard deviation over the steps of numerical derivatives.
+    """
     family = model.families[g]
     rule, template = family.lineariser, family.template
     assert template is not None
@@ -43,9 +49,10 @@ def rounding(model: Model, g: int) -> Array:
 
 
 def shift(model: Model) -> float:
-    """How many 10⁻¹⁶ of a deviation CPDs are shifted by, whose sigma points lie close together.
+    """The largest shift that rounding causes, in units of 2⁻⁵² standard deviations of the noise.
 
-    By the rounding of their values, counted from the noise, or where there is none from the prior.
+    It is that of CPDs whose sigma points lie close together, and zero without them. Where a
+    component has no noise the standard deviation is that of F x.
     """
     most = 0.0
     for g, family in enumerate(model.families):

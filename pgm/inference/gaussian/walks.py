@@ -24,7 +24,7 @@ MOST = 1000
 def spectral_radius(messages: RowMessages, run: int) -> float | None:
     """Spectral radius ρ(|R|) of one run's partial correlations; walk-summable if below 1.
 
-    None where there are too many components, or J does not exist, as with CPDs without noise.
+    None where there are more than 1000 components, or J does not exist, as with CPDs without noise.
     """
     layout = messages.buffer.rounds.layout
     if layout.size > MOST:
