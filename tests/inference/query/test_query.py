@@ -58,7 +58,7 @@ def questions(draw):
 
 
 @given(questions())
-@settings(max_examples=300)
+@settings(max_examples=120)
 def test_random_networks(question):
     net, states, weights, wanted = question
     if not wanted:
