@@ -19,8 +19,9 @@ from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States
 from pgm.factors.scope import in_run, listed, names
 from pgm.inference.discrete.entered_evidence import one_hot
-from pgm.inference.discrete.impossible import ADVICE, OF_RUNS, ImpossibleEvidence
+from pgm.inference.discrete.impossible import ADVICE
 from pgm.inference.discrete.run_pieces import some_runs
+from pgm.inference.impossible import OF_RUNS, ImpossibleEvidence
 from pgm.inference.query.plan import EliminationPlan, Step
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring

@@ -21,9 +21,9 @@ from pgm.factors import Table
 from pgm.factors.axes import States, as_states, sizes
 from pgm.factors.scope import names, unknown_name
 from pgm.inference import limits
-from pgm.inference.discrete.allowed import RAISE, allows
 from pgm.inference.discrete.run import of_tree
 from pgm.inference.discrete.run_pieces import pieces
+from pgm.inference.impossible import RAISE, allows
 from pgm.inference.query.elimination import NOTHING, eliminate, require_possible
 from pgm.inference.query.plan import EliminationPlan
 from pgm.inference.query.requisite import Requisite, certain
