@@ -34,13 +34,15 @@ def run(
     kind = kind_of(schedule, "tables")
     require_chain(graph, "tables")
     plan = SlicePlan(graph.layout)
-    require_beliefs(plan, bound, 1 if kind == FILTERED else 2)
+    sets = 1 if kind == FILTERED else 2
+    require_beliefs(plan, bound, sets)
     slices = TableSlices(plan, bound, of_runs=OVER_TIME)
     try:
         chain = solved(slices)
     except ImpossibleEvidence:
         if not allow:
             raise
+        require_beliefs(plan, bound, sets + 1)  # a copy has the NaN
         chain = _without_impossible(slices)
     status = Status.of([], np.ones(bound.runs, dtype=bool), bound.lead)
     return StatePosterior(graph, status, kind, plan, chain)
