@@ -13,12 +13,13 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.impossible import OF_RUNS, require_possible
+from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.run_pieces import Distinct, pieces, tree_pieces
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.discrete.tree_messages import TreeMessages
 from pgm.inference.discrete.tree_passes import Calibrated, calibrate
 from pgm.inference.discrete.tree_plan import TreePlan, plan_for
+from pgm.inference.impossible import OF_RUNS
 from pgm.inference.limits import Room, require_runs
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import exp

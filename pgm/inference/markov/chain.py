@@ -186,9 +186,18 @@ class StateChain(BackwardChain):
         totals = self.total(joint)
         possible = totals > self.semiring.zero
         if not (possible.all() if self.batch else possible):
-            self.slices.refuse(step, belief, int(np.argmin(possible)))
+            joint, totals = self.contradicted(step, belief, joint, totals)
         known: Array = self.semiring.over(joint, totals)
         return known, self.semiring.logs(totals) + log_scale
+
+    def contradicted(
+        self, step: int, belief: Array, joint: Array, totals: Array
+    ) -> tuple[Array, Array]:
+        """The joint of states and measurements and its sums, where some of the sums are zero.
+
+        Here it is refused with an `EvidenceError`.
+        """
+        self.slices.refuse(step, belief, int(np.argmin(totals > self.semiring.zero)))
 
     def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
         """Keep the filtered belief of a step and its log-density; the predicted belief is dropped.

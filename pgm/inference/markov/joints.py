@@ -37,12 +37,14 @@ def potential(
 ) -> tuple[Array, Array | None, Array | float]:
     """The transition into a step, or the prior, and the weights of the step's measurements.
 
+    These are of the evidence as it was given, in runs where that is impossible too.
+
     Returns, in entries of the chain's semiring: p(slice | states before), (*states, *slice, *runs),
     or at step 0 p(states), (*slice, *runs); the weights, (*slice, *runs), None where nothing is
     measured; the log-scale of the weights.
     """
     slices: Any = chain.slices
-    weights, log_scale = slices.likelihood(step)
+    weights, log_scale = slices.given_likelihood(step)
     if not step:
         return slices.prior(), weights, log_scale
     runs = chain.known[0].shape[len(plan.shape) :]
