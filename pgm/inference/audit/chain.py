@@ -101,6 +101,13 @@ class ChainDraws:
         reference: Array | None,
         judged: Mask,
     ) -> ChainDraws:
+        """Prepare to draw from the law of given moments; other modes are looked for.
+
+        beliefs: The smoothed moments of all slices.
+        reverse: The conditionals of the states given the slice after them.
+        reference: (runs,): ln p(z) of the linearised model; None unless densities are relative.
+        judged: (T+1,): whether the belief that was asked for knows all measurements.
+        """
         relative = reference is not None
         prior, transition = (
             [(link, Term.make(link.family, relative=relative)) for link in links]
@@ -181,7 +188,7 @@ class ChainDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """Draw S trajectories for each run, forward in time; see `Drawing`."""
+        """Draw S = `count` trajectories for each run, of q or defensive ones; see `Drawing`."""
         plan, layout = self.plan, self.plan.layout
         shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
         total = np.repeat(self.reference[:, None], count, axis=1)
@@ -220,7 +227,10 @@ class ChainDraws:
         return strand.drawn(total, values)
 
     def _readings(self, step: int, slices: Array, *, strict: bool) -> Array:
-        """The log-density of a step's measurements given its slices (runs, S, n), (runs, S)."""
+        """The log-density of a step's measurements given its slices (runs, S, n), (runs, S).
+
+        A function that is not finite is a LinearisationError if `strict`, else it makes a NaN.
+        """
         total = np.zeros(slices.shape[:2])
         for sensor, term in self.sensors:
             rows = sensor.rows(step)

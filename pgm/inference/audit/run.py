@@ -130,6 +130,7 @@ def audit(
 
 
 def _advice(posterior: Any) -> str:
+    """The message of the error for what is no Gaussian posterior with all its beliefs."""
     if isinstance(posterior, KeptPosterior):
         return (
             f"{posterior._title} has kept marginals alone; leave keep= out to have what is audited"

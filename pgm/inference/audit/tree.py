@@ -70,6 +70,7 @@ class TreeDraws:
 
     @classmethod
     def _make(cls, posterior: GaussianPosterior, *, relative: bool) -> TreeDraws:
+        """Prepare to draw, by densities that are `relative` or not; other modes are looked for."""
         model = posterior._model
         layout, runs = model.layout, model.runs
         mean, cov = np.zeros((runs, 0)), np.zeros((runs, 0, 0))

@@ -193,9 +193,13 @@ class StateChain(BackwardChain):
     def contradicted(
         self, step: int, belief: Array, joint: Array, totals: Array
     ) -> tuple[Array, Array]:
-        """The joint of states and measurements and its sums, where some of the sums are zero.
+        """What `take` goes on with where measurements are impossible in some run.
 
-        Here it is refused with an `EvidenceError`.
+        belief: Of the step, predicted, (*states, *runs).
+        joint: It times the weights of the measurements.
+        totals: The sums of `joint` over the states, (*runs), some of them zero.
+
+        Returns `joint` and `totals`, or others in their place; here an `EvidenceError` is raised.
         """
         self.slices.refuse(step, belief, int(np.argmin(totals > self.semiring.zero)))
 

@@ -39,7 +39,10 @@ class Search(StateChain):
     def contradicted(
         self, step: int, belief: Array, joint: Array, totals: Array
     ) -> tuple[Array, Array]:
-        """The predicted belief in lost runs, in place of its product with the weights."""
+        """Note which runs are lost, and put the predicted belief in place of their joint.
+
+        The sums that are returned are of the new joint.
+        """
         lost = ~(totals > self.semiring.zero)
         self.lost = np.where(lost, np.minimum(self.lost, step), self.lost)
         joint = np.where(lost, belief, joint)

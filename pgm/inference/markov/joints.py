@@ -95,7 +95,11 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
 
 
 def _behind(values: Array, axes: int, passed: int) -> Array:
-    """Values over a slice, with axes of length one for the variables of earlier slices."""
+    """Values over a slice, with axes of length one for variables of earlier slices behind its own.
+
+    values: (*slice, *runs), with `axes` axes of the slice; they become (*slice, 1..., *runs).
+    passed: How many variables of earlier slices there are.
+    """
     return values.reshape(*values.shape[:axes], *(1,) * passed, *values.shape[axes:])
 
 

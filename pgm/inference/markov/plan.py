@@ -340,7 +340,7 @@ class TableSlices:
         return found, scales
 
     def _given_weights_of(self, part: range) -> tuple[Array, Array]:
-        """As `weights_of`, with those that are left out; the arrays are new ones."""
+        """As `weights_of`, but of all measurements given, whatever `lost` is, as new arrays."""
         if len(self.weights) == 1 and self.weights[0].shape == self.plan.shape:
             picked = self.weights[0].picked(part)
             if picked is not None:
@@ -360,7 +360,7 @@ class TableSlices:
 
     @cached_property
     def _fixed(self) -> dict[str, list[Factor]]:
-        """The factors of each contraction, where they are the same at all steps."""
+        """The cache of `factors`, by `way`; it is filled where no CPD has inputs."""
         return {}
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
@@ -376,7 +376,7 @@ class TableSlices:
         return np.where(left_out, self.semiring.one, found), np.where(left_out, 0.0, log_scale)
 
     def given_likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """As `likelihood`, with the measurements that are left out."""
+        """As `likelihood`, but of all measurements given, whatever `lost` is."""
         found: Array | None = None
         log_scale: Array | float = 0.0
         for own, scale in self._weights_at(step):

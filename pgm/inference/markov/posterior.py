@@ -105,10 +105,12 @@ class StatePosterior(Posterior):
         return self._slices.lost
 
     def _blanked(self, beliefs: Beliefs, kind: Kind) -> Beliefs:
+        """Beliefs of a kind by step, with NaN where they know an impossible measurement."""
         return blanked(beliefs, self._lost, kind, self.graph.steps)
 
     @cached_property
     def _beliefs(self) -> Beliefs:
+        """The beliefs over the slice by step, (*states, *runs) each, of the posterior's kind."""
         if self.kind == FILTERED:
             return self._filtered
         chain = self._chain
@@ -118,6 +120,7 @@ class StatePosterior(Posterior):
 
     @cached_property
     def _filtered(self) -> Beliefs:
+        """The filtered beliefs over the slice by step, (*states, *runs) each, as probabilities."""
         chain = self._chain
         found = chain.known if chain.semiring.linear else [*map(chain.numbers, chain.known)]
         return self._blanked(found, FILTERED)
@@ -168,7 +171,7 @@ class StatePosterior(Posterior):
         return Table._plain(scope, frozen(self._over_runs(values, len(scope))))
 
     def _over_runs(self, values: Array, axes: int) -> Array:
-        """Values (sizes..., [runs]) with the user's axes of runs first."""
+        """Values (sizes..., [runs]) with the user's axes of runs first; `axes` counts the sizes."""
         if not self._lead:
             return values
         return np.moveaxis(values, -1, 0).reshape(*self._lead, *values.shape[:axes])
@@ -237,7 +240,11 @@ class StatePosterior(Posterior):
             yield self._scaled_back(step, plain)
 
     def _sized(self, step: int, message: Array) -> tuple[Array, Array, Array]:
-        """A message to a slice, the sum of its product with the belief, and its largest entry."""
+        """A message to a slice, its product with the filtered belief summed, and its largest entry.
+
+        `message`, (*states, *runs), is returned as it is; the other two are (*runs). All are in
+        entries of the chain's semiring.
+        """
         chain = self._chain
         found = chain.total(chain.semiring.times(chain.known[step], message))
         return message, found, message.max(axis=tuple(range(message.ndim - chain.batch)))
