@@ -83,7 +83,6 @@ def audit(
     progress : bool or callable
         As for `infer`, of batches of draws.
 
-
     Raises
     ------
     ModelError
