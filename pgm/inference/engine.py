@@ -128,7 +128,8 @@ def runner(
 def require_tables(model: Any, impossible: str, belief: Any) -> None:
     """Refuse an argument `impossible` other than the default for a network that is not discrete.
 
-    Particles have one of their own, of which the error tells. `model` is a network or its graph.
+    `model` is a network or its graph. If `belief` is a `Particles`, the error, a `GraphError`,
+    tells that it has an argument of this name itself.
     """
     if impossible == RAISE or getattr(model, "network", model).discrete:
         return
@@ -152,6 +153,7 @@ def _run_points(
     keep: Keep | None,
     executor: Executor | None,
 ) -> PointPosterior:
+    """The posterior of a grid or particles; what only Gaussian beliefs can use is refused."""
     given = {"start": start, "keep": keep, "executor": executor}
     require_no_others(belief, lineariser, **given, compiled=graph.layout.compiled or None)
     bound = by_density(bound)
@@ -171,6 +173,7 @@ def _run_tables(
     *,
     impossible: str,
 ) -> StatePosterior:
+    """The posterior of a discrete network; what only Gaussian CPDs can use is refused."""
     if start is not None:
         raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
     given = {"keep": keep, "executor": executor}

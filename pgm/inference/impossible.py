@@ -33,7 +33,9 @@ def allows(impossible: object) -> bool:
 class ImpossibleEvidence(EvidenceError):
     """The error for evidence of probability zero; `lost`, (runs,), marks the runs that have it.
 
-    On a chain these are the runs in which the measurements up to the error's step have it.
+    On a chain these are the runs in which the measurements up to the error's step have it. The
+    error's `run` is the first of them, None without axes of runs, `lead`; `where` are its other
+    attributes, as of `PgmError`.
     """
 
     def __init__(self, message: str, lost: Mask, lead: tuple[int, ...], **where: Any) -> None:

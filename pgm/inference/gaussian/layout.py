@@ -146,6 +146,7 @@ class Layout:
 
     @property
     def _cpds(self) -> Iterator[ConditionalGaussian]:
+        """The CPDs of the network, save those of `absent` variables."""
         for cpd in self.graph.network.cpds:
             assert isinstance(cpd, ConditionalGaussian)
             if cpd.child not in self.absent:

@@ -21,11 +21,13 @@ ROUNDING = 2.0**-52
 
 
 def rounding(model: Model, g: int) -> Array:
-    """A bound on the rounding of F x + b of the CPDs of group g, (CPDs, runs, d).
+    """A bound on the rounding of F x + b of the nonlinear CPDs of group g, (CPDs, runs, d).
 
-    It is 2⁻⁵² times the sum of the summands' sizes, |F| |μ| + |b|, at the point of linearisation,
-    and times what the lineariser multiplies the rounding of a value by: the sums of its sigma
-    points' absolute weights, or a standard deviation over the steps of numerical derivatives.
+    Where they were linearised the parents have the means μ and the standard deviations σ. With
+    sigma points the bound is 2⁻⁵² k (|F| (|μ| + σ) + |b|), k being the sum of their absolute
+    weights in the mean and in the slope. Else it is 2⁻⁵² (k (|F| |μ| + |b|) + |F| σ), k being 1,
+    and for each numerical derivative σ over its step besides; without |F| σ if `Taylor` has all
+    derivatives, and without hidden parents.
     """
     family = model.families[g]
     rule, template = family.lineariser, family.template
