@@ -23,7 +23,8 @@ def steps(x: Array, std: Array) -> Array:
 def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: Mask) -> Array:
     """The Jacobian (..., d, n) of a function at points x (..., n), over the steps of `steps`.
 
-    The rest is as of `over`.
+    `std` (..., n) are the standard deviations of x, and `angles` (d,) marks the values of the
+    function that are angles. `over`, which finds the Jacobian, says what the function takes.
     """
     return over(function, x, steps(x, std), angles)
 
@@ -48,7 +49,7 @@ def over(function: Callable[[Array], Array], x: Array, step: Array, angles: Mask
 
 @lru_cache(maxsize=64)
 def _stencil(size: int) -> Array:
-    """The points of `jacobian` in steps from x, (4n, n): +1, −1, +2 and −2 of each component."""
+    """The points of `over` less x, in steps, (4n, n): +1, −1, +2, −2 for each component in turn."""
     offsets = np.eye(size)[:, None, :] * np.array([1.0, -1.0, 2.0, -2.0])[:, None]
     stencil: Array = offsets.reshape(4 * size, size)
     stencil.flags.writeable = False

@@ -252,7 +252,7 @@ class Share:
     def arrays(self, found: ChainPosterior, runs: int) -> list[Array]:
         """The arrays of a part's posterior that are sent back, in the order of `shapes`.
 
-        A posterior that is sent whole has none.
+        They are of kept marginals or of beliefs: of a posterior that is sent whole none are asked.
         """
         if self.kept is None:
             swept, smoothed = found._swept, found._smoothed

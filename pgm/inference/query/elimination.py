@@ -165,7 +165,10 @@ def lost_runs(probabilities: Array) -> Mask:
 
 
 def refusal(plan: EliminationPlan, lost: Mask, lead: tuple[int, ...]) -> ImpossibleEvidence:
-    """The error for evidence of probability zero in the runs `lost`, whose axes are `lead`."""
+    """The error for evidence of probability zero in the runs that `lost` (runs or 1,) marks.
+
+    `lead` are the lengths of the user's axes of runs, () for none.
+    """
     # Evidence that is given once for all runs has one run.
     first = int(lost.argmax()) if plan.requisite.evidence.lead else 0
     involved, scope = _contradiction(plan, first)

@@ -6,6 +6,9 @@ unless it is zero. That it can only be where tables have zeros. So of the CPDs l
 looked at whose tables have a zero at the evidence, less those whose child nothing else restricts:
 some state of it is always possible. What remains falls into parts that share no unknown variable,
 and of each the probability of its evidence, up to a factor, is found by elimination.
+
+A variable is *known* if it has one state alone or is observed in all runs. A *family* is a CPD with
+those of its variables that are unknown.
 """
 
 from __future__ import annotations

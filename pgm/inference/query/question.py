@@ -136,7 +136,11 @@ def query(
 def _require_possible_elsewhere(
     elsewhere: Sequence[Contradiction], evidence: BoundStates, before: int
 ) -> None:
-    """Raise the `ImpossibleEvidence` of the first run, if that is earlier than the run `before`."""
+    """Raise the error of the first run that `elsewhere` contradicts, if earlier than run `before`.
+
+    `elsewhere` are the contradictions in what the query leaves out, `evidence` is that of the whole
+    network.
+    """
     first = min(elsewhere, key=lambda each: int(each.lost.argmax()), default=None)
     if first is not None and int(first.lost.argmax()) < before:
         raise first.error(evidence) from None
@@ -169,8 +173,8 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
 def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -> States:
     """The variables that the user asks for, as a tuple.
 
-    Raises an EvidenceError for none, or for one that is not `known`, or is observed in all runs; a
-    ModelError for one that is asked for twice.
+    `known` are the network's variables. Raises an EvidenceError for none, or for one that is not
+    among these, or is observed in all runs; a ModelError for one that is asked for twice.
     """
     several = None if is_unordered(variables) else as_tuple(variables)
     found = (variables,) if several is None else several
@@ -215,7 +219,10 @@ def _answer(
 
 
 def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
-    """The joint of the variables `scope`, (sizes..., runs or 1), by summing the others out."""
+    """The joint of the variables `scope`, (sizes..., runs or 1), by summing the others out.
+
+    With `allow`, runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
+    """
     plan.require_size()
     some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
     parts = [eliminate(plan, piece) for piece in some]
@@ -228,6 +235,9 @@ def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
 
 
 def _read(graph: ClusterGraph, evidence: BoundStates, scope: States, *, allow: bool) -> Array:
-    """The joint of the variables `scope`, (sizes..., runs or 1), from the posterior of a tree."""
+    """The joint of the variables `scope`, (sizes..., runs or 1), from the posterior of a tree.
+
+    With `allow`, runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
+    """
     values = of_tree(graph, evidence, limits.Room.of(None, graph), allow=allow).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)
