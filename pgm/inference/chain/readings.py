@@ -151,11 +151,10 @@ class Reading:
 
     `at` is the sensor's CPD with the evidence of these sightings. `values` (D, *batch) are as
     given, with a batch of one for all; `taken` (D, *batch) marks the components measured, None for
-    all.
-    With `fixed` the sensor's stored linearisation is used as it is: angles stay on their branch,
-    and weights are not found anew. `seen` is the last linearisation, `erroneous` whether one has
-    added an approximation error to the noise, and `error` (D, D, *batch) the covariance of this
-    error where weights are found. `gate` is the probability of a gate that has decided.
+    all. With `fixed` the sensor's stored linearisation is used as it is: angles stay on their
+    branch, and weights are not found anew. `seen` is the last linearisation, `erroneous` whether
+    one has added an approximation error to the noise, and `error` (D, D, *batch) the covariance of
+    this error where weights are found. `gate` is the probability of a gate that has decided.
     """
 
     __slots__ = (
