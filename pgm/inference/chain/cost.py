@@ -35,8 +35,8 @@ from pgm.kernels.arrays import (
 def trajectory(plan: ChainPlan, at: Point) -> Array:
     """The cost of the trajectory of means `at.mean` (T+1, runs, n), (runs,).
 
-    Linearisers that take expectations over a belief take them with the covariances of `at`. A
-    window adds the cost of its first slice under the belief that it begins with.
+    Linearisers that take expectations over a belief take them with the covariances of `at`. Where a
+    belief `plan.begin` takes the prior's place, the first slice has its cost under that.
     """
     total = np.zeros(plan.runs)
     if plan.begin is not None:
@@ -112,8 +112,8 @@ def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
 def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
     """The cost of sightings whose noise is correlated within a step, (runs,).
 
-    `left` has the residuals (k, runs, d) of the measurements `rows`; steps that have others too do
-    not count.
+    `left` has the residuals (k, runs, d) of the measurements `rows`; a step with sightings that are
+    not among these rows does not count.
     """
     runs, height = left.shape[1:]
     first, last, _ = rows.indices(len(sensor.values))

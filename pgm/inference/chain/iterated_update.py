@@ -6,7 +6,8 @@ solves the linear problem, and goes on at the solution. In a sweep arrays have t
 first and the runs last, (n, *batch), `batch` being () for one run.
 
 A robust sighting counts as a Gaussian of covariance R / w, w being its weight. Its *surplus* is the
-robust log-density less that of this Gaussian.
+robust log-density less that of this Gaussian. An *anchor* is a further measurement of all
+components, no evidence, by which a step control (Levenberg–Marquardt) holds a try near a point.
 """
 
 from __future__ import annotations

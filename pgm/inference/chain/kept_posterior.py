@@ -147,6 +147,7 @@ class KeptPosterior(Posterior):
         raise GraphError(self._missing("potentials of clusters"))
 
     def _missing(self, what: str) -> str:
+        """The words of an error: `what` was not kept, and how to have it."""
         return (
             f"{what}: not kept, since keep= keeps {self.kind} marginals, log-evidence and status "
             "alone; leave keep= out to have everything"

@@ -120,7 +120,11 @@ def _of_measurement(layout: SliceLayout, variable: Variable) -> str:
 
 
 def require_at_steps(layout: SliceLayout, variables: Sequence[Variable], last: int) -> Scope:
-    """The scope of a joint, checked: one hidden variable or more, each at a step up to `last`."""
+    """The scope of a joint, checked: one hidden variable or more, each at a step up to `last`.
+
+    An EvidenceError refuses none, one without a step, and what `located` refuses; a ModelError
+    refuses a variable that stands twice, and a set, which has no order.
+    """
     if not variables:
         raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
     scope = as_scope(variables)
