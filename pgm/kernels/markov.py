@@ -155,10 +155,10 @@ class Blocks:
             np.multiply(held, self.weights[k], product)
             row = found[k]
             np.dot(product, turned, out=row)
-            if k >= self.last:
-                row[-1] = ends[-1]
-            elif k % EVERY == 0:
+            if k % EVERY == 0:
                 row /= np.add.reduce(row, 1, keepdims=True)
+            if k >= self.last:  # padding, which moves nothing
+                row[-1] = ends[-1]
             held = row
         rows[:-1] = self._in_order(found)
         rows[-1] = 1.0 / self.size

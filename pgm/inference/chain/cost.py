@@ -41,7 +41,7 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
     total = np.zeros(plan.runs)
     if plan.begin is not None:
         mean, cov = Moments(*plan.begin).by_run
-        beginning = _squares((at.mean[0] - mean)[None], cov[None])
+        beginning = squares((at.mean[0] - mean)[None], cov[None])
         assert beginning is not None
         total += beginning
     for link, parents, spread, child in linked(plan, at):
@@ -141,7 +141,7 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
     earlier ones determine, do not count. An indefinite C is refused with a NumericalError that
     names the CPD.
     """
-    total = _squares(residual, cov)
+    total = squares(residual, cov)
     if total is None:
         raise NumericalError(
             f"{family.cpd!r}: with {family.lineariser!r} its noise is indefinite, so that a step "
@@ -152,8 +152,11 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
     return total
 
 
-def _squares(residual: Array, cov: Array) -> Array | None:
-    """The sum of `weighted`; None where a covariance is indefinite or not finite."""
+def squares(residual: Array, cov: Array) -> Array | None:
+    """The sum of rᵀ C⁺ r of `weighted`, (runs,).
+
+    None where a covariance is indefinite or, but for infinite variances, not finite.
+    """
     flat = np.isinf(np.einsum("...ii->...i", cov))
     if flat.any():
         residual = np.where(flat, 0.0, residual)
