@@ -210,8 +210,16 @@ class Line:
 
     def require(self, due: str) -> None:
         """Refuse another number of words than are due."""
-        if len(self.words) != len(due.split()):
-            raise self.fault(f"{len(self.words)} words; `{due}` was due")
+        count = len(due.split())
+        if len(self.words) < count:
+            raise self.fault(
+                f"{len(self.words)} words; `{due}` was due, {count}: the line may be cut; complete "
+                "it, or leave it out"
+            )
+        if len(self.words) > count:
+            raise self.fault(
+                f"{len(self.words)} words; `{due}` was due, {count}: leave the others out"
+            )
 
     def numbers(self, due: str, skip: int = 0) -> list[float]:
         """The finite numbers behind the first words, as many as are due."""

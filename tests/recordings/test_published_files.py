@@ -1,8 +1,10 @@
 """Files as others publish them: read with what was mended told, or refused with the way out."""
 
+import ast
 import gzip
 import io
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +126,23 @@ def test_lines_of_other_kinds_are_skipped_where_asked(line):
     assert told.rows.tolist() == [6, 7]
     assert f"2 dropped: {word}, lines from 1" in repr(graph)
     assert word in repr(graph.recording())
+
+
+def test_the_words_to_skip_are_told_all_together():
+    """Each message's skip= is given, as it stands, until the file is read."""
+    text = POSES + EDGES + "FOO 1 2 3\nBAR 2\nFOO 4 5 6\n"
+    skip, said = (), []
+    while len(said) < 5:
+        try:
+            graph = graph_of(text, skip=skip)
+            break
+        except FileError as error:
+            said.append(re.search(r"skip=(\(.*?\)) leaves such lines out", str(error))[1])
+            skip = ast.literal_eval(said[-1])
+    assert said == ["('FOO',)", "('FOO', 'BAR')"]
+    assert [each.rows.tolist() for each in graph.dropped] == [[6, 8], [7]]
+    with pytest.raises(FileError, match="found 'A.*\\.\\.\\.'; VERTEX_SE2.*was due$"):
+        graph_of(POSES + "A" * 100, skip=("FOO",))  # a word too long to be told
 
 
 @pytest.mark.parametrize("skip", ["EQUIV", (1,), ("",), None])
