@@ -18,7 +18,7 @@ from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.gaussian.tree import TreePlan
-from pgm.inference.gaussian.walks import spectral_radius
+from pgm.inference.gaussian.walks import shown, spectral_radius
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
@@ -243,10 +243,12 @@ class GaussianPosterior(Posterior):
         about = "the spectral radius of |R|, R = I - D^(-1/2) J D^(-1/2) of its information J,"
         if radius >= 1.0:
             return (
-                f"The network is not walk-summable: {about} is {radius:.3g}, and from 1 on "
+                f"The network is not walk-summable: {about} is {shown(radius)}, and from 1 on "
                 "messages round loops may diverge. "
             )
-        return f"The network is walk-summable ({about} is {radius:.4g}): the nearer 1, the slower. "
+        return (
+            f"The network is walk-summable ({about} is {shown(radius)}): the nearer 1, the slower. "
+        )
 
     @property
     def _title(self) -> str:
