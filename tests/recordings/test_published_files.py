@@ -302,7 +302,11 @@ def test_longitudes_are_read_up_to_half_a_turn():
 @pytest.mark.parametrize(
     ("east", "north", "told"),
     [
-        ("lon", "lat", "'lon' by its name a longitude: .*'longitude': .'lon', 'deg'.*, .'lon', 'm'"),
+        (
+            "lon",
+            "lat",
+            "'lon' by its name a longitude: .*'longitude': .'lon', 'deg'.*, .'lon', 'm'",
+        ),
         ("GPS_Long", "y", "a longitude"),
         ("x", "gpsLat", "a latitude"),
         ("x", "Latitude [deg]", "a latitude"),
