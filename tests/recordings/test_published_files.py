@@ -141,7 +141,7 @@ def test_the_words_to_skip_are_told_all_together():
             skip = ast.literal_eval(said[-1])
     assert said == ["('FOO',)", "('FOO', 'BAR')"]
     assert [each.rows.tolist() for each in graph.dropped] == [[6, 8], [7]]
-    with pytest.raises(FileError, match="found 'A.*\\.\\.\\.'; VERTEX_SE2.*was due$"):
+    with pytest.raises(FileError, match=r"found 'A.*\.\.\.'; VERTEX_SE2.*was due$"):
         graph_of(POSES + "A" * 100, skip=("FOO",))  # a word too long to be told
 
 
