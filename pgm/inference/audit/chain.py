@@ -21,12 +21,12 @@ from pgm.inference.audit.draws import Draws, Strand
 from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
 from pgm.inference.audit.proposal import Path, Proposal
+from pgm.inference.belief_kind import SMOOTHED
 from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
-from pgm.inference.status import SMOOTHED
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
 from pgm.kernels.moments import Conditional

@@ -1,4 +1,4 @@
-"""The result of an audit, and the check of the model against its innovations."""
+"""The result of an audit: a smoother beside the importance sampling that checks it."""
 
 from __future__ import annotations
 

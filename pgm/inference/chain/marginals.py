@@ -12,9 +12,9 @@ from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, as_scope, namesake, positions
+from pgm.inference.belief_kind import Kind
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.posterior import require_variable
-from pgm.inference.status import Kind
 from pgm.inference.summaries import marginals_over_time
 from pgm.kernels.arrays import block
 from pgm.variables import Variable

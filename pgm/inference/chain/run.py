@@ -21,6 +21,7 @@ from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.rows import as_rows, require_finite
 from pgm.factors.scope import positions
+from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.chain import (
     careful,
     certificate,
@@ -42,7 +43,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.starting_points import Start, over_runs, require_hidden
-from pgm.inference.status import CLOSE_POINTS, FILTERED, SMOOTHED, Kind, Status, digits
+from pgm.inference.status import CLOSE_POINTS, Status, digits
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork

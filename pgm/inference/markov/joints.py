@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from pgm.factors.axes import States, sizes
+from pgm.inference.belief_kind import Kind
 from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.plan import SlicePlan, TableSlices
-from pgm.inference.status import Kind
 from pgm.kernels.arrays import Array
 
 

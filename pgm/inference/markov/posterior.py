@@ -15,6 +15,7 @@ from pgm.errors import GraphError
 from pgm.factors import Table
 from pgm.factors.axes import discrete, sizes
 from pgm.factors.scope import Scope
+from pgm.inference.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.chain.marginals import require_at_steps
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
@@ -23,7 +24,7 @@ from pgm.inference.markov.joints import joint, pair, potential
 from pgm.inference.markov.marginals import Beliefs, StateMarginals
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
-from pgm.inference.status import FILTERED, PREDICTED, SMOOTHED, Kind, Status
+from pgm.inference.status import Status
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.variables import Variable

@@ -10,6 +10,7 @@ from pgm.compile import DynamicGraph
 from pgm.errors import GraphError
 from pgm.evidence import BoundEvidence
 from pgm.inference.impossible import OVER_TIME, RAISE, ImpossibleEvidence, allows
+from pgm.inference.belief_kind import FILTERED
 from pgm.inference.markov.chain import TINY, StateChain
 from pgm.inference.markov.impossible_runs import first_lost
 from pgm.inference.markov.plan import SlicePlan, TableSlices
@@ -17,7 +18,7 @@ from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.markov.single_state import DirectChain
 from pgm.inference.schedule import Schedule
-from pgm.inference.status import FILTERED, Status
+from pgm.inference.status import Status
 from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.resources import require_memory
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.inference.belief_kind import FILTERED, PREDICTED
 from pgm.inference.chain import close_points
 from pgm.inference.chain.readings import Moments
 from pgm.inference.online.beliefs import OnlineBelief, belief_of, nothing_to_iterate, refuse
 from pgm.inference.online.window import Make, Sliding
-from pgm.inference.status import CLOSE_POINTS, FAR_APART, FILTERED, PREDICTED, Status, digits
+from pgm.inference.status import CLOSE_POINTS, FAR_APART, Status, digits
 from pgm.kernels.arrays import Array
 
 

@@ -18,6 +18,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, as_scope, listed, namesake
 from pgm.inference.argument_checks import require_gaussian
 from pgm.inference.associations import is_open
+from pgm.inference.belief_kind import Kind
 from pgm.inference.chain.association import associated
 from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
@@ -28,7 +29,7 @@ from pgm.inference.parts.split import Part, split
 from pgm.inference.parts.workers import Workers
 from pgm.inference.schedule import Calibration, Filtering, Schedule
 from pgm.inference.starting_points import Start
-from pgm.inference.status import Kind, Status
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
 from pgm.progress import counted
