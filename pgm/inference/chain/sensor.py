@@ -54,7 +54,11 @@ class GateRecord:
 
     @classmethod
     def empty(cls, gate: float, given: Mask) -> GateRecord:
-        """The record before anything is decided, of components `given` (M, runs, d)."""
+        """The record of M sightings of which none is judged yet: none rejected, all squares NaN.
+
+        `gate` is the probability of the gate's χ² quantile, and `given` (M, runs, d) marks the
+        components that were measured.
+        """
         shape = given.shape[:2]
         return cls(gate, given, np.zeros(shape, dtype=bool), np.full(shape, np.nan))
 

@@ -334,6 +334,10 @@ def _require_planar(found: _Found, line: Line) -> None:
 
 
 def _yaw(line: Line, turn: Sequence[float]) -> float:
+    """The yaw [rad], in [−π, π), of a rotation that a line gives as a quaternion qx qy qz qw.
+
+    The quaternion is scaled to length one; one of length zero is refused.
+    """
     unit = np.array(turn) / max(float(np.linalg.norm(turn)), 1e-300)
     if not np.isclose(np.linalg.norm(unit), 1.0):
         raise line.fault(f"{list(turn)}; a quaternion qx qy qz qw was due")
