@@ -75,8 +75,14 @@ class Lengths:
         """
         if any(self._measured(variable) for variable in self.arrays):
             return
-        last = self._last_sighting()
-        if last is None or last < 1 or steps != last + 1 or not self._sighted_throughout(last):
+        try:
+            sighted = self._sighted()
+        except EvidenceError:  # raised again where the sensor is known
+            return
+        last = steps - 1
+        if last < 1 or max((int(step.max()) for step in sighted if step.size), default=0) != last:
+            return
+        if not any(np.isin(np.arange(1, steps), step).all() for step in sighted if step.ndim == 1):
             return
         variable = next(iter(self.arrays))
         message = (
@@ -128,11 +134,6 @@ class Lengths:
 
     def _last_sighting(self) -> int | None:
         return max((int(step.max()) for step in self._sighted() if step.size), default=None)
-
-    def _sighted_throughout(self, last: int) -> bool:
-        """Whether some sensor has a sighting at each of the steps 1..last."""
-        due = np.arange(1, last + 1)
-        return any(np.isin(due, step).all() for step in self._sighted())
 
     def _sighted(self) -> list[Integers]:
         """The steps of the sightings of each sensor, in any order."""
