@@ -106,8 +106,8 @@ def _require_degrees(name: str, stream: Stream, rows: Integers) -> None:
             hint = "are latitude and longitude exchanged?"
         elif abs(latitude[row]) <= _POLE and _from_zero(longitude):
             hint = (
-                "they seem to go from 0 to 360: subtract 360 from those beyond 180, a whole turn "
-                "in another unit"
+                "they seem to go from 0 to 360: subtract 360 from those beyond 180, or 2π where "
+                "they are in radians"
             )
         raise EvidenceError(
             f"{name}, row {rows[row]}: latitude {latitude[row]:.9g}°, longitude "
