@@ -12,10 +12,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from pgm.inference.belief_kind import Kind
 from pgm.inference.markov.chain import TINY, StateChain, smallest
 from pgm.inference.markov.marginals import Beliefs
 from pgm.inference.markov.plan import TableSlices
-from pgm.inference.status import Kind
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 

@@ -9,8 +9,8 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.errors import GraphError
 from pgm.evidence import BoundEvidence
-from pgm.inference.impossible import OVER_TIME, RAISE, ImpossibleEvidence, allows
 from pgm.inference.belief_kind import FILTERED
+from pgm.inference.impossible import OVER_TIME, RAISE, ImpossibleEvidence, allows
 from pgm.inference.markov.chain import TINY, StateChain
 from pgm.inference.markov.impossible_runs import first_lost
 from pgm.inference.markov.plan import SlicePlan, TableSlices
