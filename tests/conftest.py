@@ -9,7 +9,7 @@ import pytest
 from hypothesis import settings
 
 gc.disable()  # until all tests are collected
-settings.register_profile("everywhere", deadline=None, derandomize=True, max_examples=50)
+settings.register_profile("everywhere", deadline=None, derandomize=True, max_examples=30)
 # pytest --hypothesis-profile=thorough draws many, and others each time.
 settings.register_profile("thorough", deadline=None, max_examples=1000)
 settings.load_profile("everywhere")

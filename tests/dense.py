@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 from pgm.linearisers import BoundFunction
 
-algebra = settings(max_examples=60, deadline=None)
+algebra = settings(max_examples=40, deadline=None)
 entries = st.floats(-3.0, 3.0, allow_subnormal=False).map(lambda value: round(value, 3))
 
 

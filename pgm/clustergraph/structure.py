@@ -96,7 +96,11 @@ class ClusterGraph(Drawn, Immutable):
         place = network._places
 
         def places(members: Iterable[Variable], where: str) -> Places:
-            """In the network's order, since sets have none of their own."""
+            """The places of some variables in the network's order, ascending.
+
+            `members` are the variables, or the names, of a cluster or sepset, in any order; `where`
+            is its name in the `GraphError` of members that are none or not in the network.
+            """
             items = (members,) if isinstance(members, Variable | str) else as_tuple(members)
             if items is None:
                 raise GraphError(f"{where} is a set of variables, not {members!r}")

@@ -22,7 +22,7 @@ from pgm.inference import (
     Smoothing,
     infer,
 )
-from pgm.inference.status import FILTERED, SMOOTHED
+from pgm.inference.belief_kind import FILTERED, SMOOTHED
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 

@@ -277,7 +277,13 @@ class Search:
         self._graphs: dict[int, Filling] = {}
 
     def tries(self) -> Iterator[Callable[[int], list[int]]]:
-        """Tries, each to be called with a bound: first those that need no chance."""
+        """An endless series of tries: functions of a bound that each draw one elimination order.
+
+        A try returns an order of the whole graph's vertices, empty where the order's cliques in the
+        core have more table entries than the bound. The first try, where states differ in number,
+        weighs fills by logarithms of them and draws nothing; then a few follow with a little chance
+        in the choice of the next vertex, and then without end with more, by all weightings in turn.
+        """
         count = len(self.weightings)
         # Weights of sizes tell more than none, where they differ.
         narrow = zip(cycle(reversed(range(min(1, count - 1), count))), repeat(NARROW, FEW))

@@ -58,7 +58,10 @@ class RobustNoise(InCode, ABC):
         """The weight 2 ρ′(s)."""
 
     def weight(self, square: Array, count: npt.ArrayLike) -> Array:
-        """The weights ρ'(s) at squares of `count` components, above zero."""
+        """The weights w(s) = 2 ρ′(s) at squares of `count` components; 1 where there are none.
+
+        They are at least 10⁻¹⁵⁰, so that R / w exists.
+        """
         found = np.maximum(self.slope(square, count), _LEAST)
         return np.where(np.asarray(count) > 0, found, 1.0)
 
@@ -78,7 +81,10 @@ class RobustNoise(InCode, ABC):
 
     @abstractmethod
     def _log_scale(self, size: int) -> float:
-        """The value ln c of a density with an integral."""
+        """The value ln c of a proper density c e^{−ρ(s)} of a residual r with `size` components.
+
+        R is I, so that s = rᵀr and c = 1 / ∫ e^{−ρ(rᵀr)} dr.
+        """
 
     def surplus(self, square: Array, count: npt.ArrayLike, weight: Array) -> Array:
         """The log-density of the tangent N(0, R/w) with its offset, less ln N(0, R/w)."""
@@ -161,6 +167,7 @@ class StudentT(RobustNoise):
         return True
 
     def _log_scale(self, size: int) -> float:
+        """The value ln c = ln Γ((ν + d)/2) − ln Γ(ν/2) − d/2 ln(π ν), d being the size."""
         return _log_rise(0.5 * self.dof, 0.5 * size) - 0.5 * size * log(pi * self.dof)
 
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
@@ -215,6 +222,7 @@ class Cauchy(RobustNoise):
         return "give it a scale above the root of that number, or take pgm.StudentT(dof)"
 
     def _log_scale(self, size: int) -> float:
+        """The value ln c = ln Γ(k²/2) − ln Γ((k² − d)/2) − d/2 ln(π k²), of scale k and size d."""
         half = 0.5 * (self.scale**2 - size)
         return _log_rise(half, 0.5 * size) - 0.5 * size * log(pi * self.scale**2)
 
@@ -280,6 +288,10 @@ class Huber(RobustNoise):
         return float(near), float(far)
 
     def _log_scale(self, size: int) -> float:
+        """The value ln c = −ln (A ∫ r^{d−1} e^{−ρ(r²)} dr), d being the size.
+
+        A = 2 π^{d/2} / Γ(d/2) is the surface of the unit sphere in d dimensions.
+        """
         from scipy.special import gammaln  # here, since it is slow to import
 
         sphere = log(2.0) + 0.5 * size * log(pi) - gammaln(0.5 * size)
@@ -348,7 +360,10 @@ class TruncatedLeastSquares(RobustNoise):
         return np.where(square <= self.threshold**2, 1.0, 0.0)
 
     def weight(self, square: Array, count: npt.ArrayLike) -> Array:
-        """The weights ρ'(s) at squares s, above zero; 1 where nothing was measured."""
+        """The weights w(s) = 2 ρ′(s) at squares s; 1 where nothing was measured.
+
+        For a weight of 0 they are 10⁻¹² / max(1, s).
+        """
         return np.where(np.asarray(count) > 0, _some(self.slope(square, count), square), 1.0)
 
     def is_proper(self, size: int) -> bool:
@@ -356,6 +371,7 @@ class TruncatedLeastSquares(RobustNoise):
         return False
 
     def _log_scale(self, size: int) -> float:
+        """There is none: the integral is infinite."""
         raise NotImplementedError("an improper density has no scale")
 
     def draw(self, white: Array, rng: np.random.Generator) -> Array:

@@ -197,6 +197,11 @@ class TableCPD(CPD):
                 step=step,
             )
 
+    @cached_property
+    def _positive(self) -> bool:
+        """Whether the table has no zero."""
+        return bool(self.table.all())
+
     @property
     def parents(self) -> Scope:
         """All parents: first the table's axes, then the inputs of its function."""

@@ -215,6 +215,7 @@ class _Binder:
         if steps is None:
             if not math.prod(self.lead) > 1:
                 lengths.warn_of_columns(found)
+            lengths.warn_of_step_behind(found)
             return found
         require_memory(
             found * sum(variable.dimension for variable in self.hidden),

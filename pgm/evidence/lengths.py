@@ -7,11 +7,14 @@ import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from pgm.boundary import as_wholes, is_whole
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError, EvidenceWarning, levels_to_user
 from pgm.evidence.rows import Rows, due
 from pgm.evidence.values import Evidence, Sightings
+from pgm.kernels.arrays import Integers
 from pgm.variables import Discrete, Variable
 
 
@@ -62,6 +65,33 @@ class Lengths:
                 warnings.warn(message, EvidenceWarning, stacklevel=levels_to_user())
                 return
 
+    def warn_of_step_behind(self, steps: int) -> None:
+        """Warn where plain inputs go one step beyond the sightings of a sensor seen at each step.
+
+        Inputs have T rows, and the last step with a sighting is k = T − 1, up to which some sensor
+        has one at each step 1..k: inputs stamped 0..k, say, of which k lead to step k. There is no
+        warning where sightings are at some steps only, as those of a slow sensor are, whose last
+        one tells nothing of the number of steps.
+        """
+        if any(self._measured(variable) for variable in self.arrays):
+            return
+        try:
+            sighted = self._sighted()
+        except EvidenceError:  # raised again where the sensor is known
+            return
+        last = steps - 1
+        if last < 1 or max((int(step.max()) for step in sighted if step.size), default=0) != last:
+            return
+        if not any(np.isin(np.arange(1, steps), step).all() for step in sighted if step.ndim == 1):
+            return
+        variable = next(iter(self.arrays))
+        message = (
+            f"{variable!r} has {_rows(steps)}, so steps 1..{steps}, and the last sighting is at "
+            f"step {last}: beliefs of step {steps} are a forecast. If {last} steps are meant, "
+            f"{self._advice(variable, last)}. If the forecast is meant, say so by steps={steps}"
+        )
+        warnings.warn(message, EvidenceWarning, stacklevel=levels_to_user())
+
     def _other_than_asked(self, variable: Variable, steps: int) -> EvidenceError:
         length = self.arrays[variable].shape[-2]
         return EvidenceError(
@@ -103,9 +133,12 @@ class Lengths:
         )
 
     def _last_sighting(self) -> int | None:
+        return max((int(step.max()) for step in self._sighted() if step.size), default=None)
+
+    def _sighted(self) -> list[Integers]:
+        """The steps of the sightings of each sensor, in any order."""
         given = [v.step for v in self.evidence.values() if isinstance(v, Sightings)]
-        steps = [as_wholes(step, "step", EvidenceError) for step in given if step is not None]
-        return max((int(step.max()) for step in steps if step.size), default=None)
+        return [as_wholes(step, "step", EvidenceError) for step in given if step is not None]
 
     def _advice(self, variable: Variable, steps: int) -> str:
         """Advice for an array without a row for each of the steps 1..T."""

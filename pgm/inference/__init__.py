@@ -2,6 +2,7 @@
 
 from pgm.inference.associations import Associations
 from pgm.inference.audit import Audit, audit
+from pgm.inference.belief_kind import Kind
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.marginals import Marginals
@@ -39,7 +40,7 @@ from pgm.inference.schedule import (
     Sequential,
     Smoothing,
 )
-from pgm.inference.status import Kind, Status
+from pgm.inference.status import Status
 
 __all__ = [
     "Associations",

@@ -17,7 +17,7 @@ Value = TypeVar("Value")
 class EachSensor(Shown, Mapping[Variable, Value]):
     """A mapping from each sensor that was read to its results.
 
-    Any other key raises an `EvidenceError`.
+    Any other key raises an `EvidenceError`, whose message calls the results `_what`.
     """
 
     _what: ClassVar[str] = "results"
@@ -31,6 +31,7 @@ class EachSensor(Shown, Mapping[Variable, Value]):
         return self._found[variable]
 
     def _absent(self, variable: Variable) -> str:
+        """The message of the error for a variable without results."""
         return (
             f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
             f"{namesake(variable, self)}"

@@ -27,6 +27,8 @@ P = TypeVar("P")
 
 # Advice to take more iterations is given up to so many times as many as were made, or as a few.
 _PATIENCE, _FEW = 10, 10
+# Rounds over which a residual that shrinks each time shrinks steadily.
+_STEADY = 10
 
 
 def is_iterated(schedule: Schedule | None) -> bool:
@@ -99,7 +101,8 @@ def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
     needed = _needed(status, schedule.tolerance, over=10)
     if needed is not None:
         ways.append(f"iterations={needed}, which will do at this rate")
-    ways.append(f"damping={0.5 * (1.0 + schedule.damping):g}")
+    if not _shrink_steadily(status):
+        ways.append(f"damping={0.5 * (1.0 + schedule.damping):g}")
     if _has_hubs(posterior):
         ways.append("pgm.compile(network, method=pgm.LTRIP()), which settles more often")
     ways.append("a junction tree, pgm.compile(network), which is exact")
@@ -107,6 +110,16 @@ def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
         f"{began}: the last changed one by {last} (tolerance {schedule.tolerance:g}; "
         f"status.residuals){beliefs}. {posterior._why_unsettled()}Try {', or '.join(ways)}"
     )
+
+
+def _shrink_steadily(status: Status) -> bool:
+    """Whether residuals shrank in each of the last ten rounds, in every run that did not settle.
+
+    Damping is for messages that swing or grow; as a rule it slows those that come steadily nearer.
+    """
+    record: Array = status.residuals.reshape(len(status.residuals), -1)
+    last = record[-1 - _STEADY :, ~status.converged.reshape(-1)]
+    return len(last) > _STEADY and bool((last[1:] < last[:-1]).all())
 
 
 def _has_hubs(posterior: Posterior) -> bool:

@@ -15,10 +15,11 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.convergence import told
 from pgm.inference.damping import Damping
-from pgm.inference.engine import PointMasses, TemporalPosterior, runner
+from pgm.inference.engine import PointMasses, TemporalPosterior, require_tables, runner
 from pgm.inference.gates import Gate
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.value import Grid
+from pgm.inference.impossible import RAISE
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import TOLERANCE, Filtering, FixedLag, Smoothing
@@ -42,6 +43,7 @@ class _Options(TypedDict, total=False):
     damping: Damping
     gate: Gate
     progress: Progress
+    impossible: str
 
 
 class _SmootherOptions(_Options, total=False):
@@ -110,6 +112,7 @@ def filter(
     belief: PointMasses | None = None,
     compiled: Choice = None,
     progress: Progress = False,
+    impossible: str = RAISE,
 ) -> TemporalPosterior:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
@@ -130,6 +133,10 @@ def filter(
         As for `compile`.
     keep, executor, belief, progress
         As for `infer`.
+    impossible : str
+        For a network of tables, as for `infer`: with ``"allow"``, a run of which a measurement has
+        probability zero given those before has a log-evidence of −∞, and NaN for its filtered
+        beliefs from that step on, and for the smoothed ones at all steps.
 
     Returns
     -------
@@ -169,6 +176,7 @@ def filter(
         belief=belief,
         compiled=compiled,
         progress=progress,
+        impossible=impossible,
     )
     return told(posterior, schedule)
 
@@ -238,6 +246,7 @@ def smooth(
     belief: PointMasses | None = None,
     compiled: Choice = None,
     progress: Progress = False,
+    impossible: str = RAISE,
 ) -> TemporalPosterior:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
@@ -265,7 +274,7 @@ def smooth(
         a slice times the runs are 200 at the most) and costs no digits (no noise-free or grouped
         measurements, none that shrink a variance more than 4·10⁶ times); else, and always in
         machine code, step by step along the chain.
-    keep, executor, belief, compiled, progress
+    keep, executor, belief, compiled, progress, impossible
         See `filter`.
 
     Returns
@@ -305,6 +314,7 @@ def smooth(
         belief=belief,
         compiled=compiled,
         progress=progress,
+        impossible=impossible,
     )
     return told(posterior, schedule)
 
@@ -323,6 +333,7 @@ def send_over_time(
     belief: PointMasses | None = None,
     compiled: Choice = None,
     progress: Progress = False,
+    impossible: str = RAISE,
 ) -> TemporalPosterior:
     """Compile a network and run a schedule on it, as `smooth` does.
 
@@ -331,6 +342,7 @@ def send_over_time(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True, compiled=compiled)
     graph = compile(model, bound.steps, method=method, compiled=compiled)
-    run = runner(graph.model, belief)
+    require_tables(graph, impossible, belief)
+    run = runner(graph.model, belief, impossible)
     with reporting(progress):
         return run(graph, bound, schedule, lineariser, start, keep, executor)

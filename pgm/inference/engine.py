@@ -27,6 +27,7 @@ from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.run import run as run_grid
 from pgm.inference.grid.value import Grid
+from pgm.inference.impossible import RAISE
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.markov.run import run as run_tables
 from pgm.inference.particles.online import OnlineParticles
@@ -110,7 +111,7 @@ TemporalPosterior = ChainPosterior | KeptPosterior | StatePosterior | PointPoste
 
 
 def runner(
-    model: DynamicBayesianNetwork, belief: PointMasses | None = None
+    model: DynamicBayesianNetwork, belief: PointMasses | None = None, impossible: str = RAISE
 ) -> Callable[..., TemporalPosterior]:
     """The function that runs a schedule of a dynamic network with one kind of beliefs.
 
@@ -121,7 +122,25 @@ def runner(
     if belief is not None:
         require_points(belief, model)
         return partial(_run_points, belief)
-    return _run_tables if model.discrete else run_moments
+    return partial(_run_tables, impossible=impossible) if model.discrete else run_moments
+
+
+def require_tables(model: Any, impossible: str, belief: Any) -> None:
+    """Refuse an argument `impossible` other than the default for a network that is not discrete.
+
+    `model` is a network or its graph. If `belief` is a `Particles`, the error, a `GraphError`,
+    tells that it has an argument of this name itself.
+    """
+    if impossible == RAISE or getattr(model, "network", model).discrete:
+        return
+    advice = ": leave it out"
+    if isinstance(belief, Particles):
+        advice = (
+            '; particles have their own, pgm.Particles(..., impossible="restart"): leave it out'
+        )
+    raise GraphError(
+        f"impossible= is for the runs of discrete networks, not for {titled(model)}{advice}"
+    )
 
 
 def _run_points(
@@ -134,6 +153,7 @@ def _run_points(
     keep: Keep | None,
     executor: Executor | None,
 ) -> PointPosterior:
+    """The posterior of a grid or particles; what only Gaussian beliefs can use is refused."""
     given = {"start": start, "keep": keep, "executor": executor}
     require_no_others(belief, lineariser, **given, compiled=graph.layout.compiled or None)
     bound = by_density(bound)
@@ -150,7 +170,10 @@ def _run_tables(
     start: Start | None,
     keep: Keep | None,
     executor: Executor | None,
+    *,
+    impossible: str,
 ) -> StatePosterior:
+    """The posterior of a discrete network; what only Gaussian CPDs can use is refused."""
     if start is not None:
         raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
     given = {"keep": keep, "executor": executor}
@@ -159,7 +182,7 @@ def _run_tables(
         named.append("lineariser")
     if named:
         raise ModelError(f"{named[0]}= is for networks of Gaussian CPDs, and this one is of tables")
-    return run_tables(graph, bound, schedule)
+    return run_tables(graph, bound, schedule, impossible)
 
 
 CONTINUOUS = (
@@ -242,7 +265,7 @@ def infer(
     memory: float | None = None,
     belief: PointMasses | None = None,
     progress: Progress = False,
-    impossible: str = "raise",
+    impossible: str = RAISE,
 ) -> Posterior | GridPosterior | ParticlePosterior:
     """Send the messages of a schedule on a cluster graph.
 
@@ -295,10 +318,11 @@ def infer(
         function, ``progress(done, total)``, called at the start of each stage and after each of its
         items: steps, linearisations, rounds, runs or parts. An error that it raises ends the call.
     impossible : str
-        For a discrete network without time and a graph without loops, what is done where evidence
-        has probability zero: ``"raise"``, or ``"allow"``, where such runs, as of `records` of
-        which some contradict the tables, have a log-evidence of −∞ and beliefs of NaN, and the
-        others theirs.
+        For a discrete network and a graph without loops, what is done where evidence has
+        probability zero: ``"raise"``, or ``"allow"``, where such runs, as of `records` of which
+        some contradict the tables, have a log-evidence of −∞ and beliefs of NaN, and the others
+        theirs. Over time beliefs are NaN that know the first impossible measurement: filtered ones
+        from its step on, with a lag ones as many steps earlier, smoothed ones at all steps.
 
     Returns
     -------
@@ -316,7 +340,8 @@ def infer(
     Raises
     ------
     EvidenceError
-        If the evidence, `start` or `keep` does not fit the model, or the evidence is impossible.
+        If the evidence, `start` or `keep` does not fit the model, or the evidence is impossible
+        (``.run`` and, over time, ``.step`` tell where).
     GraphError
         If a cluster is too large, `memory` is too small for a run, or an argument is not for graphs
         of this kind.
@@ -365,7 +390,7 @@ def send(
     memory: float | None = None,
     belief: PointMasses | None = None,
     progress: Progress = False,
-    impossible: str = "raise",
+    impossible: str = RAISE,
 ) -> Any:
     """The posterior that `infer` returns for the same arguments, without a `ConvergenceWarning`."""
     if not isinstance(graph, ClusterGraph):
@@ -382,17 +407,13 @@ def send(
         raise ModelError(
             f"{schedule!r} is no schedule; give one like pgm.Smoothing() or pgm.Flooding()"
         )
-    if impossible != "raise" and (isinstance(graph, DynamicGraph) or not graph.network.discrete):
-        raise GraphError(
-            "impossible= is for the runs of discrete networks without time, not for "
-            f"{titled(graph)}"
-        )
+    require_tables(graph, impossible, belief)
     if isinstance(graph, DynamicGraph):
         if memory is not None:
             raise GraphError(CONTINUOUS)
         choice = graph.layout.compiled
         bound = bind_chain(graph.model, evidence, graph.steps, identities=True, compiled=choice)
-        run = runner(graph.model, belief)
+        run = runner(graph.model, belief, impossible)
         with reporting(progress):
             return run(graph, bound, schedule, lineariser, start, keep, executor)
     if belief is not None:

@@ -63,9 +63,9 @@ class Family(Rows):
     """A CPD at its rows, and its linearisation F, b and Q there.
 
     `noise` is Q, (rows, runs, d, d): a read-only view of `own_noise`, R, until some row has an
-    error Ω, then (`approximate`) an array of its own. The `judge` of a call compares the traces of
-    functions with the functions when the call is done; `compiled` are the answers of the trace in
-    machine code, derivatives that the user gave included.
+    error Ω, then (`approximate`) an array of its own. The `judge` of a call compares the values
+    and slopes that traces of functions gave (`trace`) with the functions, when the call is done;
+    `compiled` are those of the trace in machine code, derivatives that the user gave included.
     """
 
     noise: Array = field(init=False, repr=False)
@@ -228,7 +228,7 @@ class Family(Rows):
 
     @cached_property
     def prepared(self) -> Prepared:
-        """The lineariser prepared for the CPD's function; its value, without hidden parents."""
+        """The lineariser prepared for the CPD's function; `_value` where no parent is hidden."""
         assert self.template is not None
         return prepare(self.lineariser, self.template) if self.hidden else _value
 
@@ -485,6 +485,10 @@ class Family(Rows):
         return self.compiled or str(tracer.reason)
 
     def _asked(self, judge: Judge, tracer: Tracer, centres: list[Array]) -> Answers | None:
+        """The record of what a trace gives in this call, for the judge; None without a trace.
+
+        If there is none yet, it is made about `centres`, a value (d,) for each argument.
+        """
         template, count = self.template, math.prod(self.noise.shape[:2])
         assert template is not None
         columns, places = template.missing_columns, template.missing
@@ -503,6 +507,7 @@ class Family(Rows):
 
 
 def _unplaced(function: BoundFunction) -> At:
+    """A function to be linearised alone, as an `At` without rows and noise."""
     return At(function, None, None, np.zeros(0), 0, 0)
 
 

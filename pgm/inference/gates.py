@@ -43,7 +43,10 @@ Gate = float | Mapping[Variable, float] | None
 
 
 def as_gate(owner: str, gate: object) -> float | Gates | None:
-    """A gate as schedules keep it: None, a float, or `Gates`; any other value is refused."""
+    """A gate as schedules keep it: None, a float, or `Gates`; any other value is refused.
+
+    The error is a `ModelError`, whose message begins with `owner`.
+    """
     if gate is None:
         return None
     if not isinstance(gate, Mapping):

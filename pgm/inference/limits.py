@@ -60,7 +60,7 @@ class Room:
 
 
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
-    """Refuse a graph whose clusters take too much memory together, or one has too many axes.
+    """Refuse a graph whose clusters take too much memory together, or one that has too many axes.
 
     `entries` are the array entries of each cluster, of a table or a covariance; `what` names these.
     The error is a `GraphError`.

@@ -40,6 +40,10 @@ def _fault(
     more: str,
     kind: type[PgmError] = LinearisationError,
 ) -> PgmError:
+    """The error, of the class `kind`, that the lineariser did what `fault` says, and `more`.
+
+    It names the CPD, the step where there is one, and the runs of `mean` (n, *batch).
+    """
     step = function.step if rows.timed and isinstance(function.step, int) else None
     first = rows.first_run
     last = first + (mean.shape[-1] if mean.ndim > 1 else 1) - 1

@@ -118,9 +118,10 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
     """Send messages until none changes, and relinearisation moves no mean; returns the status.
 
     Nonlinear CPDs are linearised again whenever messages have nearly settled. A run that has
-    converged keeps its messages, so that a batch equals its single runs. So does one that has
-    diverged: its residual is not finite or 10⁴ times the least since its CPDs were linearised last,
-    or a relinearisation moves a mean 10⁴ times as far as the least of them. `lead` are the user's
+    converged keeps its messages, so that a batch equals its single runs, save where `accept` lets
+    it go on with others. One that has diverged always keeps them: its residual is not finite or,
+    unless changes are `bounded`, over 10⁴ times the least since its CPDs were linearised last, or a
+    relinearisation moves a mean over 10⁴ times as far as the least of them. `lead` are the user's
     axes of runs.
     """
     step = next(_STEPS[each] for each in type(schedule).__mro__ if each in _STEPS)(messages)
@@ -193,12 +194,12 @@ def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array
 
 
 def _flooding(messages: Messages[Any]) -> Step:
-    """A round: all messages at once, from the messages of the round before."""
+    """The `Step` that sends all messages at once, from those of the round before."""
     return _in_turn(messages, [range(len(messages.directed))])
 
 
 def _sequential(messages: Messages[Any]) -> Step:
-    """A round: clusters in order send to later ones, then in reverse order to earlier ones."""
+    """The `Step` in which clusters in order send to later ones, then in reverse to earlier ones."""
     target = messages.directed.target
     there, back = [], []
     for cluster, outgoing in enumerate(messages.directed.outgoing):
@@ -210,7 +211,7 @@ def _sequential(messages: Messages[Any]) -> Step:
 
 
 def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
-    """A round that sends groups of messages in turn, each from those of the groups before."""
+    """The `Step` that sends groups of messages in turn, each from those of the groups before."""
     rounds = [(list(turn), messages.round(turn)) for turn in turns]
 
     def step(active: Mask, lost: Mask) -> Array:
@@ -224,7 +225,7 @@ def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
 
 
 def _residual(messages: Messages[Any]) -> Step:
-    """Residual scheduling: the message that would change most is sent next (Elidan, 2006).
+    """The `Step` that sends next the message that would change most (Elidan, 2006).
 
     A round sends as many messages as there are. After each, only the messages that depend on it are
     computed anew. The changes that a round returns are those still to come.

@@ -143,7 +143,7 @@ class PageTest(NamedTuple):
 class Stretch:
     """A stretch of steps, of one run, at which the belief was lost.
 
-    `run` is the run's index, empty if there is one run. The stretch reaches from the step `first`,
+    `run` is the run's index, empty without axes of runs. The stretch reaches from the step `first`,
     where it probably began, to the step `last`; by the measurements up to the step `declared` it
     was known. The reason `why` is ``"innovations"`` too large, and `value` then the mean NIS per
     component of what was taken in (of a consistent belief 1); or it is ``"rejections"`` too many,

@@ -64,8 +64,8 @@ class Rows:
     other parents. `template` has the function, None of an affine CPD, whose F (d, n) and b (rows or
     1, runs or 1, d) are `affine`. `own_noise` (rows or 1, runs or 1, d, d) is the CPD's own noise
     covariance. `batch` is (runs,), or () for one run; messages count runs from `first_run`.
-    `answers` are those of the function's trace in this call, where a judge compares them with the
-    function.
+    `answers` records the values and slopes that the function's trace (`pgm.tracing`) gives in this
+    call, where a judge compares them with the function.
     """
 
     cpd: ConditionalGaussian
@@ -157,6 +157,7 @@ class Rows:
         return At(function, None, None, noise, 0, count)
 
     def _wide(self, inputs: Sequence[Array], count: int) -> dict[Variable, Array]:
+        """The inputs of `given` by parent, (count, 1, d) each: sightings as rows, one run."""
         every = zip(self.inputs, inputs, strict=True)
         return {parent: values.reshape(count, 1, -1) for parent, values in every}
 
@@ -189,16 +190,19 @@ class Rows:
 
     @cached_property
     def _by_row(self) -> list[tuple[Array | None, ...]]:
+        """For each row its part of `_known`: for each argument an array, or None."""
         nothing = [None] * self.step.size
         every = (nothing if values is None else list(values) for values in self._known)
         return list(zip(*every, strict=True))
 
     @cached_property
     def _steps(self) -> list[int]:
+        """The step of each row, as integers of Python."""
         found: list[int] = self.step.tolist()
         return found
 
     def _own(self, first: int, last: int) -> Array:
+        """The own noise of some rows, as `_noise_of` stacks it; kept where all have the same."""
         if len(self.own_noise) > 1:
             return self._noise_of(self.own_noise, first, last)
         count = last - first
@@ -209,9 +213,14 @@ class Rows:
 
     @cached_property
     def _constant_noise(self) -> dict[int, Array]:
+        """Own noises that `_own` has kept, by the number of rows that were stacked."""
         return {}
 
     def _noise_of(self, noise: Array, first: int, last: int) -> Array:
+        """The noise of k rows, stacked to one vector: block diagonal, (k d, k d, *batch).
+
+        `noise` is (rows or 1, runs or 1, d, d).
+        """
         blocks = noise[first:last] if len(noise) > 1 else noise
         blocks = blocks.transpose(0, 2, 3, 1) if self.batch else blocks[:, 0]
         if last - first == 1:
@@ -219,6 +228,7 @@ class Rows:
         return block_diagonal(np.broadcast_to(blocks, (last - first, *blocks.shape[1:])))
 
     def _affine_at(self, first: int, last: int) -> At:
+        """Some rows of an affine CPD, as `at` returns them; kept where all rows have the same."""
         constant, shift = self.affine
         count = last - first
         if len(shift) == 1 == len(self.own_noise):
@@ -240,6 +250,7 @@ class Rows:
 
     @cached_property
     def _constant_at(self) -> dict[int, At]:
+        """Rows that `_affine_at` has kept, by the number of rows that were stacked."""
         return {}
 
 

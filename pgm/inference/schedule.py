@@ -9,9 +9,9 @@ from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.inference.argument_checks import require_count, require_tolerance
+from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.damping import Damping, require_damping
 from pgm.inference.gates import Gate, as_gate
-from pgm.inference.status import FILTERED, SMOOTHED, Kind
 
 # Standard deviations by which a mean may still move at what counts as a fixed point: nothing that
 # an estimate could show, and within reach of float64 and of ten linearisations of most recordings.

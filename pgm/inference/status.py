@@ -1,75 +1,18 @@
-"""The status of a schedule, iterations, convergence and digits, and the kind of its beliefs."""
+"""The status of a schedule: iterations, convergence, and the digits that rounding leaves."""
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from pgm.arguments import public
-from pgm.boundary import is_whole
-from pgm.display import InCode, Shown, Summary, few, number
-from pgm.errors import ModelError, PrecisionWarning, levels_to_user
+from pgm.display import Shown, Summary, few, number
+from pgm.errors import PrecisionWarning, levels_to_user
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
-
-
-@public
-@dataclass(frozen=True)
-class Kind(InCode):
-    r"""The kind of a chain's beliefs: each knows the measurements up to a lag after its step.
-
-    .. math:: p(x_t \mid z_0, \dots, z_{\min(t + \mathrm{lag},\, T)})
-
-    Its text, ``predicted``, ``filtered``, ``fixed-lag (5)`` or ``smoothed``, labels plots:
-    ``pgm.plot.trajectory(posterior[x], label=posterior.kind)``. A lag that is no such number is
-    refused with a `ModelError`.
-
-    Parameters
-    ----------
-    lag : int or math.inf
-        In steps: −1 of a prediction, which knows the measurements before its step; 0 of a filter;
-        more of a fixed-lag smoother; ``math.inf`` of a smoother, which knows all.
-
-    Examples
-    --------
-    >>> print(Kind(0), Kind(5), Kind(math.inf), sep=", ")
-    filtered, fixed-lag (5), smoothed
-    """
-
-    lag: float
-
-    def __post_init__(self) -> None:
-        endless = isinstance(self.lag, float) and self.lag == math.inf
-        if not endless and not (is_whole(self.lag) and self.lag >= -1):
-            raise ModelError(
-                f"a lag is a whole number of steps from -1 on, or math.inf, not {self.lag!r}"
-            )
-
-    @property
-    def name(self) -> str:
-        """``predicted``, ``filtered``, ``fixed-lag`` or ``smoothed``."""
-        names = {-1: "predicted", 0: "filtered", math.inf: "smoothed"}
-        return names.get(self.lag, "fixed-lag")
-
-    def last(self, step: int, steps: int) -> int:
-        """The last step whose measurements a belief at `step` of a chain of `steps` knows.
-
-        It is min(step + lag, T); −1 of a prediction at step 0, which knows none.
-        """
-        return int(min(step + self.lag, steps))
-
-    def __str__(self) -> str:
-        return f"{self.name} ({self.lag})" if self.name == "fixed-lag" else self.name
-
-
-PREDICTED, FILTERED, SMOOTHED = Kind(-1), Kind(0), Kind(math.inf)
-
 
 # Digits of a mean, counted from its standard deviation, below which the user is warned.
 ENOUGH_DIGITS = 6.0

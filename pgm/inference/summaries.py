@@ -1,4 +1,7 @@
-"""Summaries of posteriors: log-evidence, status, and the ends of the beliefs over time."""
+"""Summaries of posteriors: log-evidence, status, and the ends of the beliefs over time.
+
+Arguments `runs` are the user's axes of runs; `last` is T, the last step.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +72,10 @@ def ends(
     runs: tuple[int, ...],
     last: int,
 ) -> list[str | Listing]:
-    """Listings of the beliefs of the first variables, each of its first and last steps."""
+    """Listings of the beliefs of the first variables, each of its first and last steps.
+
+    `beliefs` gives them by variable and step. Variables that are no `states` begin at step 1.
+    """
     shown = variables[:VARIABLES]
     most = max(ROWS // max(len(shown), 1) - (len(shown) > 1), ENDS)
     parts: list[str | Listing] = [
@@ -101,7 +107,7 @@ def of_network(
 def by_variable(
     posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...]
 ) -> list[str | Listing]:
-    """The beliefs of the first and last variables, a row each; the first runs are columns."""
+    """The beliefs of the first and last variables as rows; the first runs are columns."""
     picked = [place for place in places(runs, RUNS) if place is not None][:RUNS]
     rows: list[Sequence[str] | None] = []
     for k in few(len(variables), NETWORK_ROWS) if picked else ():
@@ -159,6 +165,7 @@ def spread(values: Array, digits: int = 6) -> str:
 def _ends(
     beliefs: Any, variable: Variable, first: int, runs: tuple[int, ...], last: int, most: int
 ) -> Listing:
+    """The listing of one variable's beliefs from step `first` on, of about `most` rows."""
     steps = range(first, last + 1)
     lead = (*runs, len(steps))
     kept: dict[int, Any] = {}
@@ -190,6 +197,11 @@ def _states(
     chances: Callable[[Place], Array],
     most: int,
 ) -> Listing:
+    """The listing of a discrete variable's probabilities, about `most` rows, a column a state.
+
+    A place is an index along `lead`, the axes of runs and that of `steps`; `chances` gives the
+    probabilities (size,) there.
+    """
     shown, across = places(lead, most), few(variable.size, STATES)
     found = [place for place in shown if place is not None]
     each = np.array([chances(place) for place in found]).reshape(len(found), variable.size)
@@ -203,6 +215,10 @@ def _states(
 
 
 def _of_variable(variable: Variable, found: Any, picked: Sequence[Place]) -> list[list[str]]:
+    """The rows of one variable, each a name and the belief in each picked run.
+
+    A discrete variable has one row, another a row for each component.
+    """
     if isinstance(found, Table):
         return [[repr(variable), *(states_of(found, place) for place in picked)]]
     each = [

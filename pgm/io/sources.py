@@ -4,6 +4,7 @@ import gzip
 import io
 import math
 import os
+import re
 import secrets
 import zlib
 from collections.abc import Iterator, Sequence
@@ -22,6 +23,11 @@ Source: TypeAlias = str | os.PathLike[str] | IO[Any]
 # Some ten times the largest network of the public repositories, in bytes.
 LIMIT = 64 * 2**20
 GZIP = b"\x1f\x8b"
+# How much of a file is looked at, in characters or bytes, and how a web page begins.
+_HEAD = 4096
+_PAGE = re.compile(
+    r"\ufeff?(?:\s++|<\?(?s:.*?)\?>|<!--(?s:.*?)-->)*+(<!doctype\s+html\b|<html\b)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +114,19 @@ def _unpacked(file: IO[Any], origin: Origin, limit: int) -> Content:
         raise origin.fault(
             f"it holds more than {limit} bytes; where it is meant to, raise the limit (limit=)"
         )
+    _refuse_pages(data, origin)
     return Content(data, origin)
+
+
+def _refuse_pages(data: str | bytes, origin: Origin) -> None:
+    """Refuse a page of the web, as a browser saves it in place of the file that it shows."""
+    head = data[:_HEAD] if isinstance(data, str) else data[:_HEAD].decode("utf-8-sig", "replace")
+    if page := _PAGE.match(head):
+        raise origin.fault(
+            "it is a web page (HTML), not the file that the page shows: save the raw file, by the "
+            "page's link to it ('Raw' or 'Download'), and read that",
+            line_of(head, page.start(1)),
+        )
 
 
 def _all(file: Any, limit: int) -> str | bytes:
@@ -210,8 +228,16 @@ class Line:
 
     def require(self, due: str) -> None:
         """Refuse another number of words than are due."""
-        if len(self.words) != len(due.split()):
-            raise self.fault(f"{len(self.words)} words; `{due}` was due")
+        count = len(due.split())
+        if len(self.words) < count:
+            raise self.fault(
+                f"{len(self.words)} words; `{due}` was due, {count}: the line may be cut; complete "
+                "it, or leave it out"
+            )
+        if len(self.words) > count:
+            raise self.fault(
+                f"{len(self.words)} words; `{due}` was due, {count}: leave the others out"
+            )
 
     def numbers(self, due: str, skip: int = 0) -> list[float]:
         """The finite numbers behind the first words, as many as are due."""

@@ -27,7 +27,10 @@ _SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
-    """Put the covariance F P Fᵀ + noise into `out`, (d, d, runs); F is `matrix`, (d, n, runs)."""
+    """Put the covariance F P Fᵀ + noise into `out`, (d, d, runs); F is `matrix`, (d, n, runs).
+
+    P is `cov` (n, n, runs); `noise` is (d, d, runs or 1).
+    """
     half = np.einsum(_TIMES_TRANSPOSED, matrix, cov)
     np.einsum(_TIMES_TRANSPOSED, half, matrix, out=out)
     out += noise

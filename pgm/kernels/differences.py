@@ -11,26 +11,33 @@ from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import Array, Mask
 
 
-def steps(x: Array, std: Array, finer: float = 1.0) -> Array:
-    """The difference steps at x, (..., n): max(finer · max(10⁻² std, 10⁻⁴), 10⁻⁹ |x|).
+def steps(x: Array, std: Array) -> Array:
+    """The difference steps at x, (..., n): max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|).
 
-    `std` (..., n) are the standard deviations of x; `finer` below one shortens the steps.
+    `std` (..., n) are the standard deviations of x.
     """
-    found: Array = np.maximum(finer * np.maximum(1e-2 * std, 1e-4), 1e-9 * np.abs(x))
+    found: Array = np.maximum(np.maximum(1e-2 * std, 1e-4), 1e-9 * np.abs(x))
     return found
 
 
-def jacobian(
-    function: Callable[[Array], Array], x: Array, std: Array, angles: Mask, finer: float = 1.0
-) -> Array:
-    """The Jacobian (..., d, n) of a function at points x (..., n), by one call of the function.
+def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: Mask) -> Array:
+    """The Jacobian (..., d, n) of a function at points x (..., n), over the steps of `steps`.
 
-    `function` maps points (..., 4n, n) to their values (..., 4n, d). The derivatives are central
-    differences of fourth order, with the steps of `steps`. `angles` (d,) marks the values that are
+    `std` (..., n) are the standard deviations of x, and `angles` (d,) marks the values of the
+    function that are angles. `over`, which finds the Jacobian, says what the function takes.
+    """
+    return over(function, x, steps(x, std), angles)
+
+
+def over(function: Callable[[Array], Array], x: Array, step: Array, angles: Mask) -> Array:
+    """The Jacobian (..., d, n) of a function at points x (..., n) over steps (..., n).
+
+    It takes one call of the function, which maps points (..., 4n, n) to their values (..., 4n, d).
+    The derivatives are central differences of fourth order. `angles` (d,) marks the values that are
     angles, whose differences are wrapped to [−π, π).
     """
     lead, size = x.shape[:-1], x.shape[-1]
-    step = (x + steps(x, std, finer)) - x  # the step that is taken in floating point
+    step = (x + step) - x  # the step that is taken in floating point
     values = function(x[..., None, :] + _stencil(size) * step[..., None, :])
     each = values.reshape(*lead, size, 4, -1)
     near, far = each[..., 0, :] - each[..., 1, :], each[..., 2, :] - each[..., 3, :]
@@ -42,7 +49,7 @@ def jacobian(
 
 @lru_cache(maxsize=64)
 def _stencil(size: int) -> Array:
-    """The points of `jacobian` in steps from x, (4n, n): +1, −1, +2 and −2 of each component."""
+    """The points of `over` less x, in steps, (4n, n): +1, −1, +2, −2 for each component in turn."""
     offsets = np.eye(size)[:, None, :] * np.array([1.0, -1.0, 2.0, -2.0])[:, None]
     stencil: Array = offsets.reshape(4 * size, size)
     stencil.flags.writeable = False

@@ -139,12 +139,15 @@ class Known(NamedTuple):
 
     @property
     def moved(self) -> Array:
-        """The w with L w = d, (..., n), for the move d of the mean: its squared length is dᵀP⁺d."""
+        """The w with L w = d, (..., n), for the move d of the mean from m to that of the product.
+
+        Its squared length is dᵀP⁺d, P⁺ being the pseudo-inverse of P.
+        """
         return solving.solve_upper(self.U, self.white[..., None])[..., 0]
 
 
 def condition(belief: Belief, likelihood: Likelihood) -> Known:
-    """The belief times a likelihood: P⁺ = (I + PK)⁻¹P, m⁺ = m + P⁺(h − K m)."""
+    """The belief N(m, P) times a likelihood: covariance C = (I + PK)⁻¹P, mean m + C (h − K m)."""
     mean, cov, weight = belief
     precision, h, g = likelihood
     factor, upper = _meet(cov, precision)

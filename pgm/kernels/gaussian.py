@@ -158,8 +158,9 @@ def extend(
 
     `mean` (m, *batch) and `cov` (m, m, *batch) of the joint are changed in place at the components
     `child`; x is at the components `parents`. `value` (d, *batch) is the mean F E x + b of y,
-    `matrix` F (d, number of parents, *batch) and `noise` (d, d, *batch) the covariance of n; `bare`
-    is as of `predict`.
+    `matrix` F (d, number of parents, *batch) and `noise` (d, d, *batch) the covariance of n. `bare`
+    are the places in y of its bare components: where the variance of one is no more than rounding,
+    it and its covariances become zero.
     """
     mean[child] = value
     if not matrix.shape[1]:
@@ -213,7 +214,7 @@ def update(
     The batch is last; H and the noise may be one for all; P is exactly symmetric. `out`, a mean and
     a covariance, may be used for the new moments of a batch. With `exact` the noise is singular,
     and zeros are told from rounding. A batch goes to `moments` if a pivot of S is at most `least`
-    of its diagonal entry; `sharp` is its `along_runs.sharpness`, if at hand.
+    of its diagonal entry; `sharp` is `along_runs.sharpness(noise, least)`, computed if None.
     """
     if not exact:
         if cov.ndim > 2:

@@ -1,4 +1,4 @@
-"""The number of draws that represents a distribution over bins, and the bins that points fall into.
+"""The number of draws that represents a distribution over bins, by KLD-sampling.
 
 For n draws from k bins the statistic S = 2 n KL(empirical ‖ true) has, where bins have many draws
 each, a χ² distribution of k − 1 degrees of freedom (Wilks, 1938): with n = χ²_{k−1, 1−δ} / (2 ε)
@@ -13,13 +13,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array, Integers, Mask
-
-# Bins further from zero than this would not be told apart by float64.
-_FARTHEST = 2.0**52
 # Largest mean and variance of a bin's part of the statistic, over all expected counts.
 _MEAN, _VARIANCE = 1.1605, 2.406
 
@@ -37,31 +30,3 @@ def draws_needed(bins: int, epsilon: float, delta: float) -> int:
     scale = _VARIANCE / _MEAN
     quantile = scale * float(gammainccinv((bins - 1) * _MEAN / scale, delta))
     return math.ceil(quantile / (2.0 * epsilon))
-
-
-def keys(points: Array, widths: Array, angles: Mask) -> Integers | None:
-    """The whole-number bin of each point (d, n) along each axis, (d, n).
-
-    `widths` (d,) are those of the bins; on the axes that `angles` (d,) marks, they are changed so
-    that a whole number of bins makes a turn. None if a point is 2⁵² bins or more from zero.
-    """
-    scaled = np.asarray(points, dtype=np.float64) / widths[:, None]
-    for k in np.flatnonzero(angles):
-        round_ = max(round(TURN / widths[k]), 1)
-        scaled[k] = (points[k] % TURN) * (round_ / TURN)
-        scaled[k] -= round_ * (scaled[k] >= round_)
-    if not (np.abs(scaled) < _FARTHEST).all():
-        return None
-    return np.floor(scaled).astype(np.int64)
-
-
-def occupied(bins: Integers) -> int:
-    """The number of different bins, columns of (d, n), among n draws."""
-    low = bins.min(axis=1, keepdims=True)
-    spans = [int(span) for span in (bins.max(axis=1) - low[:, 0] + 1)]
-    if math.prod(spans) < 2**62:
-        number = np.zeros(bins.shape[1], dtype=np.int64)
-        for row, span in zip(bins - low, spans, strict=True):
-            number = number * span + row
-        return len(np.unique(number))
-    return int(np.unique(bins, axis=1).shape[1])

@@ -12,7 +12,7 @@ from pgm.kernels.roots import NEGLIGIBLE
 
 
 def square_within(probability: float, dimension: Integers) -> Array:
-    """The chi-square quantile: νᵀ S⁻¹ ν of `dimension` components is below with `probability`."""
+    """The chi-square quantile: with `probability` νᵀ S⁻¹ ν of `dimension` components is less."""
     from scipy.special import chdtri  # here, since it is slow to import
 
     return np.asarray(chdtri(dimension, 1.0 - probability), dtype=np.float64)

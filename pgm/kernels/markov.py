@@ -37,9 +37,10 @@ def forward(
     """Fill rows with forward messages; returns their masses, and those of the beliefs before.
 
     Row t is weights[t] times the transition applied to the belief before: that is row t − 1, or,
-    after every `every` steps, row t − 1 scaled to mass one. `applies` has the product by the
-    transition into each step; `weights` and `rows` are (steps, states, [runs]); `belief`
-    (states, [runs]), of mass one, is that before the first step.
+    after every `every` steps, row t − 1 scaled to mass one. Each of `applies`, one a step, is a
+    function of a belief and an array, into which it puts the belief's product by the transition
+    into the step; `weights` and `rows` are (steps, states, [runs]); `belief` (states, [runs]), of
+    mass one, is that before the first step.
     """
     before = np.ones((len(rows), *belief.shape[1:]))
     for k, (apply, weight, row) in enumerate(zip(applies, weights, rows, strict=False)):
@@ -58,9 +59,9 @@ def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int =
     """Fill rows (steps, states, [runs]) with backward messages, last to first; the last is given.
 
     Row t − 1 is the transposed transition into step t applied to weights × row t; after every
-    `every` steps a row is scaled to mass one. `applies` has the products by these transposes, that
-    of the last step first; `weights` (steps − 1, states, [runs]) are of all steps but the first, in
-    their order.
+    `every` steps a row is scaled to mass one. Each of `applies`, that of the last step first, is a
+    function of a message and an array, into which it puts the product by this transpose; `weights`
+    (steps − 1, states, [runs]) are of all steps but the first, in their order.
     """
     message = rows[-1]
     product = np.empty_like(message)
@@ -121,7 +122,11 @@ class Blocks:
         self.scale = np.ascontiguousarray(self.scale.T)
 
     def forward(self, belief: Array, rows: Array) -> Masses:
-        """Fill rows (steps, states) with forward messages; arguments and result as of `forward`."""
+        """Fill rows (steps, states) with forward messages; returns masses as `markov.forward` does.
+
+        These are the masses of the rows, and those of the beliefs that each was made from, (steps,)
+        both. `belief` (states,), of mass one, is that before the first step.
+        """
         held = self._starts(belief)
         found = np.empty(self.weights.shape)
         before = np.ones((self.length, self.count))
@@ -150,10 +155,10 @@ class Blocks:
             np.multiply(held, self.weights[k], product)
             row = found[k]
             np.dot(product, turned, out=row)
-            if k >= self.last:
-                row[-1] = ends[-1]
-            elif k % EVERY == 0:
+            if k % EVERY == 0:
                 row /= np.add.reduce(row, 1, keepdims=True)
+            if k >= self.last:  # padding, which moves nothing
+                row[-1] = ends[-1]
             held = row
         rows[:-1] = self._in_order(found)
         rows[-1] = 1.0 / self.size

@@ -109,7 +109,10 @@ def certain(cov: Array, rounding: Array) -> Array:
 
 
 class Conditional(NamedTuple):
-    """An affine Gaussian, p(x | y): x = F y + b + n, n ~ N(0, cov), F = matrix, b = offset."""
+    """An affine Gaussian, p(x | y): x = F y + b + n, n ~ N(0, cov), F = matrix, b = offset.
+
+    For x of n and y of d components F is (..., n, d), b (..., n) and cov (..., n, n).
+    """
 
     matrix: Array
     offset: Array
@@ -197,8 +200,8 @@ def moved(mean: Array, other: Array, std: Array) -> Array:
     """How far means m (T, ..., n) move in an iteration from m′ = `other`: zero for rounding alone.
 
     It is the largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the first and the last axis, (...),
-    with s as of `marginal_error` and ε the rounding unit of float64. If rounding counted, means of
-    10⁸ standard deviations would never settle.
+    where s is the standard deviation `std`, or max(|m|, 1) where that is zero, and ε the rounding
+    unit of float64. If rounding counted, means of 10⁸ standard deviations would never settle.
     """
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     rounding = LAST_PLACES * np.maximum(np.abs(mean), np.abs(other))

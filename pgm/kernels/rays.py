@@ -96,9 +96,11 @@ def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array
 def _advance(rays: Array, step: Array) -> None:
     """Move rays, in place, to where they leave the square of free cells around their cells.
 
-    `rays` (13, n) has a ray in each column, with the rows that `_follow` lays out; the distance and
-    the cell change. Along each axis the edge ahead is `step` (n,) cells from the near edge of the
-    cell; the ray crosses that which it reaches first.
+    `rays` (13, n) has a ray in each column, in its own frame. Its rows are, for x and y each, where
+    the ray begins, its direction, one over that, the stride of the flat grid and the cell; then the
+    flat index of cell (0, 0), the distance so far and where it ends. Distance and cell change.
+    Along each axis the edge ahead is `step` (n,) cells from the near edge of the cell; the ray
+    crosses that which it reaches first.
     """
     x, y, across, along, by_across, by_along, _, _, column, row, _, distance, _ = rays
     edge, other = column + step, row + step

@@ -24,7 +24,7 @@ Resampler = Callable[[Array, int, np.random.Generator], Integers]
 def systematic(weights: Array, count: int, rng: np.random.Generator) -> Integers:
     """Systematic resampling: `count` evenly spaced levels with one random offset.
 
-    Each particle is drawn ⌊·⌋ or ⌈·⌉ of count · w times. Madow, On the theory of systematic
+    Each particle is drawn ⌊·⌋ or ⌈·⌉ of count · w / Σ w times. Madow, On the theory of systematic
     sampling, 1949; the low variance sampler of Thrun, Burgard & Fox, Probabilistic Robotics, 2005,
     table 4.4.
     """
@@ -43,7 +43,7 @@ def stratified(weights: Array, count: int, rng: np.random.Generator) -> Integers
 
 
 def residual(weights: Array, count: int, rng: np.random.Generator) -> Integers:
-    """⌊count · w⌋ copies of each particle, the rest drawn independently (Liu & Chen 1998)."""
+    """⌊count · w / Σ w⌋ copies of each particle, the rest drawn independently (Liu & Chen 1998)."""
     expected = count * (weights / weights.sum(dtype=np.float64))
     # Whole numbers that rounding left a little short are whole: else equal weights, which are to be
     # drawn once each, would all be left to chance.

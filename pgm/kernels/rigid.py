@@ -11,7 +11,10 @@ from pgm.kernels.arrays import Array
 
 
 def mounted(poses: Array, mount: Array) -> Array:
-    """Poses (..., 3) of a sensor whose pose in the frame of each body, of `poses`, is `mount`."""
+    """The poses (..., 3) of a sensor that each body, at `poses` (..., 3), carries.
+
+    `mount` (3,) is the sensor's pose in the frame of a body.
+    """
     return _stacked(turned(mount[:2], poses[..., 2]) + poses[..., :2], poses[..., 2] + mount[2])
 
 

@@ -148,6 +148,7 @@ def entries(values: Array, log_scale: Array) -> Array:
 
 
 def _span(axes: int) -> tuple[int, ...]:
+    """The indices −axes to −1 of the last `axes` axes, those of a table's entries."""
     return tuple(range(-axes, 0))
 
 

@@ -70,6 +70,16 @@ class QuasiNewton:
         return step
 
     def _learn(self, move: Array, turned: Array, changed: Array) -> None:
+        """Update the correction S to tell the last move: Δθ = −(Δe + S Δg) holds of the new S.
+
+        `move` is Δθ, `turned` the change Δg of the gradient, `changed` that of the EM step, Δe.
+        With the residual l = Δθ + Δe + S Δg and the curvature b = −Δgᵀ Δθ the update is
+
+            S ← S + (l Δθᵀ + Δθ lᵀ) / b + (lᵀ Δg / b²) Δθ Δθᵀ.
+
+        Where b is not positive, the log-evidence bending upwards along the move, or b is lost in
+        rounding, S stays.
+        """
         bend = -float(turned @ move)
         if bend <= _TOLD * float(np.linalg.norm(turned) * np.linalg.norm(move)):
             return
@@ -165,6 +175,12 @@ class Search:
     def _accelerated(
         self, here: Expected, x: Array, gradient: Array, plain: Array
     ) -> Expected | None:
+        """The E step at a quasi-Newton step from `here`, or at a quarter of it; None if it fails.
+
+        `x` are the coordinates of `here`, `gradient` that of the objective and `plain` the EM step.
+        A step d must gain 10⁻⁴ of the gᵀd nats that the gradient promises. Where neither the whole
+        step nor its quarter does, the curvature learnt is forgotten; None also where there is none.
+        """
         step = None if self.newton is None else self.newton.step(x, gradient, plain)
         if step is None:
             return None

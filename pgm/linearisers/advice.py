@@ -12,12 +12,17 @@ import numpy as np
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array
 
+# Code for single numbers as a rule makes all of these mistakes, and fails of one at a time.
+_OF_NUMBERS = (
+    "it is called with arrays that have leading axes, so index components as a[..., i], take "
+    "np.cos, np.hypot, ... in place of math.cos, math.hypot, and no float(...), and stack results "
+    "by np.stack([...], axis=-1)"
+)
 # The mistakes that NumPy's and Python's errors give away, by words of these.
 _MISTAKES = (
     (
         ("converted to Python scalars", "cannot convert the series", "must be real number"),
-        "it is called with arrays: take np.cos, np.hypot, ... in place of math.cos, math.hypot, "
-        "and no float(...)",
+        _OF_NUMBERS,
     ),
     (
         ("truth value of an array",),
@@ -26,7 +31,7 @@ _MISTAKES = (
     ),
     (
         ("out of bounds", "too many indices", "could not be broadcast"),
-        "it is called with arrays that have leading axes, so index components as a[..., i]",
+        _OF_NUMBERS,
     ),
     (
         ("values to unpack",),

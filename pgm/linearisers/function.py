@@ -14,7 +14,7 @@ from pgm.kernels.arrays import Array, Integers, Mask, components_first, componen
 from pgm.kernels.differences import jacobian as by_differences
 from pgm.linearisers.calls import Call
 from pgm.linearisers.template import Function, FunctionTemplate
-from pgm.tracing import Answers, Program, beside
+from pgm.tracing import Answers, Points, Program, beside
 
 _ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)
 # Up to so many numbers are copied in less time than it takes to broadcast them.
@@ -208,12 +208,15 @@ class BoundFunction(NamedTuple):
         program = self.template.program if answers is None else answers.program
         if program is None or (answers is not None and answers.fault is not None):
             return None
+        if cov is not None and (shape or answers is None):
+            std = np.sqrt(np.maximum(cov.diagonal(), 0.0))
         if shape:
             if answers is None:
                 value, slope = program.batch(arguments, shape)
             else:
-                spread = std if cov is None else np.sqrt(np.maximum(cov.diagonal(), 0.0))
-                value, slope = answers.batch(arguments, shape, spread)
+                value, slope = answers.batch(arguments, shape, std)
+            if answers is None and self._misled(program, arguments, shape, value, slope, std):
+                return None
             value, slope = components_last(value, 1), components_last(slope, 2)
             if self.group is not None:
                 value = value.reshape(*x.shape[:-1], -1)
@@ -222,6 +225,8 @@ class BoundFunction(NamedTuple):
                 finite = isfinite(value.sum() + slope.sum())
         elif answers is None:
             value, slope, finite = program.single(arguments)
+            if self._misled(program, arguments, shape, value, slope, std):
+                return None
         else:
             value, slope, finite = answers.single(arguments, cov)
         if answers is None or not finite:
@@ -239,6 +244,32 @@ class BoundFunction(NamedTuple):
             wide[..., list(self.template.missing)] = slope
             slope = wide
         return value, slope
+
+    def _misled(
+        self,
+        program: Program,
+        arguments: list[Array],
+        shape: tuple[int, ...],
+        value: Array,
+        slope: Array,
+        std: Array | None,
+    ) -> bool:
+        """Whether derivatives (d, n, *shape) of a trace are wrong for the belief; see `Slopes`.
+
+        `std` (..., size) are the standard deviations of the hidden parents, without which nobody
+        can tell.
+        """
+        slopes = self.template.slopes
+        if std is None or slopes is None:
+            return False
+        missing = self.template.missing
+        own = std if len(missing) == self.template.size else std[..., list(missing)]
+        if not shape:
+            components = [c for argument in arguments for c in argument.tolist()]
+            if not slopes.doubtful(components, slope, own):
+                return False
+        points = Points.of_batch(shape, arguments, value, slope, own)
+        return slopes.misled(points) is not None
 
     def _followed(self, program: Program, x: Array, std: Array | None) -> bool:
         """Whether a trace has the values of its function beside x, too, where this is in doubt.

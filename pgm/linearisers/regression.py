@@ -208,6 +208,7 @@ class _Regression:
 def _fitted_one(
     function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array
 ) -> Line:
+    """The regression line of `_fitted` at one belief: mean (n,), cov and lower (n, n)."""
     turning = function.turning
     extra = int(bool(turning) and not points.centred)
     x = (points.with_centre if extra else points.points).dot(lower.T)
@@ -231,6 +232,20 @@ def _fitted_one(
 
 
 def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array) -> Line:
+    """The regression line of a function at beliefs N(μ, P) by a rule whose points all share.
+
+    With P = L Lᵀ and the rule's points s_i (n,) the function is called at x_i = μ + L s_i; x_0 is
+    the first of these, or μ where components of f are angles. The rows of ``points.fit``, applied
+    to the values f(x_i) − f(x_0), give the intercept a, the slope G (d, n) over s, and the weighted
+    residuals, whose products are the covariance of the error. The line is
+
+        y = f(x_0) + a + F (x − μ) + n,    F = G L⁻¹.
+
+    Components of f that are angles are first moved by whole turns to within π of the function's
+    tangent at μ, where values differ by more than π.
+
+    `mean` is (n, *batch), `cov` and its root `lower` (n, n, *batch), the line's parts likewise.
+    """
     batch = mean.shape[1:]
     if len(batch) > 1:
         mean, lower = mean.reshape(len(mean), -1), lower.reshape(*lower.shape[:2], -1)

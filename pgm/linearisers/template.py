@@ -11,7 +11,7 @@ import numpy as np
 
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.kernels.arrays import Index, Mask
-from pgm.tracing import Program, Tracer
+from pgm.tracing import Program, Slopes, Tracer
 from pgm.variables import Variable
 
 Function = Callable[..., Any]
@@ -121,10 +121,25 @@ class FunctionTemplate:
             return None
         return tracer.trace.by(self.missing_columns)
 
+    @property
+    def slopes(self) -> Slopes | None:
+        """The derivatives of `program`, to be looked at; None where there is none."""
+        program, found = self.program, self._looked_at.get("slopes")
+        if program is None or (found is not None and found.program is program):
+            return None if program is None else found
+        noise, angles = np.sqrt(self.variances), self.child.angle_mask
+        made = Slopes(self.function, program, angles, noise)
+        self._looked_at["slopes"] = made
+        return made
+
+    @cached_property
+    def _looked_at(self) -> dict[str, Slopes]:
+        return {}
+
     def __getstate__(self) -> dict[str, Any]:
         # The function that is traced with its derivatives, and machine code, are of this process.
-        keep = self.__dict__.items()
-        return {name: value for name, value in keep if name not in ("whole", "compiled")}
+        keep, own = self.__dict__.items(), ("whole", "compiled", "_looked_at")
+        return {name: value for name, value in keep if name not in own}
 
     @cached_property
     def compiled(self) -> dict[bool, Any]:

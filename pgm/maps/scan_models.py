@@ -320,9 +320,16 @@ class BeamModel(ScanCPD):
         return hit, short, self.maximum + np.where(nothing, self.hit, 0.0)
 
     def _ends(self, expected: Array) -> tuple[Array, Array]:
+        """The normal's distribution function at 0 and at `most`, about ranges expected (...)."""
         return ndtr(-expected / self.std), ndtr((self.most - expected) / self.std)
 
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Values:
+        """Scans (*size, *known.shape, beams) at known poses, each range drawn on its own.
+
+        One uniform number chooses the kind of a range by the shares h, s, u, m, and another is put
+        through the inverse distribution of that kind: the normal cut to [0, most], the exponential
+        cut to [0, z*], the uniform on [0, most), or `most` itself.
+        """
         poses = self._sensor_poses(known, known.shape, known.shape)
         expected = self.map._cast(poses, self.angles, self.most, self.through_unknown)
         shape = (*size, *known.shape, len(self.angles))

@@ -77,6 +77,11 @@ class UniformPose(CPD):
     _cells: Integers
 
     def _log_density(self, child: Values, known: Known) -> Array:
+        """Log-densities of poses (..., 3): −ln(2π n r²) in any of n allowed cells, −∞ elsewhere.
+
+        r is the side of a cell; the heading does not matter. The result broadcasts with the axes of
+        `known`.
+        """
         lead = np.broadcast_shapes(child.shape[:-1], known.lead)
         cells = self.map.at(child[..., :2])
         height, width = self.map.shape
@@ -86,6 +91,7 @@ class UniformPose(CPD):
         return np.broadcast_to(np.where(possible, constant, -np.inf), lead).copy()
 
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Values:
+        """Poses (*size, *known.shape, 3): an allowed cell, a place in it and a heading, uniform."""
         shape = (*size, *known.shape)
         chosen = self._cells[rng.integers(self._cells.size, size=shape)]
         rows, columns = np.divmod(chosen, self.map.shape[1])

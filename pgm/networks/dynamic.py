@@ -54,7 +54,8 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     states : tuple of Variable
         The variables that have a prior, parents before children.
     controls : tuple of Variable
-        The other hidden variables.
+        The other hidden variables, of steps 1..T: controls with noise, and those that no variable
+        depends on.
     sensors : tuple of Variable
         The children of the observation CPDs.
     inputs : tuple of Variable
@@ -280,9 +281,17 @@ class DynamicBayesianNetwork(Drawn, Immutable):
 
     def _summary(self) -> Summary:
         rows = [("states", ", ".join(v.name for v in self.states[:FEW]))]
-        for label, found in (("controls", self.controls), ("inputs", self.inputs)):
+        parents = {p.template for cpd in (*self.transition, *self.observation) for p in cpd.parents}
+        ends = [v for v in self.controls if v not in parents]
+        drivers = [v for v in self.controls if v in parents]
+        for label, found, note in (
+            ("controls", drivers, ""),
+            # Such as a sensor in the wrong place; but a hidden variable may have no children.
+            ("hidden", ends, "; nothing depends on it: a sensor belongs in observation="),
+            ("inputs", self.inputs, ""),
+        ):
             if found:
-                rows.append((label, ", ".join(v.name for v in found[:FEW])))
+                rows.append((label, ", ".join(v.name for v in found[:FEW]) + note))
         for label in ("prior", "transition", "observation"):
             cpds: tuple[CPD, ...] = getattr(self, label)
             if cpds:

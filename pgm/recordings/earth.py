@@ -19,7 +19,8 @@ NULL = "0°, 0°, as receivers say that have no fix"
 # Semi-major axis [m] and flattening of WGS 84.
 RADIUS, FLATTENING = 6_378_137.0, 1.0 / 298.257223563
 _SQUARED = FLATTENING * (2.0 - FLATTENING)  # of the eccentricity
-_POLE, _ROUND = 90.0 * (1.0 + 1e-12), 360.0 * (1.0 + 1e-12)
+# Bounds of latitudes and longitudes [°], and a whole turn, up to the rounding of radians.
+_POLE, _HALF, _TURN = (bound * (1.0 + 1e-12) for bound in (90.0, 180.0, 360.0))
 
 
 def on_plane(streams: Mapping[str, Stream]) -> tuple[dict[str, Stream], list[Dropped]]:
@@ -95,18 +96,29 @@ def _require_both(name: str, stream: Stream) -> None:
 
 
 def _require_degrees(name: str, stream: Stream, rows: Integers) -> None:
-    """Refuse latitudes beyond a pole, and longitudes beyond a whole turn."""
+    """Refuse latitudes beyond a pole, and longitudes beyond half a turn."""
     latitude, longitude = (np.degrees(stream[one]) for one in WORLD)
-    beyond = (np.abs(latitude) > _POLE) | (np.abs(longitude) > _ROUND)
+    beyond = (np.abs(latitude) > _POLE) | (np.abs(longitude) > _HALF)
     if beyond.any():
         row = int(beyond.argmax())
         hint = "are they degrees?"
-        if abs(longitude[row]) <= _POLE and abs(latitude[row]) <= _ROUND:
+        if abs(longitude[row]) <= _POLE and abs(latitude[row]) <= _HALF:
             hint = "are latitude and longitude exchanged?"
+        elif abs(latitude[row]) <= _POLE and _from_zero(longitude):
+            hint = (
+                "they seem to go from 0 to 360: subtract 360 from those beyond 180, or 2π where "
+                "they are in radians"
+            )
         raise EvidenceError(
             f"{name}, row {rows[row]}: latitude {latitude[row]:.9g}°, longitude "
             f"{longitude[row]:.9g}°, where −90 to 90 and −180 to 180 are due; {hint}"
         )
+
+
+def _from_zero(longitude: Array) -> bool:
+    """Whether all known longitudes (n,) [°] are within 0 and a whole turn, as some maps count."""
+    known = longitude[np.isfinite(longitude)]
+    return bool(((known >= 0.0) & (known <= _TURN)).all())
 
 
 def local(world: Array, height: Array, origin: Array) -> Array:

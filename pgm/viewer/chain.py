@@ -9,10 +9,10 @@ from pgm.compile import DynamicGraph
 from pgm.errors import NumericalError
 from pgm.evidence import Reading
 from pgm.inference import ChainPosterior
+from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.chain.backward import Beliefs, Reverse, pairs
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.messages import first_potential
-from pgm.inference.status import FILTERED, SMOOTHED, Kind
 from pgm.kernels.arrays import Array, Integers, block, cut, quiet
 from pgm.kernels.canonical import Canonical
 from pgm.kernels.moments import Conditional

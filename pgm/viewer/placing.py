@@ -214,6 +214,12 @@ def _stressed(wanted: Array) -> Array:
 
 
 def _turned(at: Array, links: csr_array) -> Array:
+    """Places (nodes, 2), rotated so that links lie along the axes, and the longer side across.
+
+    `links` is the adjacency matrix. Of 90 angles a within a quarter turn the one is taken that
+    minimises Σ sin²(2 (φ − a)) over the links' directions φ, which is zero for links that are all
+    level or upright. If the picture is then higher than wide, its axes are exchanged.
+    """
     i, j = links.nonzero()
     steps = at[j] - at[i]
     angle = np.arctan2(steps[:, 1], steps[:, 0])
@@ -227,6 +233,11 @@ def _turned(at: Array, links: csr_array) -> Array:
 
 
 def _apart(at: Array, width: Array) -> Array:
+    """Places (nodes, 2) at which boxes of these widths (nodes,) no longer overlap; changes `at`.
+
+    Each of two boxes that overlap is moved by 0.3 of the overlap, along the axis on which it is
+    smaller, again and again; more than 600 boxes stay where they are.
+    """
     wide = 0.5 * (width[:, None] + width[None]) + 0.5 * _ACROSS
     for _ in range(_ROUNDS if len(at) <= 600 else 0):
         across, down = (at[:, None, k] - at[None, :, k] for k in (0, 1))

@@ -8,8 +8,8 @@ import numpy as np
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.inference import GridPosterior, KeptPosterior, ParticlePosterior, StatePosterior
+from pgm.inference.belief_kind import FILTERED, SMOOTHED
 from pgm.inference.markov.joints import potential
-from pgm.inference.status import FILTERED, SMOOTHED
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 from pgm.viewer.chain import head, readings, sighted

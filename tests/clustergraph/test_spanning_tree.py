@@ -45,7 +45,7 @@ def covers(draw):
     return [tuple(sorted(scope, key=VARIABLES.index)) for scope in found]
 
 
-@settings(max_examples=400)
+@settings(max_examples=150)
 @given(covers())
 def test_a_tree_is_found_if_and_only_if_there_is_one(scopes):
     graph = overlaps(scopes)

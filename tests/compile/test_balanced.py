@@ -16,7 +16,7 @@ import pgm
 from pgm.compile import BalancedGraph
 
 models = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-structure = settings(max_examples=60, deadline=None)
+structure = settings(max_examples=40, deadline=None)
 any_model = st.sampled_from(sorted(MODELS)).map(MODELS.get)
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 import pgm
 
 
-@settings(max_examples=300)
+@settings(max_examples=120)
 @given(networks())
 def test_random_networks(network):
     graph = pgm.compile(network, method=pgm.Bethe())

@@ -108,7 +108,7 @@ def test_the_graph_given_is_left_as_it_was():
     assert adjacent == before
 
 
-@settings(max_examples=300)
+@settings(max_examples=120)
 @given(graphs(), st.randoms(use_true_random=False))
 def test_clique_trees_against_networkx(case, random):
     adjacent, _ = case

@@ -36,7 +36,7 @@ def shape(graph):
 
 
 @orders
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(networks(), st.integers(0, 20))
 def test_clusters_are_no_larger_than_asked_and_none_is_in_another(order, network, more):
     most = least(network) + more
@@ -48,7 +48,7 @@ def test_clusters_are_no_larger_than_asked_and_none_is_in_another(order, network
 
 
 @orders
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(networks(), st.integers(0, 3))
 def test_where_all_cliques_fit_it_is_the_junction_tree(order, network, more):
     tree = pgm.compile(network, method=pgm.JunctionTree(order))

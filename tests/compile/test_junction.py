@@ -29,7 +29,7 @@ def moral(network):
 
 
 @methods
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(networks())
 def test_random_networks(method, network):
     graph = pgm.compile(network, method=method)

@@ -32,7 +32,7 @@ def weight(graph):
     return sum(shared for _, _, shared in graph.edges.data("weight"))
 
 
-@settings(max_examples=120)
+@settings(max_examples=60)
 @given(networks())
 def test_each_variable_has_a_spanning_tree_of_the_greatest_weight(network):
     graph = pgm.compile(network, method=pgm.LTRIP())
@@ -50,7 +50,7 @@ def test_each_variable_has_a_spanning_tree_of_the_greatest_weight(network):
         assert weight(tree) == weight(nx.maximum_spanning_tree(everything.subgraph(holders)))
 
 
-@settings(max_examples=120)
+@settings(max_examples=60)
 @given(networks(most=7))
 def test_families_that_a_junction_tree_joins_are_joined_to_one(network):
     graph = pgm.compile(network, method=pgm.LTRIP())

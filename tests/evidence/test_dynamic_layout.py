@@ -20,7 +20,7 @@ def bound(lead, step, missing=False):
         values[..., 1, 1] = np.nan
     controls = RNG.normal(size=(*lead, 5, 2))
     seen = pgm.sightings(values, step=step, given={landmark: LANDMARKS})
-    found = bind(MODEL.transition, MODEL.observation, {velocity: controls, sighting: seen}, None)
+    found = bind(MODEL.transition, MODEL.observation, {velocity: controls, sighting: seen}, 5)
     return values, controls, found
 
 

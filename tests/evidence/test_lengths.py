@@ -131,7 +131,8 @@ def test_columns_beside_rows():
     refused({u: US, pair: np.zeros((T, 2, 1))}, "(6, 2, 1)", "np.asarray(value)[..., 0]")
     refused({u: US, pair: np.zeros((2, T))}, "(2, 6)", "np.swapaxes(value, -1, -2)")
     seen = pgm.sightings(ZS[:, :, None], step=range(T))
-    refused({u: US, z: seen}, "1 measurements with 6 steps", "np.reshape(values, (-1, 1))")
+    told = "1 measurements with 6 steps", "np.reshape(values, (-1, 1))"
+    refused({u: US, z: seen}, *told, steps=T)
     robot = pgm.OnlineFilter(MODEL)
     with pytest.raises(pgm.EvidenceError, match=r"shape \(2, 1\).*\[\.\.\., 0\]"):
         robot.update(robot.initial(), {pair: [[0.1], [0.2]]})
@@ -160,3 +161,41 @@ def test_other_parts_that_CPDs_do_not_belong_in():
         pgm.DynamicBayesianNetwork([prior, sensor], [motion])
     with pytest.raises(pgm.ModelError, match=r"state x .* a motion belongs in transition="):
         pgm.DynamicBayesianNetwork([prior], [], [motion])
+
+
+SEEN = pgm.sightings(ZS, step=np.arange(1, T + 1))
+LONGER = np.concatenate([US, [[0.5]]])
+
+
+@pytest.mark.parametrize("call", [pgm.filter, pgm.smooth])
+def test_one_control_more_than_sightings_is_told(call):
+    """The two ways that it names are silent: T steps without the row, or a forecast of T + 1."""
+    with pytest.warns(pgm.EvidenceWarning) as caught:
+        told = call(MODEL, {u: LONGER, z: SEEN})
+    (one,) = caught
+    for words in ("u has 7 rows", "last sighting is at step 6", "values[..., :-1, :]", "steps=7"):
+        assert words in str(one.message)
+    assert one.filename == __file__
+    forecast = call(MODEL, {u: LONGER, z: SEEN}, steps=T + 1)[x]
+    np.testing.assert_array_equal(told[x].mean, forecast.mean)
+    dropped = call(MODEL, {u: LONGER[:-1], z: SEEN})[x]
+    plain = call(MODEL, {u: US, z: ZS})[x]
+    np.testing.assert_allclose(dropped.mean, plain.mean, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "steps"),
+    [
+        ({u: LONGER, z: pgm.sightings(ZS[::2], step=[1, 3, 6])}, None),  # a slow sensor
+        ({u: np.zeros((T + 2, 1)), z: SEEN}, None),  # a forecast of several steps
+        ({u: US, z: SEEN}, None),
+        ({u: LONGER, z: SEEN, pair: np.zeros((T + 1, 2))}, None),  # measured at the last step
+        ({u: LONGER, z: SEEN}, T + 1),
+        ({u: US[:1], z: pgm.sightings(ZS[:1], step=[0])}, None),  # only the start was seen
+    ],
+    ids=["some", "several", "equal", "plain", "asked", "start"],
+)
+def test_other_sightings_are_not_told(evidence, steps):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pgm.filter(MODEL, evidence, steps=steps)

@@ -278,3 +278,25 @@ def test_a_tree_takes_no_damping():
     graph = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(a, 0.0, 1.0)]))
     with pytest.raises(pgm.GraphError, match="damping of linearisation points is for dynamic"):
         pgm.infer(graph, {}, schedule=pgm.Smoothing(iterations=3, damping=0.5))
+
+
+@pytest.mark.parametrize("runs", [(), (3,)])
+def test_steps_are_controlled_under_a_flat_prior(runs):
+    """Of which the cost knows nothing; the fixed point is that of plain iterations."""
+    state, read, bent = pgm.variables("state read bent")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(state, 0.0, np.inf)],
+        [pgm.LinearGaussianCPD(state, {state.previous: 1.0}, cov=1.0)],
+        [
+            pgm.LinearGaussianCPD(read, {state: 1.0}, cov=1.0),
+            pgm.NonlinearGaussianCPD(bent, state, lambda s: s + 0.01 * s**2, cov=1.0),
+        ],
+    )
+    evidence = {
+        read: np.broadcast_to([[5.0], [6.0]], (*runs, 2, 1)),
+        bent: np.broadcast_to([[5.3], [6.3]], (*runs, 2, 1)),
+    }
+    plain = pgm.filter(model, evidence, iterations=20)
+    found = pgm.filter(model, evidence, iterations=20, damping=pgm.LevenbergMarquardt())
+    assert found.status.converged.all()
+    np.testing.assert_allclose(found[state].mean, plain[state].mean, rtol=1e-6)

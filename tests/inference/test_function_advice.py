@@ -84,6 +84,27 @@ def test_mistakes(function, words):
     assert caught.value.variable == x
 
 
+def of_numbers(x, u):
+    heading = x[2] + u[1]
+    east, north = x[0] + u[0] * math.cos(heading), x[1] + u[0] * math.sin(heading)
+    return np.array([east, north, heading])
+
+
+def cosine_first(x, u):
+    east, north = x[0] + math.cos(x[2]) * u[0], x[1] + math.sin(x[2]) * u[0]
+    return np.array([east, north, x[2] + u[1]])
+
+
+@pytest.mark.parametrize("function", [of_numbers, cosine_first])
+def test_code_for_single_numbers_is_told_all_of_its_mistakes_at_once(function):
+    """Whichever fails first; and `drive`, the function written as the message says, is taken."""
+    with pytest.raises(pgm.ModelError) as caught:
+        pgm.filter(robot(function), EVIDENCE)
+    for words in ("in place of math.cos", "a[..., i]", "np.stack([...], axis=-1)"):
+        assert words in str(caught.value)
+    assert np.isfinite(pgm.filter(robot(drive), EVIDENCE)[x].mean).all()
+
+
 @pytest.mark.parametrize(
     "options",
     [

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from pgm.kernels.kld_sampling import draws_needed, keys, occupied
+from pgm.kernels.bins import keys, occupied
+from pgm.kernels.kld_sampling import draws_needed
 
 
 @pytest.mark.parametrize("bins", [10, 100, 1000])

@@ -127,6 +127,32 @@ def test_repr_is_the_factorisation():
     ]
 
 
+def lines(model):
+    return {row.split()[0]: row.split(maxsplit=1)[1] for row in repr(model).splitlines()[1:]}
+
+
+NOTE = "; nothing depends on it: a sensor belongs in observation="
+
+
+def test_a_hidden_variable_without_children_is_shown_as_one():
+    """Such as a sensor that stands in transition=; what other CPDs depend on is a control."""
+    sensor = [walk(A), linear(Z, A)]
+    assert lines(DynamicBayesianNetwork([start(A)], sensor))["hidden"] == f"z{NOTE}"
+    right = lines(DynamicBayesianNetwork([start(A)], sensor[:1], sensor[1:]))
+    assert "hidden" not in right
+    assert "controls" not in right
+    both = lines(
+        DynamicBayesianNetwork([start(A)], [linear(A, A.previous, B), start(B), *sensor[1:]])
+    )
+    assert both["controls"] == "b"
+    assert both["hidden"] == f"z{NOTE}"
+    used = lines(DynamicBayesianNetwork([start(A)], sensor, [linear(W, Z)]))
+    assert used["controls"] == "z"
+    assert "hidden" not in used
+    earlier = [linear(A, A.previous, Z.previous), linear(Z, Z.previous, A)]
+    assert "hidden" not in lines(DynamicBayesianNetwork([start(A), start(Z)], earlier))
+
+
 def test_the_unrolled_network():
     model = DynamicBayesianNetwork(
         [start(X), linear(A, X)],

@@ -283,6 +283,9 @@ def test_fixes_at_null_and_beyond_a_pole(tmp_path):
     bag = write(tmp_path / "b", 2, [("/gps", make.fix(0.0, 95.0, 48.0))])
     with pytest.raises(FileError, match=r"latitude 95°, longitude 48°, .*exchanged"):
         read_bag(bag)
+    bag = write(tmp_path / "d", 2, [("/gps", make.fix(k, 48.0, 200.0)) for k in range(2)])
+    with pytest.raises(FileError, match=r"row 0: .*longitude 200°, .*subtract 360"):
+        read_bag(bag)
     bag = write(tmp_path / "c", 2, [("/gps", make.fix(0.0, 0.0, 0.0))])
     assert read_bag(bag).fixes is None
 

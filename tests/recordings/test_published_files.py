@@ -1,8 +1,10 @@
 """Files as others publish them: read with what was mended told, or refused with the way out."""
 
+import ast
 import gzip
 import io
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +126,23 @@ def test_lines_of_other_kinds_are_skipped_where_asked(line):
     assert told.rows.tolist() == [6, 7]
     assert f"2 dropped: {word}, lines from 1" in repr(graph)
     assert word in repr(graph.recording())
+
+
+def test_the_words_to_skip_are_told_all_together():
+    """Each message's skip= is given, as it stands, until the file is read."""
+    text = POSES + EDGES + "FOO 1 2 3\nBAR 2\nFOO 4 5 6\n"
+    skip, said = (), []
+    while len(said) < 5:
+        try:
+            graph = graph_of(text, skip=skip)
+            break
+        except FileError as error:
+            said.append(re.search(r"skip=(\(.*?\)) leaves such lines out", str(error))[1])
+            skip = ast.literal_eval(said[-1])
+    assert said == ["('FOO',)", "('FOO', 'BAR')"]
+    assert [each.rows.tolist() for each in graph.dropped] == [[6, 8], [7]]
+    with pytest.raises(FileError, match=r"found 'A.*\.\.\.'; VERTEX_SE2.*was due$"):
+        graph_of(POSES + "A" * 100, skip=("FOO",))  # a word too long to be told
 
 
 @pytest.mark.parametrize("skip", ["EQUIV", (1,), ("",), None])
@@ -249,6 +268,67 @@ def test_streams_of_a_file_are_on_one_plane():
     assert np.isnan(drive.fixes.variances[:, 0]).all()
 
 
+FIXES = {"t": "t", "latitude": ("lat", "deg"), "longitude": ("lon", "deg")}
+AROUND = "are due; they seem to go from 0 to 360: subtract 360 from those beyond 180"
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        (["48,11", "48,200"], f"row 1: latitude 48°, longitude 200°, .*{AROUND}"),
+        (["48,", "-90,360"], f"row 1: .*longitude 360°, .*{AROUND}"),
+        (["48,-179", "48,200"], "row 1: .*longitude 200°, .*are they degrees.$"),
+        (["48,11", "48,361"], "row 1: .*longitude 361°, .*are they degrees.$"),
+        (["48,-180.001"], "row 0: .*longitude -180.001°, .*are they degrees.$"),
+        (["100,200"], "row 0: .*are they degrees.$"),
+        (["170,11"], "row 0: .*are latitude and longitude exchanged.$"),
+    ],
+)
+def test_longitudes_that_are_refused(rows, told):
+    text = "t,lat,lon\n" + "".join(f"{k},{row}\n" for k, row in enumerate(rows))
+    with pytest.raises(FileError, match=told):
+        table(text, {"fixes": FIXES})
+
+
+def test_longitudes_are_read_up_to_half_a_turn():
+    """Either way to write the antimeridian, in degrees and in radians."""
+    text = f"t,lat,lon,rad\n0,10,180,{np.pi!r}\n1,10,-180,{-np.pi!r}\n"
+    for columns in (FIXES, FIXES | {"longitude": ("rad", "rad")}):
+        drive = table(text, {"fixes": columns})
+        assert_allclose(drive.fixes.values, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("part", ["fixes", "truth", "beacons"])
+@pytest.mark.parametrize(
+    ("east", "north", "told"),
+    [
+        (
+            "lon",
+            "lat",
+            "'lon' by its name a longitude: .*'longitude': .'lon', 'deg'.*, .'lon', 'm'",
+        ),
+        ("GPS_Long", "y", "a longitude"),
+        ("x", "gpsLat", "a latitude"),
+        ("x", "Latitude [deg]", "a latitude"),
+        ("x", "LATITUDE", "a latitude"),
+    ],
+)
+def test_latitudes_are_no_metres(part, east, north, told):
+    text = f"t,{east},{north}\n0,11.5754,48.1371\n1,11.5755,48.1372\n"
+    with pytest.raises(EvidenceError, match=told):
+        table(text, {part: {"t": "t", "east": east, "north": north}})
+    metres = {"t": "t", "east": (east, "m"), "north": (north, "m")}
+    drive = table(text, {part: metres})
+    found = drive.sightings[part] if part == "beacons" else getattr(drive, part)
+    assert_array_equal(found["north"], [48.1371, 48.1372])
+
+
+def test_names_that_are_no_latitudes():
+    text = "t,plate,belong\n0,1,2\n"
+    drive = table(text, {"truth": {"t": "t", "east": "plate", "north": "belong"}})
+    assert_array_equal(drive.truth.values, [[1.0, 2.0]])
+
+
 @pytest.mark.parametrize(
     ("part", "columns", "error", "told"),
     [
@@ -271,7 +351,8 @@ def test_streams_of_a_file_are_on_one_plane():
             "'s' is a time",
         ),
         ("fixes", {**WORLD, "variance of latitude": "lat"}, EvidenceError, "'north', 'east'"),
-        ("fixes", {**WORLD, "north": "lat"}, FileError, "two of one direction"),
+        ("fixes", {**WORLD, "north": "alt"}, FileError, "two of one direction"),
+        ("fixes", {**WORLD, "north": "lat"}, EvidenceError, "by its name a latitude"),
         ("a", {"x": ("lat", "m", "s")}, EvidenceError, "several units"),
     ],
 )
@@ -287,8 +368,6 @@ def test_places_beyond_a_pole():
         table(text, {"fixes": swapped})
     with pytest.raises(FileError, match=r"latitude 481371000°, .* are they degrees\?"):
         table("time,lat,lon,alt\n0,481371000,115754000,0\n", {"fixes": WORLD})
-    # Longitudes may count to 360.
-    assert len(table("time,lat,lon,alt\n0,48,350,0\n", {"fixes": WORLD}).fixes) == 1
 
 
 def angles(values, name, part, column="a", period=0.1):

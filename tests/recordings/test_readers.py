@@ -279,8 +279,15 @@ def test_a_pose_graph_in_space():
     ("text", "line", "told"),
     [
         ("VERTEX_SE2 0 0 0\n", 1, "found 4 words; `VERTEX_SE2 id east north heading` was due"),
-        ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 0 0 0 0\n", 2, "the vertex 0 for the second time"),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", 2, "the vertex 1, which"),
+        ("VERTEX_SE2 0 0 0\n", 1, "5: the line may be cut; complete it, or leave it out"),
+        ("VERTEX_SE2 0 0 0 0 1\n", 1, "found 6 words; .*, 5: leave the others out"),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0\n", 2, "found 5 words; .*, 12: the line may be cut"),
+        ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 0 0 0 0\n", 2, "the vertex 0 for the second time; leave"),
+        (
+            "VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n",
+            2,
+            "the vertex 1, which the file does not have; add its line",
+        ),
         ("VERTEX_SE2 0.5 0 0 0\n", 1, "a vertex 0.5; a whole number"),
         ("HELLO\n", 1, "'HELLO'; VERTEX_SE2"),
         ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 0\n", 1, "a quaternion"),

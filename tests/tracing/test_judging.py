@@ -1,5 +1,6 @@
 """Traces that decide by numbers that tracing cannot follow, and slopes whose formula cancels."""
 
+from functools import partial
 from importlib.util import find_spec
 
 import numpy as np
@@ -7,7 +8,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import pgm
-from pgm.kernels import differences
 from pgm.tracing import Answers, Tracer
 
 NUMBA = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
@@ -80,10 +80,10 @@ def test_online_a_comparison_on_a_float_copy_is_not_frozen():
             assert_allclose(belief[S].mean, [due], rtol=1e-9)
 
 
-def turn(x, v=10.0, dt=1.0):
+def turn(x, v=10.0, dt=1.0, straight=1e-9):
     """A move along an arc, straight where the turn rate is nearly zero."""
     e, n, h, w = (x[..., k] for k in range(4))
-    small = np.abs(w) < 1e-9
+    small = np.abs(w) < straight
     s = np.where(small, 1.0, w)
     de = np.where(small, v * dt * np.cos(h), v / s * (np.sin(h + w * dt) - np.sin(h)))
     dn = np.where(small, v * dt * np.sin(h), v / s * (np.cos(h) - np.cos(h + w * dt)))
@@ -103,20 +103,92 @@ def turn_slope(h, w, v=10.0):
 W = pgm.Variable("x", components=("e", "n", "h", "w"), angles=("h",))
 
 
-@pytest.mark.parametrize("rate", [0.0, 1e-12, 2e-9, -1e-8, 1e-7, 1e-3])
+def turning(rate, straight, runs=()):
+    """A model of one step along an arc, and its motion; rates (*runs) at first."""
+    mean = np.zeros((*runs, 4))
+    mean[..., 2], mean[..., 3] = 0.3, rate
+    move = pgm.NonlinearGaussianCPD(W, W.previous, partial(turn, straight=straight), cov=1e-4)
+    prior = pgm.GaussianCPD(W, mean, [0.01, 0.01, 1e-4, 0.04])
+    return pgm.DynamicBayesianNetwork([prior], [move], []), move
+
+
+def assert_turned(cov, rate):
+    """The covariances of place and turn rate after a step, by the exact slopes."""
+    due = 0.04 * np.array(turn_slope(0.3, rate))
+    assert_allclose(cov[..., :2, 3], np.broadcast_to(due, (*cov.shape[:-2], 2)), rtol=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("rate", "straight"),
+    [
+        *[(rate, 1e-9) for rate in (0.0, 1e-12, 2e-9, -1e-8, 1e-7, 1e-3)],
+        *[(rate, straight) for rate in (0.0, 2e-9) for straight in (1e-6, 1e-4, 1e-3)],
+        (9e-5, 1e-4),
+        (-1.1e-4, 1e-4),
+    ],
+)
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
 @pytest.mark.parametrize("runs", [(), (12,)])
-def test_slopes_through_a_removable_singularity(rate, compiled, runs):
-    mean = np.broadcast_to([0.0, 0.0, 0.3, rate], (*runs, 4))
-    spread = [0.01, 0.01, 1e-4, 0.04]
-    move = pgm.NonlinearGaussianCPD(W, W.previous, turn, cov=1e-4)
-    model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(W, mean, spread)], [move], [])
-    found = pgm.filter(model, {}, steps=1, compiled=compiled)[W].cov[..., 1, :, :]
-    east, north = turn_slope(0.3, rate)
-    due = np.array([0.04 * east, 0.04 * north])
-    assert_allclose(found[..., :2, 3], np.broadcast_to(due, (*runs, 2)), rtol=2e-3)
-    if abs(rate) < 1e-7:
-        assert "formula cancels" in move.derivatives.reason
+def test_slopes_through_a_removable_singularity(rate, straight, compiled, runs):
+    """Whether the formula cancels, or is of a straight branch narrower than the belief."""
+    model, move = turning(rate, straight, runs)
+    assert_turned(pgm.filter(model, {}, steps=1, compiled=compiled)[W].cov[..., 1, :, :], rate)
+    if abs(rate) < max(straight, 5e-8):
+        assert "formula cancels there, or is of a branch" in move.derivatives.reason
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("options", [{}, {"lag": 2}, {"gate": 0.99}])
+@pytest.mark.parametrize(("rate", "straight"), [(0.0, 1e-9), (2e-9, 1e-9), (0.0, 1e-4)])
+def test_online_slopes_through_a_removable_singularity(rate, straight, options, compiled):
+    robot = pgm.OnlineFilter(turning(rate, straight)[0], compiled=compiled, **options)
+    assert_turned(robot.predict(robot.initial())[W].cov, rate)
+    many = pgm.OnlineFilter(turning(rate, straight, (3,))[0], **options)
+    assert_turned(many.predict(many.initial())[W].cov, rate)
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+def test_one_run_of_very_many_goes_through_a_singularity(compiled):
+    rates = np.full(6000, 0.2)
+    rates[1234] = 0.0
+    model, _ = turning(rates, 1e-9, (6000,))
+    found = pgm.filter(model, {}, steps=1, compiled=compiled)[W].cov[:, 1]
+    assert_turned(found[1234], 0.0)
+    assert_turned(found[:3], 0.2)
+
+
+NARROW = {
+    "tanh": (lambda a: np.tanh(a), lambda a: 1.0 / np.cosh(a) ** 2),
+    "saturated": (lambda a: a / np.sqrt(1.0 + a * a), lambda a: (1.0 + a * a) ** -1.5),
+    "arctan": (lambda a: np.arctan(a), lambda a: 1.0 / (1.0 + a * a)),
+}
+
+
+@pytest.mark.parametrize("kind", NARROW)
+@pytest.mark.parametrize(
+    ("place", "scale"), [(0.0, 1e-9), (0.0, 1.0), (3.7e5, 1e-5), (5e6, 3e-4), (1.7e9, 0.1)]
+)
+@pytest.mark.parametrize("wide", [0.3, 30.0, 3000.0])
+def test_a_narrow_bend_keeps_the_slope_that_its_jacobian_has(kind, place, scale, wide):
+    """A sensor that saturates far from zero, for beliefs narrower and wider than its range."""
+    bend, slope = NARROW[kind]
+    found = []
+    for jacobian in (None, {S: lambda s: slope((s - place) / scale)[..., None]}):
+        see = pgm.NonlinearGaussianCPD(
+            Y,
+            S,
+            lambda s: scale * bend((s - place) / scale),
+            cov=(0.1 * scale) ** 2,
+            jacobian=jacobian,
+        )
+        stay = pgm.LinearGaussianCPD(S, {S.previous: 1.0}, cov=0.0)
+        model = pgm.DynamicBayesianNetwork(
+            [pgm.GaussianCPD(S, place, (wide * scale) ** 2)], [stay], [see]
+        )
+        found.append(pgm.filter(model, {Y: [[0.3 * scale]]})[S])
+    close = 1e-6 * found[1].std.min() + 2.0 * np.spacing(place)
+    assert_allclose(found[0].mean, found[1].mean, rtol=0.0, atol=close)
+    assert_allclose(found[0].cov, found[1].cov, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -186,14 +258,6 @@ def test_a_large_batch_is_judged_at_a_sample_only_where_the_trace_shows_all(samp
     assert found.fault is None
     assert (sum(rows) < 10**4) == sampled
     assert (sum(rows) > 10**6) != sampled
-
-
-def test_finer_differences():
-    x, std = np.array([0.3]), np.array([0.5])
-    each = [differences.jacobian(np.sin, x, std, np.array([False]), finer) for finer in (1.0, 0.01)]
-    assert_allclose(each[0], [[np.cos(0.3)]], rtol=1e-9)
-    assert_allclose(each[1], [[np.cos(0.3)]], rtol=1e-9)
-    assert differences.steps(x, std, 0.01) == [5e-5]
 
 
 def by_gain(gains):

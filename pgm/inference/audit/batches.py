@@ -1,4 +1,8 @@
-"""Importance draws in batches of bounded size, and the estimates made from them."""
+"""Importance draws in batches of bounded size, and the estimates made from them.
+
+Draws are S from the Gaussian answer q for each run, and S from a defensive density d with wider
+tails.
+"""
 
 from __future__ import annotations
 
@@ -13,32 +17,36 @@ from pgm.inference.audit.mixture import Mixture, weigh
 from pgm.kernels.arrays import quiet
 from pgm.progress import counted
 
-# Numbers drawn at once: what stays near the processor, and what whole draws may take.
+# Floats drawn at once: of what is made at a time (to stay in cache), and of whole draws.
 BATCH, ROOM = 2**18, 2**24
 
 
 class Drawing(Protocol):
-    """The source of draws: a chain, or a tree."""
+    """The source of draws: a chain (`ChainDraws`), or a tree (`TreeDraws`)."""
 
     @property
     def width(self) -> int:
-        """Floats that one draw of one run occupies at a time."""
+        """The number of floats that one draw of one run occupies while it is made."""
 
     @property
     def length(self) -> int:
-        """Numbers of a whole draw."""
+        """The number of floats of a whole draw of one run."""
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """Draw a number of new trajectories for each run."""
+        """Make `count` draws for each run, of d if `defensive`, else of q."""
 
     def sums(self) -> list[Sums]:
-        """Empty sums, one a hidden variable and one a cluster of several."""
+        """Empty sums for moments: of each hidden variable, and of each cluster of several."""
 
 
 def estimate(
     drawing: Drawing, runs: int, samples: int, rng: np.random.Generator
 ) -> tuple[Mixture, list[Compared]]:
-    """Draw so often from the Gaussian, and as often defensively, and sum up, batch by batch."""
+    """Make S draws from q and S from d for each run, batch by batch, and the estimates from them.
+
+    Returns those of the evidence and of divergences, and for each of the drawing's sums the exact
+    moments beside the Gaussian's.
+    """
     size = max(
         1, min(BATCH // max(drawing.width, 1), ROOM // max(drawing.length, 1)) // max(runs, 1)
     )
@@ -64,7 +72,7 @@ def estimate(
 
 
 def _parts(samples: int, size: int) -> Iterator[tuple[slice, bool]]:
-    """The places of batches among 2S draws, and whether these are the defensive ones."""
+    """The places of batches of at most `size` draws among all 2S, and whether they are of d."""
     for defensive in (False, True):
         for first in range(0, samples, size):
             last = min(first + size, samples)

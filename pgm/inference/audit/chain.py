@@ -1,4 +1,9 @@
-"""Draws of the trajectories of a chain, with their log-densities."""
+"""Draws of the trajectories of a chain, with their log-densities.
+
+A *free* component has noise given its parents; the others follow from these. The *pair* is the
+vector of the states of the step before, then the slice. Where a sensor without noise was read, or
+the posterior has no density, densities are *relative*: those of CPDs over those of linearised ones.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +21,12 @@ from pgm.inference.audit.draws import Draws, Strand
 from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
 from pgm.inference.audit.proposal import Path, Proposal
+from pgm.inference.belief_kind import SMOOTHED
 from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
-from pgm.inference.status import SMOOTHED
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
 from pgm.kernels.moments import Conditional
@@ -29,24 +34,25 @@ from pgm.kernels.moments import Conditional
 
 @dataclass(frozen=True, eq=False)
 class ChainDraws:
-    """Trajectories from the smoothed Gaussian, drawn forward in time, with their log-weights.
+    """Trajectories from the smoothed Gaussian q, drawn forward in time, with their log-densities.
 
     plan : ChainPlan
     answer : Path
-        The law of the smoothed trajectories.
+        The law q of the smoothed trajectories.
     modes : Modes
+        Gaussians at other modes, for defensive draws.
     prior, transition, sensors : list
         The CPDs in their places, with their densities.
     reference : ndarray
-        (runs,): common to all log-weights: the linearised model's evidence, where they are
-        `relative` to its densities.
+        (runs,): added to all log-densities: ln p(z) of the linearised model where they are
+        `relative`, else zero.
     relative : bool
     beliefs : Beliefs
         The smoothed moments of all slices.
     judged : ndarray
         (T+1,): whether the belief that was asked for knows all measurements.
     onward : Conditional
-        (T, runs, ...): each slice given the states before, with its fixed components.
+        (T, runs, ...): each slice given the states before and all measurements.
     """
 
     plan: ChainPlan
@@ -63,7 +69,11 @@ class ChainDraws:
 
     @classmethod
     def make(cls, posterior: ChainPosterior) -> ChainDraws:
-        """Prepare to draw from the smoothed joint of a posterior's linearisation."""
+        """Prepare to draw from the smoothed joint of a posterior's last linearisation.
+
+        Grouped sensors where densities are relative, and covariances that are indefinite, are a
+        NumericalError.
+        """
         plan = posterior._plan
         exact = has_exact(s.family for s in plan.sensors if s.family.step.size)
         reverse = posterior._reverse
@@ -91,6 +101,13 @@ class ChainDraws:
         reference: Array | None,
         judged: Mask,
     ) -> ChainDraws:
+        """Prepare to draw from the law of given moments; other modes are looked for.
+
+        beliefs: The smoothed moments of all slices.
+        reverse: The conditionals of the states given the slice after them.
+        reference: (runs,): ln p(z) of the linearised model; None unless densities are relative.
+        judged: (T+1,): whether the belief that was asked for knows all measurements.
+        """
         relative = reference is not None
         prior, transition = (
             [(link, Term.make(link.family, relative=relative)) for link in links]
@@ -121,7 +138,7 @@ class ChainDraws:
 
     @property
     def width(self) -> int:
-        """Floats that one slice of one draw occupies at a time; see `Drawing`."""
+        """The number of floats that one slice of one draw occupies; see `Drawing`."""
         size = self.plan.layout.state_size + 2 * self.plan.layout.slice_size
         seen = [
             np.diff(sensor.bounds).max() * sum(sensor.family.shape[2:])
@@ -131,12 +148,15 @@ class ChainDraws:
 
     @property
     def length(self) -> int:
-        """The number of slices drawn one after another; see `Drawing.length`."""
+        """The number of floats of a whole draw, of all steps; see `Drawing`."""
         layout = self.plan.layout
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
     def sums(self) -> list[Sums]:
-        """Empty sums for the moments of hidden variables, states and judged clusters."""
+        """Empty sums for the moments of each hidden variable, of the states, and of the pairs.
+
+        Pairs are summed up where the beliefs of both of their slices know all measurements.
+        """
         layout, judged = self.plan.layout, self.judged
         mean, cov = self.beliefs.mean, self.beliefs.cov
         front = layout.state_size
@@ -168,7 +188,7 @@ class ChainDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """Draw a number of trajectories for each run, forward in time; see `Drawing`."""
+        """Draw S = `count` trajectories for each run, of q or defensive ones; see `Drawing`."""
         plan, layout = self.plan, self.plan.layout
         shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
         total = np.repeat(self.reference[:, None], count, axis=1)
@@ -207,7 +227,10 @@ class ChainDraws:
         return strand.drawn(total, values)
 
     def _readings(self, step: int, slices: Array, *, strict: bool) -> Array:
-        """The log-density of a step's measurements at its slices (runs, S, n), (runs, S)."""
+        """The log-density of a step's measurements given its slices (runs, S, n), (runs, S).
+
+        A function that is not finite is a LinearisationError if `strict`, else it makes a NaN.
+        """
         total = np.zeros(slices.shape[:2])
         for sensor, term in self.sensors:
             rows = sensor.rows(step)
@@ -225,20 +248,24 @@ class ChainDraws:
 
     @property
     def excursions(self) -> Excursions:
-        """The excursions of defensive draws from the Gaussian; none beside exact readings."""
+        """The excursions of defensive draws; none follows the model if densities are relative."""
         return Excursions(self.plan.steps + 1, 0.0 if self.relative else PREDICTED)
 
 
 @dataclass(frozen=True, eq=False)
 class _Law:
-    """Conditionals p(x[t + 1] | x[t], all measurements), to draw trajectories forward in time."""
+    """Makes the law of smoothed trajectories, by which they are drawn forward in time."""
 
     layout: SliceLayout
     prior: Links
     transition: Links
 
     def onward(self, beliefs: Beliefs, states: Conditional) -> Conditional:
-        """Each later slice given the states before, by Bayes' rule for the reversed chain."""
+        """The conditionals p(x[t+1] | x[t], z) of each slice given the states, z all measurements.
+
+        Bayes' rule turns `states`, p(x[t] | x[t+1], measurements up to t), round, with the smoothed
+        moments.
+        """
         mean, cov, places = beliefs.mean, beliefs.cov, self.layout.state_places
         before = block(cov[:-1], places, places)
         return moments.reverse(
@@ -246,7 +273,10 @@ class _Law:
         )
 
     def path(self, beliefs: Beliefs, states: Conditional) -> Path:
-        """The conditionals along a trajectory, from smoothed slices and reversed conditionals."""
+        """The law of trajectories: the states at step 0, then each slice given the states before.
+
+        `beliefs` are the smoothed slices, `states` as of `onward`.
+        """
         places, front = self.layout.state_places, self.layout.state_size
         mean, cov = beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places)
         start = Conditional(np.zeros((1, *cov.shape[1:-1], 0)), mean, cov)
@@ -258,7 +288,7 @@ class _Law:
 
 
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
-    """The mask of components that have noise given their parents, (rows, runs, n).
+    """The mask of components that have noise given their parents, of `shape` (rows, runs, n).
 
     `start` is where the slice begins in the vector in which the links' children stand.
     """
@@ -269,7 +299,10 @@ def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
 
 
 def _refuse_grouped(plan: ChainPlan) -> None:
-    """Refuse grouped sensors, whose correlated errors a ratio of CPDs one by one does not hold."""
+    """Raise a NumericalError for a grouped sensor, since densities are relative.
+
+    Its correlated approximation errors are in no density of one CPD.
+    """
     for sensor in plan.sensors:
         if sensor.cross:
             raise NumericalError(

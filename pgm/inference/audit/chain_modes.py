@@ -1,4 +1,8 @@
-"""Other modes of a chain, found by smoothers that begin elsewhere."""
+"""Other modes of a chain, found by smoothers that begin elsewhere.
+
+There are C starts for each run, and copy c of run r is run c · runs + r of one call, N = C · runs
+in all (`repeated`).
+"""
 
 from __future__ import annotations
 
@@ -23,8 +27,8 @@ from pgm.inference.schedule import Smoothing
 from pgm.kernels.arrays import Array, deviation, quiet
 from pgm.kernels.moments import Conditional
 
-# A short smoother: linearisations, deviations within which it has arrived, tries of a step that
-# raises the cost, and, where no cost can control it, the share of the old point that is kept.
+# A short smoother: linearisations, standard deviations within which it has arrived, tries of a step
+# that raises the cost, and, where no cost can control it, the share of the old point that is kept.
 ITERATIONS, TOLERANCE, TRIES, HELD = 12, 0.02, 1, 0.5
 # Numbers of all smoothers that are held at once, and about as many starts a run.
 ROOM, STARTS = 2**26, 24
@@ -36,7 +40,11 @@ MakePath = Callable[[Beliefs, Conditional], Path]
 
 
 class Arrived(NamedTuple):
-    """Smoothed moments (T+1, N, ...), states given the next slice, and ln of the evidence (N,)."""
+    """What N smoothers have found.
+
+    They are smoothed moments (T+1, N, ...), the states given the slice after them, (T, N, ...), and
+    ln of the evidence of the last linearisation, (N,).
+    """
 
     mean: Array
     cov: Array
@@ -47,7 +55,7 @@ class Arrived(NamedTuple):
 def find(
     plan: ChainPlan, answer: Beliefs, own: Conditional, make: MakePath, most: int = MOST
 ) -> Modes:
-    """The modes at which smoothers arrive that start elsewhere, beside the answer's.
+    """The modes other than the answer's at which smoothers from other starts arrive.
 
     Parameters
     ----------
@@ -57,6 +65,7 @@ def find(
     own : Conditional
         (T, runs, ...): its states given the slice after them.
     make : callable
+        Of smoothed moments and such conditionals of all runs, returns their `Path`.
     most : int
         Modes at the most that are to be drawn from.
     """
@@ -75,7 +84,12 @@ def find(
 
 
 class Found(NamedTuple):
-    """Other modes of some runs: moments (K, T+1, runs, ...), their shares, and the missed part."""
+    """K other modes of some runs.
+
+    Each has smoothed moments (T+1, runs, ...), and the states given the slice after them; `shares`
+    (K, runs) and `missed` (runs,) are those of `Modes`, `answer` the answer's own moments and
+    states. In runs that have fewer modes the arrays are the answer's.
+    """
 
     beliefs: list[Beliefs]
     states: list[Conditional]
@@ -85,7 +99,7 @@ class Found(NamedTuple):
 
 
 def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> Found:
-    """The modes of some runs: all runs' smoothers are solved in one call."""
+    """The modes of some runs, whose smoothers from all starts are one call."""
     begun = starts(plan, answer.mean)
     steps, runs, count, size = begun.shape
     flat = np.ascontiguousarray(begun.swapaxes(1, 2)).reshape(steps, count * runs, size)
@@ -117,7 +131,7 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
 
 
 def _joined(found: list[Found], make: MakePath) -> Modes:
-    """Collect the modes of all runs from parts of the runs; missing modes repeat the answer."""
+    """The modes of all runs, from parts of the runs; where one has no mode its answer stands."""
     missed = np.concatenate([each.missed for each in found])
     laws = []
     for k in range(max(len(each.beliefs) for each in found)):
@@ -137,7 +151,8 @@ def _joined(found: list[Found], make: MakePath) -> Modes:
 def _arrived(plan: ChainPlan, begun: Array) -> Arrived:
     """Smooth from starts (T+1, N, n); a batch that fails is tried in halves.
 
-    Smoothers that fail stay at their starts, with an evidence of −∞.
+    Smoothers that fail, or whose result is not finite, have an evidence of −∞. Batches of 1/64 of
+    the runs, or less, are not halved.
     """
     size, front = plan.layout.slice_size, plan.layout.state_size
     runs = plan.runs
@@ -173,7 +188,10 @@ def _arrived(plan: ChainPlan, begun: Array) -> Arrived:
 
 
 def _smoothed(plan: ChainPlan, begun: Array) -> Arrived:
-    """A short smoother of all runs, from trajectories (T+1, N, n)."""
+    """A short smoother of all runs, from trajectories (T+1, N, n).
+
+    Its steps are controlled by their cost; if there is none (a ModelError), by damping.
+    """
     schedule = Smoothing(ITERATIONS, TOLERANCE, LevenbergMarquardt(tries=TRIES))
     try:
         found, _ = smoother.smooth(plan, schedule, begun)

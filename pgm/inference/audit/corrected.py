@@ -1,4 +1,8 @@
-"""Exact moments estimated from weighted draws, beside the moments of the Gaussian answer."""
+"""Exact moments estimated from weighted draws, beside the moments of the Gaussian answer.
+
+A draw x from the mixture r = (q + d)/2 has the weights y = p/r and v = q/r (`mixture`); its offset
+is x less the answer's mean.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +29,12 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Exact moments of a belief, estimated, beside the Gaussian's, (steps, runs, ...).
+    """Exact moments of a belief, estimated, beside the Gaussian answer's.
 
-    The divergence is KL(N(mean, cov) ‖ the Gaussian), infinite where draws left no covariance;
-    `judged` (steps,) are beliefs that know all measurements, as q does.
+    `mean` (steps, runs, n) and `cov` are the exact ones, `divergence` (steps, runs) is KL(N(mean,
+    cov) ‖ the Gaussian's) in nats, infinite where draws left no covariance. `steps` are the steps
+    of a chain, None in a network without time. `judged` (steps,) marks beliefs that know all
+    measurements, as q does.
     """
 
     scope: tuple[Variable, ...]
@@ -39,10 +45,14 @@ class Compared:
     judged: Mask
 
     def excess(self, draws: Array) -> Array:
-        """The largest divergence judged, less the divergence that chance explains, (runs,).
+        """The largest divergence of a judged belief, less what chance explains, (runs,), in nats.
 
-        Moments of n effective draws are χ²/2n nats off, with a degree of freedom for each of them;
-        the largest of m is bounded as by Laurent & Massart (2000, lemma 1).
+        Moments estimated from n effective `draws` are about χ²_f / 2n nats off, with f = d (d +
+        3)/2 degrees of freedom, of d means and a covariance. The largest of m is bounded by
+
+            (f/2 + √(f ln m) + ln m) / n
+
+        (Laurent & Massart, 2000, lemma 1).
         """
         size = self.mean.shape[-1]
         freedom, spread = 0.5 * size * (size + 3), log(max(int(self.judged.sum()), 1))
@@ -56,7 +66,10 @@ class Compared:
         return np.where(known, self.divergence, 0.0)
 
     def furthest(self, lead: tuple[int, ...]) -> tuple[float, str]:
-        """The largest divergence judged, and where it is, in words."""
+        """The largest divergence of a judged belief, and its variables and run in words.
+
+        `lead` is the shape of the runs. Without any it is zero, and the words are empty.
+        """
         found = self._known
         if not found.size:
             return 0.0, ""
@@ -69,7 +82,7 @@ class Compared:
         return float(found[step, run]), f"{', '.join(map(repr, scope))}{of}"
 
     def gaussian(self, lead: tuple[int, ...]) -> Gaussian:
-        """The exact moments, stacked over runs, and over steps where there are any."""
+        """The exact moments over the runs' shape `lead`, and over steps if there are any."""
         mean, cov = self._stacked(self.mean, lead), self._stacked(self.cov, lead)
         return Gaussian._make(self.scope, mean, cov, self.steps)
 
@@ -87,7 +100,20 @@ class Compared:
 
 @dataclass(eq=False)
 class Sums:
-    """Sums over draws of variables at `places` of the vector, whose Gaussian moments are given."""
+    """Sums of the offsets of draws, and of their squares, for the moments of some variables.
+
+    scope : tuple of Variable
+    places : slice or ndarray
+        Where they stand in a step's vector of draws.
+    first : int
+        The first step at which they are.
+    mean, cov : ndarray
+        (steps, runs, n) and (steps, runs, n, n): the Gaussian answer's moments.
+    judged : ndarray
+        See `Compared`.
+    timed : bool
+        Whether there are steps.
+    """
 
     scope: tuple[Variable, ...]
     places: Index
@@ -104,9 +130,10 @@ class Sums:
         self._squares = np.zeros((2, *self.cov.shape))
 
     def add(self, values: list[Array], pair: Array, fading: Array) -> None:
-        """Take in draws, (runs, S, n) a step, weighed by y and v, (2, runs, S).
+        """Take in draws, a list by step of (runs, S, n), weighed by y and v, (2, runs, S).
 
-        `fading` (runs,) is by how much the largest weight has grown; angles are wrapped.
+        The weights y are over e^peak; `fading` (runs,) is e^(peak before − peak now), by which the
+        sums before shrink. Offsets of angles are wrapped.
         """
         self._offsets[0] *= fading[:, None]
         self._squares[0] *= fading[:, None, None]
@@ -119,10 +146,15 @@ class Sums:
                 self._squares[kind, row] += weighted @ off
 
     def compared(self, mixture: Mixture) -> Compared:
-        """The exact moments beside the Gaussian's, which are the control, as for the evidence.
+        """The exact moments, from all draws, beside the Gaussian's.
 
-        Where that leaves no covariance, moments are weighted without it. Components in which the
-        Gaussian has no variance are not compared.
+        With offsets d, the Gaussian's covariance P, Ẑ and the slope β of the `mixture`'s evidence,
+        and means over draws, they are
+
+            E d = mean of (y − β v) d / Ẑ,   E d dᵀ = mean of (y − β v) d dᵀ / Ẑ + (β / Ẑ) P,
+
+        v d and v d dᵀ, of means 0 and P, being control variates. Where that leaves no covariance β
+        is zero. Components in which the Gaussian has no variance are not compared.
         """
         weights, evidence = mixture.weighed.weights, mixture.evidence
         lower, slope = roots.root(self.cov), evidence.slope

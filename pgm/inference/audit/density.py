@@ -1,4 +1,10 @@
-"""The part of each CPD in the log-weight of draws."""
+"""The part of each CPD in the log-weight of draws.
+
+Arrays are of S draws for each run. The child of a CPD is f(parents) + L s, with white noise s and
+the root L of its noise. A component is *free* where L has a pivot: the others follow from the
+parents and from s. A draw is *lost* where f is not finite. A *relative* density is that of the CPD
+over that of its linearisation.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +29,18 @@ Stack = TypeVar("Stack", Array, Mask)
 
 
 class Afresh(NamedTuple):
-    """Defensive draws that a CPD draws itself, where (runs, S) says so."""
+    """The mask of draws (runs, S) whose children a CPD draws itself, and the generator."""
 
     where: Mask
     rng: np.random.Generator
 
 
 class Drawn(NamedTuple):
-    """A child (runs, S, d), its log-densities (runs, S), and draws where the CPD is not finite."""
+    """Children (runs, S, d) of draws, their log-densities, and a mask of lost ones, (runs, S) each.
+
+    `log_density` is relative where the term is; `log_tails` never is, and has Student's t in place
+    of the Gaussian noise.
+    """
 
     values: Array
     log_density: Array
@@ -42,9 +52,11 @@ class Drawn(NamedTuple):
 class Term:
     """The density of a CPD at draws of its family.
 
-    `own` (rows or 1, runs or 1, d, d) is the root of its noise, `linearised` that of the linearised
-    CPD, by which `relative` densities are divided: nothing is left of an affine one. Where some
-    components of a sensor were read, `taken` (rows, runs or 1, d), the others have unit variance.
+    `own` (rows or 1, runs or 1, d, d) is the root L of its noise. If `relative`, densities are
+    divided by those of the linearised CPD, the root of whose noise is `linearised`; of an affine
+    one nothing is left, and that is None. `taken` (rows, runs or 1, d) marks the components of a
+    sensor's readings that were measured, None for all; the others are given unit variance, and
+    count for nothing.
     """
 
     family: Family
@@ -55,7 +67,11 @@ class Term:
 
     @classmethod
     def make(cls, family: Family, *, relative: bool, taken: Mask | None = None) -> Term:
-        """Take the roots of the noise."""
+        """The density of a CPD at its rows, from the roots of its noise.
+
+        Relative densities of robust noise, or of a nonlinear CPD with a singular noise, are a
+        NumericalError.
+        """
         own, noise = family.own_noise, family.noise
         if taken is not None:
             own, noise = independent(own, taken), independent(noise, taken)
@@ -98,10 +114,11 @@ class Term:
         *,
         strict: bool = True,
     ) -> Drawn:
-        """The child (runs, S, d) of parents (runs, S, n): free components as proposed or drawn.
+        """The child (runs, S, d) of parents (runs, S, n), at one row, with its density.
 
-        The others follow from the parents and the noise that the free ones imply. If `strict`, a
-        function that is not finite is an error.
+        Its free components are as `proposed`, or drawn from the CPD with Student's t where `afresh`
+        says so. The others follow from the parents and the noise that the free ones imply. If
+        `strict`, a function that is not finite is a LinearisationError.
         """
         value, lost = self._value(row, parents, on_chart=True, strict=strict)
         own = _at(self.own, row)
@@ -123,7 +140,7 @@ class Term:
         )
 
     def sampled(self, row: int, parents: Array, white: Array) -> Array:
-        """The child f(parents) + L s (runs, S, d) for white noise s (S, d), L the noise's root.
+        """The child f(parents) + L s (runs, S, d) for white noise s (S, d).
 
         Where f is not finite, the linearised mean stands for it.
         """
@@ -132,7 +149,10 @@ class Term:
         return child
 
     def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
-        """Values (runs, S, d), the masked ones drawn afresh: f(parents) + L s, s Student t."""
+        """The `proposed` children (runs, S, d), with f(parents) + L s, s Student t, where masked.
+
+        `value` is f(parents), `own` the root L.
+        """
         places = afresh.where
         white: Array = np.zeros(proposed.shape)
         white[places] = afresh.rng.standard_normal((int(places.sum()), self.family.shape[2]))
@@ -142,10 +162,11 @@ class Term:
     def readings(
         self, rows: slice, parents: Array, values: Array, moved: Array, *, strict: bool = True
     ) -> Array:
-        """The log-density of measurements, (runs, S), summed over k rows; NaN where it is lost.
+        """The log-density of measurements, (runs, S), summed over k rows; NaN where one is lost.
 
-        Parents are (k, runs, S, n); values, and moved to the linearisation's branch of angles for
-        affine CPDs, (k, runs or 1, d). If `strict`, a function that is not finite is an error.
+        Parents are (k, runs, S, n). `values` (k, runs or 1, d) are the measurements; `moved` are
+        the same with angles on the linearisation's branch, for affine CPDs. If `strict`, a function
+        that is not finite is a LinearisationError.
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
@@ -168,7 +189,10 @@ class Term:
         return total
 
     def _robust(self, noise: RobustNoise, rows: slice, residual: Array) -> Array:
-        """The log-density of residuals (..., S, d) of robust noise; unnormalised if improper."""
+        """The log-density (..., S) of residuals (..., S, d) of robust noise.
+
+        An improper one has the Gaussian's constant, −½ ln |2π R|.
+        """
         count: Integers = np.asarray(self.family.shape[2])
         if self.taken is not None:
             count = self.taken[rows].sum(axis=-1)[..., None]
@@ -177,7 +201,7 @@ class Term:
         return found - 0.5 * solving.log_determinant(_at(self.own, rows))[..., None]
 
     def _white(self, rows: int | slice, residual: Array) -> Array:
-        """White residuals (..., S, d) of the CPD's own noise, zero where determined."""
+        """The residuals (..., S, d) whitened by L, zero where a component is not free."""
         if self._inverse is None:
             return normal_density.whitened(_at(self.own, rows), residual)[0]
         white: Array = residual @ transpose(_at(self._inverse, rows))
@@ -185,11 +209,11 @@ class Term:
 
     @cached_property
     def _inverse(self) -> Array | None:
-        """L⁻ᵀ of all rows, (rows or 1, runs or 1, d, d), where L is regular; else None."""
+        """L⁻¹ of all rows, (rows or 1, runs or 1, d, d); None where some component is not free."""
         return normal_density.whitener(self.own)
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
-        """Residuals (..., S, d), with zero in missing components."""
+        """Residuals (..., S, d), with zero in components that were not measured."""
         return residual if self.taken is None else np.where(self._seen(rows), residual, 0.0)
 
     def _seen(self, rows: int | slice) -> Mask | np.bool_:
@@ -197,9 +221,9 @@ class Term:
         return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
-        """The CPD's log-density.
+        """The CPD's log-density `own`, less that of the linearised CPD if it is relative.
 
-        Where draws are relative to the linearised CPD, its log-density is subtracted.
+        Of an affine CPD nothing is left.
         """
         if not self.relative:
             return own
@@ -209,7 +233,7 @@ class Term:
         return own - _log_density(self.linearised[rows], residual)
 
     def _affine(self, rows: int | slice, parents: Array) -> Array:
-        """The linearised mean F x + b at parents (..., S, n), (..., S, d)."""
+        """The linearised mean F x + b at parents x (..., S, n), (..., S, d)."""
         matrix, offset = self.family.matrix[rows], self.family.offset[rows]
         value: Array = parents @ transpose(matrix) + offset[..., None, :]
         return value
@@ -222,10 +246,11 @@ class Term:
         on_chart: bool = False,
         strict: bool = True,
     ) -> tuple[Array, Mask]:
-        """The CPD's mean at draws of its parents, (..., S, d), and a mask where it is lost.
+        """The values f(parents) (..., S, d) at draws (..., S, n), and a mask of lost ones (..., S).
 
-        There it is the linearised mean. The branch of an angle is that of the linearisation, a
-        matter of the parents alone, so that the child's density on the unwrapped chart is one.
+        Lost ones have the linearised mean; if `strict` they are a LinearisationError. If
+        `on_chart`, angles are on the branch of the linearised mean, which depends on the parents
+        alone, so that the child's density, whose angles are not wrapped, integrates to one.
         """
         family = self.family
         if family.exact:
@@ -245,7 +270,7 @@ class Term:
         return value, lost
 
     def _refuse(self, rows: int | slice, parents: Array, lost: Mask) -> None:
-        """Raise for the first draw (..., S) at which the function is not finite."""
+        """Raise a LinearisationError for the first draw of the mask `lost` (..., S)."""
         where = tuple(int(axis[0]) for axis in np.nonzero(lost))
         family = self.family
         first = rows if isinstance(rows, int) else rows.start + where[0]
@@ -267,7 +292,7 @@ Links = list[tuple[Link, Term]]
 
 
 def has_exact(read: Iterable[Family]) -> bool:
-    """Whether some measurement noise is singular; refused for nonlinear sensors."""
+    """Whether some measurement noise is singular; of a nonlinear sensor a NumericalError."""
     found = [f for f in read if roots.determined(roots.root(f.own_noise)).any()]
     for family in found:
         if not family.exact:
@@ -283,7 +308,7 @@ def has_exact(read: Iterable[Family]) -> bool:
 
 
 def _at(stacked: Stack, rows: int | slice) -> Stack:
-    """Some rows of an array (rows or 1, ...); its only row serves for all."""
+    """Some rows of an array (rows or 1, ...); a single row serves for all."""
     if stacked.shape[0] == 1:
         rows = 0 if isinstance(rows, int) else slice(None)
     part: Stack = stacked[rows]
@@ -291,5 +316,5 @@ def _at(stacked: Stack, rows: int | slice) -> Stack:
 
 
 def _log_density(lower: Array, residual: Array) -> Array:
-    """The value ln N(residual; 0, L Lᵀ), (..., S), of residuals (..., S, d)."""
+    """The log-density ln N(residual; 0, L Lᵀ), (..., S), of residuals (..., S, d)."""
     return normal_density.log_density(lower, normal_density.whitened(lower, residual)[0])

@@ -1,4 +1,10 @@
-"""Draws in the making, slice by slice, with their densities."""
+"""Draws in the making, slice by slice, with their densities.
+
+They are drawn from the Gaussian answer q, or from a defensive density d: most follow q but for an
+excursion (`Excursions`), the others are of Gaussians at other modes (`Modes`). A slice is a step of
+a chain, or all variables of a network without time. *White noise* s gives a slice, F x + b + L s,
+from the states x before (`Proposal`).
+"""
 
 from __future__ import annotations
 
@@ -15,10 +21,10 @@ from pgm.kernels.arrays import Array, Integers
 
 
 class Draws(NamedTuple):
-    """Log-densities of draws, (runs, S), and their variables by step, (runs, S, n).
+    """The log-densities of draws, (runs, S), and their variables by step, (runs, S, n).
 
-    The target is ln p(x, z) of the model, NaN where a function was not finite at a defensive draw;
-    the others are by the Gaussian answer and by excursions from it.
+    `target` is ln p(x, z) of the model, NaN where a function was not finite at a defensive draw;
+    `gaussian` is ln q and `defensive` ln d.
     """
 
     target: Array
@@ -29,13 +35,13 @@ class Draws(NamedTuple):
 
 @dataclass(eq=False)
 class Strand:
-    """Draws under construction, slice by slice, from the Gaussian answer or defensive.
+    """Draws of q or of d under construction: for each slice in turn `propose`, then `weigh`.
 
-    A defensive draw leaves the answer for an excursion, or is of another mode's Gaussian:
+    A defensive draw leaves q for an excursion, or is of another mode's Gaussian q_k:
 
         d = (1 − Σ_k m_k) d_excursion + Σ_k m_k q_k
 
-    with the modes' shares m_k. All densities are summed up over the slices.
+    with the modes' shares m_k. All log-densities are summed up over the slices.
 
     answer : Path
         The Gaussian answer q.
@@ -72,7 +78,11 @@ class Strand:
         self._index = 0
 
     def propose(self, given: Array) -> tuple[Array, Afresh | None]:
-        """Draw the next slice given the states before, and mark the draws taken from the model."""
+        """Draw the next slice (runs, S, n) given the states before, (runs, S, m).
+
+        Returns it with the mask of draws that the model's own CPDs are to draw instead; None unless
+        draws are defensive.
+        """
         proposal, row = self.answer.at(self._index)
         tails = afresh = None
         if self.defensive:
@@ -90,9 +100,10 @@ class Strand:
         return values, afresh
 
     def weigh(self, given: Array, values: Array, predicted: Array) -> None:
-        """Take in the densities of a slice, (runs, S, n).
+        """Take in the densities of a slice, (runs, S, n), given the states before, (runs, S, m).
 
-        `predicted` (runs, S) is its log-density by the model, with Student's tails.
+        `predicted` (runs, S) is its log-density by the model's CPDs, with Student's t for their
+        noise.
         """
         proposal, row = self.answer.at(self._index)
         white = self._white
@@ -116,7 +127,7 @@ class Strand:
         self._index += 1
 
     def drawn(self, target: Array, values: list[Array]) -> Draws:
-        """The draws, once all slices are taken in."""
+        """The draws, once all slices are taken in: `target` ln p(x, z), `values` by step."""
         defensive = self._density.log()
         if self.modes.paths:
             shares = self.modes.shares

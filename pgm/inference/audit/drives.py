@@ -1,4 +1,7 @@
-"""Drives from which smoothers of a chain look for other modes."""
+"""Drives from which smoothers of a chain look for other modes.
+
+A *drive* is a trajectory that the model's own CPDs make of white noise, measurements left aside.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +14,21 @@ from pgm.inference.audit.starts import images, white_points
 from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels.arrays import Array, Integers
 
-# Drives that follow the motion from points of the prior, without its noise and with it.
+# Numbers of drives from points of the prior, without the motion's noise and with it.
 STEADY, NOISY = 8, 4
 
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """White noise of C drives that the model's own CPDs make, beside one another.
+    """The white noise of C drives.
 
     first : ndarray
-        (C, n₀): of the states at step 0.
+        (C, n₀): that of the states at step 0.
     noise : ndarray
-        (C,): how much of the motion's noise a drive has, from 0 to 1.
+        (C,): the factor of the white noise at later steps, from 0 to 1.
     leave : ndarray
-        (C,): the last step at which a drive is the answer itself, which it then leaves; −1 of those
-        that begin in the prior.
+        (C,): the last step up to which a drive is the answer's mean; −1 of those that begin in the
+        prior.
     """
 
     first: Array
@@ -36,15 +39,15 @@ class Lanes:
 def starts(plan: ChainPlan, answer: Array) -> Array:
     """Trajectories (T+1, runs, C, n) from which smoothers start, the answer's means first.
 
-    With ρ the motion of the prior's mean without noise, and ρ_k that of the answer μ from step k
-    on, they are
+    With ρ the drive of the prior's mean without noise, and ρ_k that which leaves the answer's mean
+    μ after step k, they are
 
     - μ itself, and ρ;
-    - mirror images 2ρ − μ, of all components together and of one after another; and, after the
-      middle of the drive alone, 2ρ_k − μ;
+    - mirror images 2ρ − μ, of all components together and of one after another; and 2ρ_k − μ for
+      the middle step k;
     - drives from points that fill the prior, without noise and with it.
 
-    They are the same in each call. Drives that are not finite are the answer.
+    They are the same in each call. One that is not finite is replaced by μ.
     """
     half = plan.steps // 2
     first = np.zeros((2 + STEADY + NOISY, plan.layout.state_size))
@@ -64,7 +67,10 @@ def starts(plan: ChainPlan, answer: Array) -> Array:
 
 
 def drives(plan: ChainPlan, answer: Array, lanes: Lanes) -> Array:
-    """The trajectories (T+1, runs, C, n) that the model's own CPDs make of white noise."""
+    """The drives (T+1, runs, C, n) of C lanes, from the prior or from the answer's means.
+
+    `answer` (T+1, runs, n) are these means.
+    """
     layout, count = plan.layout, len(lanes.first)
     size, front, places = layout.slice_size, layout.state_size, layout.state_places
     prior, transition = (

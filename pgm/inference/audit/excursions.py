@@ -21,11 +21,13 @@ END = 0.125
 
 @dataclass(frozen=True)
 class Excursions:
-    """One excursion a draw: slices k to l leave the Gaussian, those around them follow it.
+    """One excursion a draw: slices k to l leave the Gaussian answer, all others follow it.
 
-    The first slice begins it with a probability of ½, all others alike; each of its slices is the
-    last one with a probability of ⅛. The density of a draw, of all excursions that may have led to
-    it, is summed up slice by slice, over the four stages.
+    On it a slice is drawn by the model's own CPDs (stage PREDICTION), or by the Gaussian answer's
+    conditional (stage TAILS), with Student's t for the noise. The first slice begins it with a
+    probability of ½, all others alike; each of its slices is the last one with a probability of ⅛.
+    The density of a draw, over all excursions that may have led to it, is summed up slice by slice,
+    over the four stages.
 
     slices : int
         The number of slices of a draw, 1 or more.
@@ -37,7 +39,7 @@ class Excursions:
     predicted: float = PREDICTED
 
     def _begin(self, index: int) -> float:
-        """The probability that a slice begins the excursion, if none before has."""
+        """The probability that slice `index` begins the excursion, if none before has."""
         if index == 0 and self.slices > 1:
             return AT_FIRST
         return 1.0 / (self.slices - index)
@@ -47,7 +49,7 @@ class Excursions:
         return np.full((runs, count), BEFORE)
 
     def advance(self, index: int, stage: Integers, rng: np.random.Generator) -> Integers:
-        """Draw each draw's stage at a slice given its stage at the slice before, (runs, S)."""
+        """Draw each draw's stage at slice `index` given that at the slice before, (runs, S)."""
         chance = rng.random(stage.shape)
         begin = self._begin(index)
         kind = np.where(chance < begin * self.predicted, PREDICTION, TAILS)
@@ -65,10 +67,11 @@ class Excursions:
     def extend(
         self, index: int, so_far: Density, gaussian: Array, predicted: Array, tails: Array
     ) -> Density:
-        """The density of draws up to a slice.
+        """The density of draws up to slice `index`, from that before it.
 
         With b the probability that the slice begins the excursion, e that one ends, π the part of
-        its kind, and p the slice's own density in a stage, the shares a become
+        its kind, and p the slice's own density in a stage (p_q by the Gaussian), the shares a
+        become
 
             before: (1 − b) a_before p_q,
             of either kind: ((1 − e) a_kind + b π a_before) p_kind,
@@ -79,9 +82,9 @@ class Excursions:
         index : int
         so_far : Density
         gaussian, predicted : ndarray
-            (runs, S): the log-density of the slice by the Gaussian, and by the model.
+            (runs, S): the slice's log-density by the Gaussian, and by the model with Student's t.
         tails : ndarray
-            (runs, S): that with Student tails, less the Gaussian's.
+            (runs, S): that by the Gaussian with Student's t for its noise, less `gaussian`.
         """
         begin, before = self._begin(index), so_far.shares
         scale = np.maximum(np.maximum(predicted, gaussian), gaussian + tails)
@@ -100,8 +103,8 @@ class Excursions:
 class Density(NamedTuple):
     """The density of draws so far: shares of the stages (4, runs, S) times exp(scale), (runs, S).
 
-    A share that is too small for float64 beside another stays so: whatever follows one may follow
-    the other.
+    A share that is too small for float64 beside another becomes zero and stays so, which changes
+    little: what may follow one stage may follow the other.
     """
 
     scale: Array

@@ -26,8 +26,8 @@ class InnovationCheck(Shown):
     overall: The same of all runs.
     autocorrelation: Of whitened innovations one measurement apart; 0 is right. NaN without two
         measurements of a run.
-    band, autocorrelation_band: How far `overall` and `autocorrelation` are from that with a
-        probability of 99 % if the model is right.
+    band, autocorrelation_band: If the model is right, `overall` is within `band` of 1 with a
+        probability of 99 %, and `autocorrelation` within `autocorrelation_band` of 0.
     """
 
     sensor: Variable
@@ -55,7 +55,7 @@ class InnovationCheck(Shown):
 
     @property
     def fits(self) -> bool:
-        """Whether neither number speaks against the model."""
+        """Whether both numbers are within their bands."""
         apart = abs(self.overall - 1.0) > self.band
         return not apart and not abs(self.autocorrelation) > self.autocorrelation_band
 

@@ -1,4 +1,10 @@
-"""Log-evidence and divergences from the Gaussian's draws and as many defensive ones."""
+"""Log-evidence and divergences from the Gaussian's draws and as many defensive ones.
+
+With p = p(x, z) of the model, the Gaussian answer q, the defensive density d and their mixture r =
+(q + d)/2, a draw has the weights y = p/r, w = p/q and v = q/r. S draws are from q and S from d, in
+this order along the last axis: two strata of equal size. Means over all are means by r, so that the
+mean of y is Z = p(z), and that of v is 1: v is a control variate.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +21,7 @@ from pgm.kernels.arrays import Array
 
 
 def weigh(draws: Draws) -> tuple[Array, Array]:
-    """The log-weights ln p/r, −∞ where p is NaN, and the control q/r, r = (q + d)/2, (runs, S)."""
+    """The log-weights ln y, −∞ where p is NaN, and v, (runs, S) each."""
     log_mixture = np.logaddexp(draws.gaussian, draws.defensive) - np.log(2.0)
     log_weights = np.where(np.isnan(draws.target), -np.inf, draws.target - log_mixture)
     return log_weights, np.exp(draws.gaussian - log_mixture)
@@ -32,7 +38,7 @@ class Weighed:
     control : ndarray
         v = q/r.
     log_ratio : ndarray
-        ln p/q; −∞ or NaN where p is zero or a function was not finite.
+        ln w = ln p/q; −∞ or NaN where p is zero or a function was not finite.
     """
 
     log_weights: Array
@@ -46,7 +52,7 @@ class Weighed:
 
     @cached_property
     def weights(self) -> Array:
-        """The weights y over the exponential of their peak, (runs, 2S)."""
+        """The weights y / e^peak, (runs, 2S)."""
         return np.exp(self.log_weights - self.peak[:, None])
 
     @property
@@ -56,21 +62,20 @@ class Weighed:
 
 
 class Evidence(NamedTuple):
-    r"""The evidence of runs, by y and the control variate v, whose mean is known to be one.
+    r"""The estimate of the evidence Z of each run, with v as control variate.
 
     .. math:: \hat Z = \bar y - β (\bar v - 1)
 
     Attributes
     ----------
     slope : ndarray
-        (runs,): β, the slope of a regression of y on v within the draws of q and of d; over the
-        exponential of the weights' peak.
+        (runs,): β e^−peak, β the slope of the regression of y on v within the draws of q and of d.
     value : ndarray
-        (runs,): Ẑ, likewise.
+        (runs,): Ẑ e^−peak.
     log : ndarray
         (runs,): ln Ẑ.
     standard_error : ndarray
-        (runs,): of ln Ẑ, that of the mean of y − βv over Ẑ (the delta method).
+        (runs,): of ln Ẑ, that of the mean of (y − βv)/Ẑ (the delta method).
     """
 
     slope: Array
@@ -95,7 +100,7 @@ class Mixture:
     weighed : Weighed
     evidence : Evidence
     divergence, inclusive : Estimate
-        KL(q ‖ p/Z) and KL(p/Z ‖ q).
+        KL(q ‖ p/Z), infinite where p is zero at a draw of q, and KL(p/Z ‖ q).
     undefined : ndarray
         (runs,): the part of defensive draws at which a function was not finite.
     """
@@ -110,7 +115,10 @@ class Mixture:
     def make(
         cls, log_weights: Array, control: Array, log_ratio: Array, undefined: Array
     ) -> Mixture:
-        """Estimate, from ln y, v and ln p/q, (runs, 2S), of the Gaussian's draws first."""
+        """Make the estimates from ln y, v and ln w, (runs, 2S), q's draws first.
+
+        Runs in which no draw has a density are a NumericalError.
+        """
         weighed = Weighed(log_weights, control, log_ratio)
         _require_draws(weighed)
         evidence = _evidence(weighed)
@@ -144,7 +152,7 @@ class Mixture:
 
 
 def _require_draws(weighed: Weighed) -> None:
-    """Refuse runs whose draws, or whose draws from q, all have density zero."""
+    """Raise a NumericalError if in some run all draws, or all from q, have density zero."""
     finite = np.isfinite(weighed.peak) & np.isfinite(weighed.plain.max(axis=-1))
     if not finite.all():
         run = int(np.flatnonzero(~finite)[0])
@@ -155,7 +163,7 @@ def _require_draws(weighed: Weighed) -> None:
 
 
 def _evidence(weighed: Weighed) -> Evidence:
-    """The mean weight with its control variate; the plain mean if that is not positive.
+    """Ẑ with its control variate; the plain mean of y, with β = 0, if that is not positive.
 
     A regression through few weights may overshoot.
     """
@@ -169,17 +177,27 @@ def _evidence(weighed: Weighed) -> Evidence:
 
 
 def _surplus(weighed: Weighed, evidence: Evidence) -> Array:
-    """The terms of ln Ẑ by draw: (y − βv)/Ẑ, (runs, 2S)."""
+    """The term of each draw in the error of ln Ẑ: (y − βv)/Ẑ, (runs, 2S).
+
+    Their mean is 1 − β/Ẑ, and the error of this mean is that of ln Ẑ.
+    """
     parts = (evidence.slope / evidence.value)[:, None] * weighed.control
     return np.asarray(weighed.weights / evidence.value[:, None] - parts)
 
 
 def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> Estimate:
-    """The mean of values a_s with a control variate of mean zero, and its standard error.
+    """A divergence in nats: the mean of values a_s by a control variate, with its standard error.
 
-    The values are v ln Z/w, of KL(q ‖ p/Z), or (y/Z) ln w/Z, of KL(p/Z ‖ q); as ln Z grows, the
-    mean of the former grows by one, and that of the latter falls by one and the mean, which is the
-    `sign`. The error is that of a_s − slope · control_s + (that change) · surplus_s.
+    KL(q ‖ p/Z) has the terms a_s = −v ln(w/Ẑ) and the `sign` +1, KL(p/Z ‖ q) has a_s = (y/Ẑ)
+    ln(w/Ẑ) and −1. The control c_s = y/Ẑ − v has mean zero, and β is the slope of the regression of
+    a_s on it. The estimate is ā − β c̄, or zero if that is negative. It depends on ln Ẑ, too: its
+    derivative is
+
+        g = β + 1 of the former,   g = β − 1 − (the estimate) of the latter,
+
+    so that the standard error is that of the mean of a_s − β c_s + g u_s, with the `surplus` u_s =
+    (y − β′v)/Ẑ, in which β′ is the slope of the evidence (`_surplus`). Values, `control` and
+    `surplus` are (runs, 2S).
     """
     slope = _slope(values, control)
     mean = np.maximum(values.mean(axis=-1) - slope * control.mean(axis=-1), 0.0)
@@ -189,7 +207,10 @@ def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> E
 
 
 def _slope(values: Array, control: Array) -> Array:
-    """The slope of a regression within the two halves of the draws, (runs,)."""
+    """The slope of the regression of values on a control, within q's draws and d's, (runs,).
+
+    It is zero where the control does not vary.
+    """
     halves = (len(values), 2, -1)
     y, v = values.reshape(halves), control.reshape(halves)
     about = v - v.mean(axis=-1, keepdims=True)
@@ -199,13 +220,13 @@ def _slope(values: Array, control: Array) -> Array:
 
 
 def _error(values: Array) -> Array:
-    """The standard error of a mean over both halves of the draws, (runs,)."""
+    """The standard error of a mean over two strata of S draws, (runs,)."""
     halves = values.reshape(len(values), 2, -1)
     samples = halves.shape[-1]
     return np.asarray(np.sqrt(halves.var(axis=-1, ddof=1).sum(axis=-1) / (4.0 * samples)))
 
 
 def _effective(weights: Array) -> Array:
-    """The effective number of draws (Σ w)² / Σ w², (runs, S); exactly S where all w are equal."""
+    """The effective number of draws (Σ w)² / Σ w², (runs,); exactly S where all w are equal."""
     size = weights.sum(axis=-1) ** 2 / (weights**2).sum(axis=-1)
     return np.asarray(np.minimum(size, weights.shape[-1]))

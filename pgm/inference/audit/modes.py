@@ -1,4 +1,8 @@
-"""Other modes of a posterior: fixed points that smoothers reach from other starts."""
+"""Other modes of a posterior: fixed points that smoothers reach from other starts.
+
+Smoothers (of a network without time: calibrations) are started from C points in each run, and up to
+K of the modes they find get a share of the defensive draws.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ from pgm.kernels.arrays import Array, Integers, Mask
 
 # Modes at the most that are drawn from, beside the answer.
 MOST = 8
-# Fixed points are two modes if some component of some slice differs by more deviations.
+# Fixed points are two modes if some component differs by more standard deviations.
 APART = 1.0
 # Nats of log-evidence below the best fixed point from which on one has no mass that counts.
 NEGLIGIBLE = 10.0
@@ -51,9 +55,10 @@ class Modes:
 
     @classmethod
     def made(cls, laws: Iterable[tuple[Callable[[], Path], Array]], missed: Array) -> Modes:
-        """Modes of laws, each made by a call, with their shares (runs,).
+        """The modes of some laws: pairs of a call that makes the law, and its shares (runs,).
 
-        One that has no density to be drawn from is missed, by its part of the other modes' draws.
+        A law that cannot be made, or has no density, is not drawn from. Its part of the shares is
+        added to `missed`.
         """
         paths, shares = [], []
         for make, share in laws:
@@ -69,7 +74,7 @@ class Modes:
         return cls(paths, np.array(shares).reshape(len(paths), len(missed)), missed)
 
     def drawn(self, count: int, rng: np.random.Generator) -> Integers:
-        """The component of each defensive draw, (runs, S); K stands for an excursion."""
+        """Draw the mode, 0 to K − 1, of S = `count` defensive draws, (runs, S); K: an excursion."""
         runs = self.shares.shape[1]
         if not self.paths:
             return np.zeros((runs, count), dtype=np.intp)
@@ -84,8 +89,8 @@ class FixedPoints:
     mean, std : ndarray
         (C, runs, n): of all components of all slices.
     log_evidence : ndarray
-        (C, runs): of the linearisation there, which is Laplace's of the mode; −∞ where a smoother
-        has failed.
+        (C, runs): that of the linearisation there, Laplace's approximation of the mode's mass; −∞
+        where a smoother has failed.
     angles : ndarray
         (n,): the components that are angles; whole turns are no difference.
     """
@@ -96,7 +101,11 @@ class FixedPoints:
     angles: Mask
 
     def apart(self, mean: Array, std: Array) -> Array:
-        """The largest difference from other moments, (runs, n), in deviations, (C, runs)."""
+        """The largest difference from other means of any component, (C, runs), in units of spread.
+
+        `mean` and `std` are (runs, n). The unit is the root mean square of both points' standard
+        deviations; components of which both are zero count for nothing.
+        """
         off = np.abs(difference(self.mean, mean, self.angles))
         spread = np.sqrt(0.5 * (self.std**2 + std**2))
         apart = np.where(spread > 0.0, off / np.where(spread > 0.0, spread, 1.0), 0.0)
@@ -121,8 +130,8 @@ class Chosen:
 def choose(points: FixedPoints, mean: Array, std: Array, most: int = MOST) -> Chosen:
     """The likeliest distinct fixed points that are not the answer's mode.
 
-    Points are taken in the order of their evidence, each further than `APART` deviations from the
-    answer and from those taken before. Their masses are estimated by Laplace's method,
+    Points are taken in the order of their evidence, each further than `APART` standard deviations
+    from the answer and from those taken before. Their masses are estimated by Laplace's method,
 
         w_k ∝ exp(ln Z_k),
 

@@ -1,4 +1,8 @@
-"""Proposals: draws of the components that a model leaves open, from conditional Gaussians."""
+"""Proposals: draws of the free components of slices, from conditional Gaussians.
+
+A component is *free* if it has noise given its parents in the model; the others follow from these,
+and are not proposed.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +39,10 @@ class Proposal:
 
     @classmethod
     def make(cls, conditional: Conditional, free: Mask) -> Proposal:
-        """Propose the free components, (rows, runs, n), of conditionals of all."""
+        """Propose the free components, a mask (rows, runs, n), of conditionals of all components.
+
+        Covariances that are indefinite are a NumericalError.
+        """
         matrix, offset, cov = conditional
         # What an exact measurement determines may have a variance of zero less rounding.
         certain = moments.certain(cov, np.where(free, 0.0, np.inf))
@@ -51,13 +58,16 @@ class Proposal:
 
     @cached_property
     def _fixed(self) -> Mask:
-        """Components without noise of their own, (rows, runs, n)."""
+        """The mask of components without noise of their own in L, (rows, runs, n)."""
         return roots.determined(self.lower)
 
     def white(
         self, row: int, count: int, rng: np.random.Generator, away: Mask | None = None
     ) -> Array:
-        """White noise s, (runs, S, n), zero where determined; of Student's t where `away`."""
+        """White noise s of S = `count` draws, (runs, S, n), zero where L has no pivot.
+
+        Draws of the mask `away` (runs, S) have Student's t.
+        """
         lower = self.lower[row]
         white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
         if away is not None:
@@ -66,11 +76,11 @@ class Proposal:
         return np.where(fixed[:, None, :], 0.0, white) if fixed.any() else white
 
     def values(self, row: int, given: Array, white: Array) -> Array:
-        """The draws (runs, S, n) given others (runs, S, m), of white noise."""
+        """The draws F x + b + L s, (runs, S, n), given x (runs, S, m), of white noise s."""
         return self._mean(row, given) + white @ transpose(self.lower[row])
 
     def whitened(self, row: int, given: Array, values: Array) -> Array:
-        """The white noise (runs, S, n) of draws."""
+        """The white noise s (runs, S, n) of draws, given x (runs, S, m)."""
         off = values - self._mean(row, given)
         if self._inverse is None:
             return normal_density.whitened(self.lower[row], off)[0]
@@ -79,22 +89,22 @@ class Proposal:
 
     @cached_property
     def _inverse(self) -> Array | None:
-        """L⁻ᵀ of all rows, (rows, runs, n, n), where L is regular and well scaled; else None."""
+        """L⁻¹ of all rows, (rows, runs, n, n); None where some component has no noise."""
         return normal_density.whitener(self.lower)
 
     @cached_property
     def _constants(self) -> tuple[Integers, Array]:
-        """The number of free components, and the constant of the Gaussian's log-density."""
+        """The number of free components, and the Gaussian's log-density at s = 0, (rows, runs)."""
         size = (~self._fixed).sum(axis=-1)
         return size, -0.5 * (solving.log_determinant(self.lower) + size * LOG_2PI)
 
     def log_density(self, row: int, squared: Array) -> Array:
-        """The log-density (runs, S) of draws by the Gaussian, at their |s|²."""
+        """The log-density (runs, S) of draws by the Gaussian, at |s|² (runs, S)."""
         value: Array = self._constants[1][row][:, None] - 0.5 * squared
         return value
 
     def log_tails(self, row: int, squared: Array) -> Array:
-        """The logarithm of Student's t density over the Gaussian density, (runs, S)."""
+        """The logarithm of Student's t density over the Gaussian one, (runs, S), at |s|²."""
         return log_ratio(self._constants[0][row][:, None], squared)
 
     def _mean(self, row: int, given: Array) -> Array:

@@ -16,9 +16,9 @@ from pgm.linearisers import TAYLOR
 def repeated(plan: ChainPlan, count: int) -> ChainPlan:
     """The plan with all its runs one after another `count` times: run r of copy c is c · runs + r.
 
-    Arrays that are the same for all runs are shared. Nonlinear CPDs are expanded to first order,
-    whose steps can be controlled by their cost, unless they have a lineariser of their own; what
-    gates have rejected stays so.
+    Arrays that are the same for all runs are shared. Nonlinear CPDs without a lineariser of their
+    own are expanded to first order, so that the steps of a smoother can be controlled by their
+    cost. What gates have rejected stays rejected.
     """
     runs = plan.runs
 
@@ -46,7 +46,10 @@ def repeated(plan: ChainPlan, count: int) -> ChainPlan:
 
 
 def of_family(family: Family, count: int, runs: int) -> Family:
-    """The family of a CPD with all runs `count` times, not linearised yet."""
+    """A CPD's family in which all runs come `count` times, not linearised yet.
+
+    Without a lineariser of its own a nonlinear CPD is expanded to first order.
+    """
     rows, _, height, width = family.shape
     own = tiled(family.own_noise, count)
     total = count * runs
@@ -69,7 +72,7 @@ def of_family(family: Family, count: int, runs: int) -> Family:
 
 
 def tiled(array: npt.NDArray[Kind], count: int) -> npt.NDArray[Kind]:
-    """An array (rows, runs or 1, ...) with its runs `count` times; one for all runs stays."""
+    """An array (rows, runs or 1, ...) with its runs `count` times; one for all runs stays one."""
     if array.shape[1] == 1:
         return array
     return np.concatenate([array] * count, axis=1)

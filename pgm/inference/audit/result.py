@@ -1,4 +1,4 @@
-"""The result of an audit, and the check of the model against its innovations."""
+"""The result of an audit: a smoother beside the importance sampling that checks it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.variables import Variable
 
-# Above this shape of the weights' tail no estimate made of them is to be trusted.
+# Above this Pareto shape of the weights' tail no estimate made of them is to be trusted.
 UNTRUSTED = 0.7
-# Nats that moments are from the exact ones, or log-evidence is off by beyond so many standard
-# errors, to be suspect; and effective draws that an estimate to be trusted is made of.
+# An answer is suspect if its moments are so many nats from the exact ones, or its log-evidence so
+# many off beyond so many standard errors; an estimate to be trusted has so many effective draws.
 SUSPECT, ERRORS, ENOUGH = 0.5, 3.0, 10.0
 
 
@@ -32,7 +32,8 @@ MISSED = 0.01
 def _is_trusted(mixture: Mixture, modes: Modes) -> Mask:
     """Whether each run's estimates can be used, (runs,).
 
-    There must be enough effective draws, and no mode left out.
+    That takes a Pareto shape of at most 0.7, ten effective draws, and no more than a hundredth of
+    the mass in modes that are not drawn from.
     """
     draws = (mixture.pareto_k <= UNTRUSTED) & (mixture.effective_draws >= ENOUGH)
     return np.asarray(draws & (modes.missed <= MISSED))
@@ -260,7 +261,7 @@ class Audit(Shown, Immutable):
         return [f"SUSPECT{runs}: {told}"]
 
     def _others(self) -> list[str]:
-        """Lines about other modes: how many, which part of their mass is left out, or no search."""
+        """Lines about other modes: how many, which mass is left out, or that none was sought."""
         found, missed = int(self.modes.max(initial=0)), float(np.nanmax(self.missed, initial=0.0))
         told = [f"other modes found: {found}{' at the most' * (self.modes.ndim > 0)}"] * (found > 0)
         if missed > MISSED:

@@ -50,12 +50,12 @@ def audit(
 
         r = (q + d)/2,    Z = mean of p/r − β (mean of q/r − 1).
 
-    Other modes are looked for first, by some twenty short smoothers that start elsewhere: at
-    mirror images 2ρ − μ of the answer's means μ about the motion ρ of the prior's mean (all
-    components, or one of them, from step 0 or from the middle on), and at drives of the model from
-    points of the prior. Where they arrive at fixed points further than a deviation from the answer
-    and from one another, half of d's draws come from the Gaussians there. A mode needs no weight
-    for this: all draws are weighed by the exact density.
+    Other modes are looked for first, by some twenty short smoothers that start elsewhere: at mirror
+    images 2ρ − μ of the answer's means μ about the motion ρ of the prior's mean (all components, or
+    one of them, from step 0 or from the middle on), and at drives of the model from points of the
+    prior. Where they arrive at fixed points further than a standard deviation from the answer and
+    from one another, half of d's draws come from the Gaussians there. A mode needs no weight for
+    this: all draws are weighed by the exact density.
 
     The other draws of d leave q for one excursion: from some slice on and for some slices they
     follow the model's own CPDs, with Student's t₅ for their noise, or q's conditionals with such
@@ -82,7 +82,6 @@ def audit(
         The generator of draws, or its seed.
     progress : bool or callable
         As for `infer`, of batches of draws.
-
 
     Raises
     ------
@@ -130,6 +129,7 @@ def audit(
 
 
 def _advice(posterior: Any) -> str:
+    """The message of the error for what is no Gaussian posterior with all its beliefs."""
     if isinstance(posterior, KeptPosterior):
         return (
             f"{posterior._title} has kept marginals alone; leave keep= out to have what is audited"

@@ -7,7 +7,7 @@ import numpy as np
 from pgm.kernels.arrays import Array
 from pgm.linearisers.sampled import normal
 
-# Components of which the mirror image of one alone is a start of its own, at the most.
+# At most so many components are mirrored alone, each for a start of its own.
 ALONE = 4
 
 
@@ -22,10 +22,9 @@ def white_points(count: int, dimension: int) -> Array:
 
 
 def images(answer: Array, about: Array) -> list[Array]:
-    """Mirror images 2ρ − μ of means μ (..., n) about others ρ: of all components, then of each.
+    """Mirror images 2ρ − μ of means μ (..., n) about ρ: of all components, then of one at a time.
 
-    Where no more than one component is there, or a network's `ALONE` first are used up, there is
-    only the first.
+    The latter are of the first four components, and there are none if there is only one component.
     """
     image, size = 2.0 * about - answer, answer.shape[-1]
     everywhere = np.arange(size)

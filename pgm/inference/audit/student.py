@@ -9,17 +9,20 @@ import numpy as np
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 
 # Degrees of freedom: four moments, and still eight times the mass of a Gaussian beyond three
-# deviations of a plane.
+# standard deviations in a plane.
 FREEDOM = 5.0
 
 
 def stretch(white: Array, where: Mask, rng: np.random.Generator) -> None:
-    """Turn masked Gaussian noise s (..., n) into Student t noise s √(ν/χ²_ν), in place."""
+    """Turn masked Gaussian noise s (..., n) into Student t noise s √(ν/χ²_ν), in place, ν = 5.
+
+    The mask `where` is (...).
+    """
     white[where] *= np.sqrt(FREEDOM / rng.chisquare(FREEDOM, (int(where.sum()), 1)))
 
 
 def log_ratio(size: Integers, squared: Array) -> Array:
-    r"""The logarithm of Student's t density over the Gaussian, at |s|² of `size` components.
+    r"""The logarithm of Student's t density over the Gaussian, at |s|² of n = `size` components.
 
     .. math:: c_n - \tfrac{ν + n}{2} \ln(1 + |s|^2/ν) + \tfrac12 |s|^2
     """
@@ -30,6 +33,9 @@ def log_ratio(size: Integers, squared: Array) -> Array:
 
 
 def _log_constant(size: int) -> float:
-    """The logarithm of Γ((ν + n)/2) / (Γ(ν/2) (νπ)^(n/2)) (2π)^(n/2): the ratio at zero."""
+    """The constant c_n: the logarithm of the ratio of both densities at zero, of n components.
+
+    It is ln of Γ((ν + n)/2) / (Γ(ν/2) (νπ)^(n/2)) (2π)^(n/2).
+    """
     gammas = lgamma(0.5 * (FREEDOM + size)) - lgamma(0.5 * FREEDOM)
     return gammas + 0.5 * size * (LOG_2PI - log(FREEDOM * pi))

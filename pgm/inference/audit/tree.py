@@ -1,4 +1,9 @@
-"""Draws of all variables of a network without time, with their log-densities."""
+"""Draws of all variables of a network without time, with their log-densities.
+
+A *free* component has noise given its parents; the others follow from these. Where observed CPDs
+have no noise, or the posterior no density, densities are *relative*: those of CPDs over those of
+linearised ones.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +27,17 @@ from pgm.kernels.moments import Conditional
 
 @dataclass(frozen=True, eq=False)
 class TreeDraws:
-    """Draws from the joint Gaussian of a calibrated tree, all at once.
+    """Draws from the joint Gaussian q of a calibrated tree, all variables at once.
 
     answer : Path
-        The joint of all variables, one slice.
+        The law q of all variables, one slice.
     modes : Modes
+        Gaussians at other modes, for defensive draws.
     density : TreeDensity
         That of the model.
     reference : ndarray
-        (runs,): common to all log-weights: the linearised network's evidence, where they are
-        `relative` to its densities.
+        (runs,): added to all log-densities: ln p(z) of the linearised network where they are
+        `relative`, else zero.
     relative : bool
     mean, cov : ndarray
         (1, runs, n) and (1, runs, n, n): the moments of `answer`.
@@ -47,7 +53,7 @@ class TreeDraws:
 
     @classmethod
     def make(cls, posterior: GaussianPosterior) -> TreeDraws:
-        """Prepare to draw from the joint of a posterior."""
+        """Prepare to draw from the joint of a posterior; a GraphError if its graph has loops."""
         if posterior.log_evidence_kind == "bethe":
             raise GraphError(
                 f"{posterior._title}: an audit draws from the joint of all variables, which only a "
@@ -64,6 +70,7 @@ class TreeDraws:
 
     @classmethod
     def _make(cls, posterior: GaussianPosterior, *, relative: bool) -> TreeDraws:
+        """Prepare to draw, by densities that are `relative` or not; other modes are looked for."""
         model = posterior._model
         layout, runs = model.layout, model.runs
         mean, cov = np.zeros((runs, 0)), np.zeros((runs, 0, 0))
@@ -87,12 +94,12 @@ class TreeDraws:
 
     @property
     def width(self) -> int:
-        """Floats that one draw of one run occupies at a time; see `Drawing`."""
+        """The number of floats that a draw of one run occupies while it is made; see `Drawing`."""
         return 3 * self.density.model.layout.size
 
     @property
     def length(self) -> int:
-        """The number of components of a whole draw; see `Drawing`."""
+        """The number of components of a draw; see `Drawing`."""
         return self.density.model.layout.size
 
     def sums(self) -> list[Sums]:
@@ -107,7 +114,10 @@ class TreeDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """Draw S values a run, from q; defensive draws come from the prior, wide tails or modes."""
+        """Make S = `count` draws for each run, of q or defensive ones; see `Drawing`.
+
+        Defensive draws are from the prior, from q with Student's t, or of other modes.
+        """
         shape = len(self.reference), count
         excursions = Excursions(1, 0.0 if self.relative else PREDICTED)
         strand = Strand(self.answer, self.modes, excursions, shape, rng, defensive, self.relative)

@@ -1,4 +1,8 @@
-"""The log-density of a network without time at values of all its hidden variables."""
+"""The log-density of a network without time at values of all its hidden variables.
+
+A component is *free* if it has noise given its parents. A *relative* density is that of the CPDs
+over that of the linearised ones.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,7 @@ class Weighed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TreeDensity:
-    """The product of all CPDs of a network with its evidence.
+    """The product of all CPDs of a network with its evidence, over the hidden variables.
 
     model : Model
     terms : list of Term
@@ -38,15 +42,12 @@ class TreeDensity:
 
     @classmethod
     def make(cls, model: Model, *, relative: bool) -> TreeDensity:
-        """The log-density of a tree from all its CPDs.
-
-        If `relative`, the linearised CPDs' density divides it.
-        """
+        """The density of a network; relative to the linearised CPDs' if `relative`."""
         every = zip(model.families, model.taken, strict=True)
         return cls(model, [Term.make(f, relative=relative, taken=taken) for f, taken in every])
 
     def free(self, shape: tuple[int, int]) -> Mask:
-        """The mask of hidden components that have noise given their parents, (1, runs, n)."""
+        """The mask of free components, (1, runs, n), of a `shape` (runs, n)."""
         free = np.zeros((1, *shape), dtype=bool)
         for group, term in zip(self.model.layout.groups, self.terms, strict=True):
             mask = term.free()
@@ -55,10 +56,10 @@ class TreeDensity:
         return free
 
     def at(self, values: Array, afresh: Afresh | None = None, *, strict: bool) -> Weighed:
-        """Weigh draws (runs, S, n); determined components follow from the free ones.
+        """Weigh values (runs, S, n) of the hidden variables; those not free follow from the others.
 
-        Those that `afresh` names the model draws itself, parents before children. If `strict`, a
-        function that is not finite is an error.
+        CPDs draw the values of draws that `afresh` marks themselves, parents before children. If
+        `strict`, a function that is not finite is a LinearisationError.
         """
         model, values = self.model, values.copy()
         total, tails = np.zeros(values.shape[:2]), np.zeros(values.shape[:2])
@@ -80,7 +81,7 @@ class TreeDensity:
         return Weighed(values, total, tails)
 
     def drawn(self, white: Array) -> Array:
-        """Ancestral draws (runs, C, n), made by the CPDs of white noise (C, n)."""
+        """Ancestral draws (runs, C, n): the CPDs turn white noise (C, n) into children."""
         layout = self.model.layout
         found = np.zeros((self.model.runs, *white.shape))
         for g, row in layout.order:

@@ -1,4 +1,7 @@
-"""Other modes of a network without time, found by calibrations that begin elsewhere."""
+"""Other modes of a network without time, found by calibrations that begin elsewhere.
+
+There are C starts for each run.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ from pgm.inference.gaussian.tree import TreePlan, calibrate
 from pgm.kernels.arrays import Array, deviation, quiet
 
 # Points of the prior; linearisations at the most, the parts of a step that are tried in each, and
-# the deviations within which it has arrived.
+# the standard deviations within which it has arrived.
 POINTS, ITERATIONS, PARTS, TOLERANCE = 12, 12, (1.0, 0.5, 0.2, 0.05), 0.02
 
 # From the moments of all variables, (runs, n) and (runs, n, n), to their law.
@@ -39,7 +42,9 @@ def find(
     make: MakePath,
     most: int = MOST,
 ) -> Modes:
-    """The modes at which calibrations arrive that start elsewhere, beside the answer's.
+    """The modes other than the answer's at which calibrations from other starts arrive.
+
+    If the calibrations fail the modes are unknown.
 
     Parameters
     ----------
@@ -49,6 +54,7 @@ def find(
     answer : tuple of ndarray
         Mean (runs, n) and covariance (runs, n, n) of all variables.
     make : callable
+        Of such a mean and covariance, returns the `Path` of all variables.
     most : int
         Modes at the most that are to be drawn from.
     """
@@ -83,9 +89,9 @@ def find(
 def starts(density: TreeDensity, answer: Array) -> Array:
     """Points (runs, C, n) from which calibrations start, the answer's means μ (runs, n) first.
 
-    With ρ the means that the CPDs make of one another, parents before children, they are μ, ρ,
-    mirror images 2ρ − μ, and values that the CPDs make of points that fill N(0, I). Where the model
-    has no density it is μ again.
+    The others are mirror images 2ρ − μ, ρ, and values that the CPDs make of points that fill N(0,
+    I), parents before children; ρ are the values that they make of zero noise. One at which the
+    model has no density is replaced by μ.
     """
     size = answer.shape[-1]
     white = np.concatenate([np.zeros((1, size)), white_points(POINTS, size)])
@@ -98,26 +104,35 @@ def starts(density: TreeDensity, answer: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Gauss–Newton on a tree from C points of each run, copy c of run r being c · runs + r."""
+    """Gauss–Newton on a tree from C = `count` points for each run.
+
+    In a linearised network copy c of run r is run c · runs + r.
+    """
 
     plan: TreePlan
     density: TreeDensity
     count: int
 
     def solve(self, at: Array) -> Calibrated:
-        """Calibrate the network linearised at points (runs, C, n)."""
+        """Calibrate the network linearised at points (runs, C, n).
+
+        The beliefs are of C · runs runs. A network without proper beliefs is a NumericalError.
+        """
         flat = at.swapaxes(0, 1).reshape(-1, at.shape[-1])
         model = self._linearised(flat)
         return calibrate(self.plan, Buffer.make(self.plan.rounds, model))
 
     def climb(self, at: Array) -> Array:
-        """The points that steps of Gauss–Newton reach which raise the log-density.
+        """Where steps of Gauss–Newton that raise the log-density lead from points (runs, C, n).
 
-        A step goes the part t of the way to the solution x̂ of the linearised network,
+        A step goes the part t of the way to the mean x̂ of the network linearised at x,
 
             x ← x + t (x̂ − x),
 
-        with the t of a few for which the log-density is largest, and nowhere if none raises it.
+        with that t of 1, 0.5, 0.2 and 0.05 for which the log-density of `density` is largest; if
+        none raises it the point stays. Steps end after 12, or with one in which no component of any
+        point moves by more than 0.02 standard deviations of the linearised network. Returns (runs,
+        C, n).
         """
         runs, count, size = at.shape
         parts = np.array((0.0, *PARTS))[:, None]
@@ -138,7 +153,7 @@ class Search:
         return at
 
     def _linearised(self, at: Array) -> Model:
-        """The network with each run C times, linearised at points (C · runs, n)."""
+        """The network with each run C times, expanded to first order at points (C · runs, n)."""
         model = self.density.model
         layout = model.layout
         families = [of_family(family, self.count, model.runs) for family in model.families]

@@ -162,7 +162,10 @@ class CarefulSmoothed:
 
     @property
     def error(self) -> Array:
-        """The largest rounding error of any mean, filtered or smoothed, (runs,): `Belief.error`."""
+        """The largest error of a mean by rounding, filtered or smoothed, (runs,).
+
+        It is in standard deviations, as `Belief.error` counts them.
+        """
         largest: Array = np.max([each.belief.error(each.parts) for each in self.slices], axis=0)
         return np.maximum(largest, self.careful.error)
 

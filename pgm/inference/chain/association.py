@@ -155,7 +155,8 @@ class _Pending:
 
         `rows` are these sightings. The probability of candidate k is ∝ w_k N(ν_k; 0, S_k), zero
         outside the candidates' gate, that of a spurious and of a new sighting ∝ its declared
-        density. The likeliest is chosen for each, or, if `association` is joint, for all together.
+        density. Where all of these are zero the sighting is spurious. The likeliest is chosen for
+        each, or, if the sensor's `association` is joint, for all together.
         Spurious and new sightings are not taken in. The lists of the class grow by these rows.
         """
         runs, unknown = bound.runs, self.unknown
@@ -280,7 +281,8 @@ def _taken(
 ) -> Moments:
     """The belief given `readings`, measurements of its step, gated where `gate` says so.
 
-    The readings have them as those of step 0; `step` is its number in the chain.
+    Each reading has its sightings at a step 0, whatever the step; `step` is its number in the
+    chain.
     """
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)

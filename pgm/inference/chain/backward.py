@@ -177,7 +177,12 @@ class Reverse:
 
 
 class _Step(NamedTuple):
-    """The arguments of `moments.reverse`: states before, transition, prediction of the slice."""
+    """The arguments of `kernels.moments.reverse`, for the transitions from steps t to t + 1.
+
+    `mean` (T, runs, m) and `cov` are the filtered moments of the states at t, `matrix` (T, runs, n,
+    m) and `noise` (T, runs, n, n) the transition's, and `forward_mean` (T, runs, n) and
+    `forward_cov` the predicted moments of the slice at t + 1.
+    """
 
     mean: Array
     cov: Array

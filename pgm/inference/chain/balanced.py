@@ -13,10 +13,10 @@ import numpy as np
 from pgm.clustergraph import Cluster
 from pgm.compile import BalancedGraph
 from pgm.factors import CanonicalForm
+from pgm.inference.belief_kind import FILTERED, SMOOTHED
 from pgm.inference.chain.backward import transition
 from pgm.inference.chain.messages import absorbed
 from pgm.inference.chain.posterior import ChainPosterior
-from pgm.inference.status import FILTERED, SMOOTHED
 from pgm.kernels import canonical
 from pgm.kernels.arrays import block
 from pgm.kernels.canonical import Canonical

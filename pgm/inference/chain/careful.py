@@ -77,15 +77,21 @@ class Careful:
 
     @property
     def error(self) -> Array:
-        """The largest rounding error of a filtered mean, (runs,); see `Belief.error`."""
+        """The largest error of a filtered mean by rounding, (runs,).
+
+        It is in standard deviations, as `Belief.error` counts them.
+        """
         largest: Array = np.max([step.taken.belief.error() for step in self.steps], axis=0)
         return largest
 
 
 class Begin(NamedTuple):
-    """The belief that a window of steps begins with, given the measurements of its first step.
+    """The belief at the first step of a window, given the measurements up to that step.
 
-    `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S over all measurements that it knows.
+    A window is a run of consecutive steps of a longer chain, with a plan of its own
+    (`ChainPlan.window`), which then lacks the prior and the measurements of its first step.
+    `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S over all measurements that the belief
+    knows.
     """
 
     belief: Belief
@@ -103,8 +109,8 @@ def sweep(
 
     With a schedule each CPD is linearised at its incoming belief, and the plan keeps that; without
     one the plan's linearisations are used, and `gated` are the gates that decide, if any. `anchor`
-    holds all slices near a point, for step control. `begin` is where a window begins, in place of
-    the prior. Beliefs that are not finite or indefinite, and measurements that contradict what is
+    holds all slices near a point, for step control. `begin` takes the prior's place in the plan of
+    a window. Beliefs that are not finite or indefinite, and measurements that contradict what is
     certain, are refused with a NumericalError.
     """
     out = Forward.empty(plan)

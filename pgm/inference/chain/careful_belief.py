@@ -63,7 +63,11 @@ class Belief(NamedTuple):
 
     @classmethod
     def first(cls, columns: Twofold, cov: Twofold, rounding: float, drift: float) -> Belief:
-        """A belief whose variances and means are rounded by the shares `rounding` and `drift`."""
+        """A belief whose variances may be off by a share `rounding`, and means by a share `drift`.
+
+        The shares are those of each variance and mean itself, and both bounds are diagonal. The
+        `largest` variances are the belief's own.
+        """
         variance = variances(cov.hi)
         moved = diagonal((drift * columns.hi[..., 0]) ** 2)
         return cls(columns, cov, diagonal(rounding * np.abs(variance)), moved, variance)

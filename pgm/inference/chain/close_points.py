@@ -84,12 +84,14 @@ def of_step(
     digits: Array | None,
     place: Array | float = 0.0,
 ) -> Array | None:
-    """The `error` (runs,) after a step of an online filter, from the decimal digits it had before.
+    """The `error` (runs,) after a step of an online filter, from the decimal digits left before it.
 
-    `before` and `after` are the beliefs that it went from and to; `digits` is None as long as none
-    were lost, and a step whose rules have no weights that cancel keeps what was. Slopes are not at
-    hand: the share of the step is taken to be ε c |m| / σ of the component that is farthest from
-    zero. A further share is that of the means' last `place`. None where the error is below 10⁻⁹ in
+    `before` and `after` are the beliefs that the step went from and to. `digits` (*runs) is −log₁₀
+    of the error before, None as long as none were lost. The prediction between is not at hand: ρ is
+    taken to be the smaller of a component's two variances over the larger, at its largest. Nor are
+    slopes: the share of the step is taken to be ε c |m| / σ of the component that is farthest from
+    zero in any run, and none if no rule has weights that cancel. A further share (runs,) is that of
+    the means' last `place`, 0 where that need not be told. None where the error is at most 10⁻⁹ in
     all runs.
     """
     times = largest(families(plan))
@@ -121,7 +123,8 @@ def largest(every: Iterable[Family]) -> float:
 def _farthest(plan: ChainPlan, mean: Array, cov: Array) -> float:
     """The largest distance of a mean or a reading from zero, in standard deviations.
 
-    Those of a reading are of its noise; components with none do not count.
+    Readings are those of sensors whose rules have weights that cancel, in standard deviations of
+    their noise. Components without variance do not count.
     """
     farthest = _most(mean, np.maximum(variances(cov), 0.0))
     for sensor in plan.read:

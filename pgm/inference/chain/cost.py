@@ -35,13 +35,13 @@ from pgm.kernels.arrays import (
 def trajectory(plan: ChainPlan, at: Point) -> Array:
     """The cost of the trajectory of means `at.mean` (T+1, runs, n), (runs,).
 
-    Linearisers that take expectations over a belief take them with the covariances of `at`. A
-    window adds the cost of its first slice under the belief that it begins with.
+    Linearisers that take expectations over a belief take them with the covariances of `at`. Where a
+    belief `plan.begin` takes the prior's place, the first slice has its cost under that.
     """
     total = np.zeros(plan.runs)
     if plan.begin is not None:
         mean, cov = Moments(*plan.begin).by_run
-        beginning = _squares((at.mean[0] - mean)[None], cov[None])
+        beginning = squares((at.mean[0] - mean)[None], cov[None])
         assert beginning is not None
         total += beginning
     for link, parents, spread, child in linked(plan, at):
@@ -112,8 +112,8 @@ def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
 def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
     """The cost of sightings whose noise is correlated within a step, (runs,).
 
-    `left` has the residuals (k, runs, d) of the measurements `rows`; steps that have others too do
-    not count.
+    `left` has the residuals (k, runs, d) of the measurements `rows`; a step with sightings that are
+    not among these rows does not count.
     """
     runs, height = left.shape[1:]
     first, last, _ = rows.indices(len(sensor.values))
@@ -141,7 +141,7 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
     earlier ones determine, do not count. An indefinite C is refused with a NumericalError that
     names the CPD.
     """
-    total = _squares(residual, cov)
+    total = squares(residual, cov)
     if total is None:
         raise NumericalError(
             f"{family.cpd!r}: with {family.lineariser!r} its noise is indefinite, so that a step "
@@ -152,8 +152,11 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
     return total
 
 
-def _squares(residual: Array, cov: Array) -> Array | None:
-    """The sum of `weighted`; None where a covariance is indefinite or not finite."""
+def squares(residual: Array, cov: Array) -> Array | None:
+    """The sum of rᵀ C⁺ r of `weighted`, (runs,).
+
+    None where a covariance is indefinite or, but for infinite variances, not finite.
+    """
     flat = np.isinf(np.einsum("...ii->...i", cov))
     if flat.any():
         residual = np.where(flat, 0.0, residual)

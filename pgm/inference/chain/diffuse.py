@@ -77,7 +77,10 @@ class Diffuse(NamedTuple):
         return Diffuse(*(part[rows] for part in self))
 
     def reach(self, matrix: Array) -> Array:
-        """H U, (..., d, q): how measurements H (..., d, n) depend on the unknown directions U."""
+        """U = H O, (..., d, q): how measurements H (..., d, n) depend on the open directions O.
+
+        Entries that may be rounding alone are zero.
+        """
         found = matrix @ self.open
         rounding = NEGLIGIBLE * (np.abs(matrix) @ self.size)
         clean: Array = np.where(np.abs(found) > rounding, found, 0.0)

@@ -55,8 +55,9 @@ class Lagged:
 
     `forward` is the forward pass with the last linearisations. With one linearisation, `reverse` is
     the chain reversed in float64, or else `careful` the pass in twice the digits; with more, both
-    are None, and `windows` has what the windows found. `error` (runs,) is that of the means,
-    `Belief.error`, where anything was solved in twice the digits.
+    are None, and `windows` has what the windows found. `error` (runs,) is the largest error of a
+    mean by rounding, in standard deviations (`Belief.error`), where anything was solved in twice
+    the digits; else None.
     """
 
     forward: Forward
@@ -115,7 +116,11 @@ def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 
 class _Record:
-    """The results that windows produce as they slide along a chain, collected by step."""
+    """The results that windows produce as they slide along a chain, collected by step.
+
+    `left` (runs,) is the log-evidence of the measurements that the belief at the beginning of the
+    present window knows, zero as long as that is the prior.
+    """
 
     def __init__(self, plan: ChainPlan) -> None:
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
@@ -226,8 +231,9 @@ class Window:
     """A window after its last iteration: its forward pass `ahead`, and its smoothed `beliefs`.
 
     `moved` (steps, runs, n) is `beliefs.mean` less the means of the last solution, zero unless step
-    control held them back. `careful` is the solution in twice the digits, where float64 had too
-    few.
+    control held them back. `residuals` has for each relinearisation the largest distance of a mean
+    from where it was linearised, in standard deviations, (runs,); `converged` (runs,) marks the
+    runs that settled. `careful` is the solution in twice the digits, where float64 had too few.
     """
 
     plan: ChainPlan
@@ -254,7 +260,8 @@ class Window:
 class SingleStep(NamedTuple):
     """One step of a filter, the newest of a window: its plan, linearised, and its forward pass.
 
-    `error` (runs,) is that of the means, `Belief.error`, where it took twice the digits; else None.
+    `error` (runs,) is the largest error of a mean by rounding, in standard deviations
+    (`Belief.error`), where the step took twice the digits; else None.
     """
 
     plan: ChainPlan

@@ -207,7 +207,8 @@ def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array,
 def _diffuse_squares(seen: Measured, mean: Array, belief: Diffuse) -> tuple[Array, Integers]:
     """νᵀS⁻¹ν of each sighting at a diffuse belief, (sightings, *batch), and its degrees of freedom.
 
-    Combinations of a sighting's components that depend on an unknown direction do not count.
+    `mean` (n, *batch) is the predicted mean of the slice, and `belief` has its covariance, the runs
+    first. Combinations of a sighting's components that depend on an unknown direction do not count.
     """
     sensor, batch = seen.sensor, mean.shape[1:]
     height = sensor.height

@@ -6,7 +6,8 @@ solves the linear problem, and goes on at the solution. In a sweep arrays have t
 first and the runs last, (n, *batch), `batch` being () for one run.
 
 A robust sighting counts as a Gaussian of covariance R / w, w being its weight. Its *surplus* is the
-robust log-density less that of this Gaussian.
+robust log-density less that of this Gaussian. An *anchor* is a further measurement of all
+components, no evidence, by which a step control (Levenberg–Marquardt) holds a try near a point.
 """
 
 from __future__ import annotations
@@ -27,9 +28,8 @@ from pgm.inference.chain.vector import Measured
 from pgm.inference.chain.weights import SETTLED
 from pgm.inference.iteration import Anchor, Point, Solution, iterate
 from pgm.inference.schedule import TOLERANCE, Filtering
-from pgm.kernels import roots, solving
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, inner
+from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last
 
 # Reweighings of a step's measurements at the most.
 _REWEIGHINGS = 200
@@ -181,15 +181,16 @@ class UpdateProblem(ABC, Generic[U]):
     def cost(self, at: Point) -> Array:
         """The cost of a point's means x: −2 ln p(x, measurements) less its constants, (runs,).
 
-        It sums (x − m)ᵀ P⁺ (x − m), for the predicted N(m, P), and rᵀ R⁺ r over the sensors, with
+        It sums (x − m)ᵀ P⁺ (x − m), for the predicted N(m, P), of which components of infinite
+        variance do not count, and rᵀ R⁺ r over the sensors, with
         r = z − E[h(X)], angles wrapped, X ~ N(x, the point's covariance), and the noise R as it was
         linearised; of robust sightings twice their losses, 2 ρ. Missing components do not count.
         The cost is NaN where h is not defined.
         """
         mean, cov = self._moments(at)
-        spread = _as_point(self.cov, 2)[0]
-        white = solving.whiten(roots.root(spread), at.mean[0] - _as_point(self.mean, 1)[0])
-        total: Array = inner(white, white)
+        total = cost.squares(at.mean - _as_point(self.mean, 1), _as_point(self.cov, 2))
+        if total is None:
+            total = np.full(at.mean.shape[1], np.nan)
         for part in self.parts:
             seen = part.seen
             family = seen.sensor.family

@@ -13,12 +13,13 @@ from pgm.errors import EvidenceError, GraphError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, listed
 from pgm.inference.associations import Found
+from pgm.inference.belief_kind import FILTERED, Kind
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.marginals import Marginals, located
 from pgm.inference.lost import Lost
 from pgm.inference.posterior import Posterior
 from pgm.inference.rejections import Rejections
-from pgm.inference.status import FILTERED, Kind, Status
+from pgm.inference.status import Status
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
@@ -147,6 +148,7 @@ class KeptPosterior(Posterior):
         raise GraphError(self._missing("potentials of clusters"))
 
     def _missing(self, what: str) -> str:
+        """The words of an error: `what` was not kept, and how to have it."""
         return (
             f"{what}: not kept, since keep= keeps {self.kind} marginals, log-evidence and status "
             "alone; leave keep= out to have everything"

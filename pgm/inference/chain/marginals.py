@@ -12,9 +12,9 @@ from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, as_scope, namesake, positions
+from pgm.inference.belief_kind import Kind
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.posterior import require_variable
-from pgm.inference.status import Kind
 from pgm.inference.summaries import marginals_over_time
 from pgm.kernels.arrays import block
 from pgm.variables import Variable
@@ -120,7 +120,11 @@ def _of_measurement(layout: SliceLayout, variable: Variable) -> str:
 
 
 def require_at_steps(layout: SliceLayout, variables: Sequence[Variable], last: int) -> Scope:
-    """The scope of a joint, checked: one hidden variable or more, each at a step up to `last`."""
+    """The scope of a joint, checked: one hidden variable or more, each at a step up to `last`.
+
+    An EvidenceError refuses none, one without a step, and what `located` refuses; a ModelError
+    refuses a variable that stands twice, and a set, which has no order.
+    """
     if not variables:
         raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
     scope = as_scope(variables)

@@ -146,10 +146,12 @@ def absorb_readings(
 ) -> tuple[Array, Array, Array, Canonical]:
     """Condition transitions w = A x + q, q ~ N(0, Q), on measurements z = H w + n, n ~ N(0, R).
 
-    `matrix` is A, `noise` Q, `h_matrix` H, `reading_noise` R, and `residual` z less its value at
-    x = 0; `missing` components have H = 0 and unit variance. Returns of w given x and z, with the
-    gain G = Q Hᵀ S⁻¹, the matrix (I − G H) A, the offset G · residual and the covariance; and the
-    likelihood (K, h, g) of z over x. NaN where S = H Q Hᵀ + R is singular.
+    `matrix` is A (..., n, m), `noise` Q (..., n, n), `h_matrix` H (..., D, n), `reading_noise` R
+    (..., D, D), and `residual` (..., D) z less its value at x = 0. `missing` (...) counts the
+    components not measured, which have H = 0, no residual and unit variance; None if there are
+    none. Returns of w given x and z, with the gain G = Q Hᵀ S⁻¹, the matrix (I − G H) A, the offset
+    G · residual and the covariance; and the likelihood (K, h, g) of z over x. NaN where
+    S = H Q Hᵀ + R is singular.
     """
     cross = h_matrix @ noise
     lower = canonical.strict_root(cross @ transpose(h_matrix) + reading_noise)

@@ -33,9 +33,10 @@ class MomentChain:
     With a `schedule` each CPD is linearised at its incoming belief, and the sensors of a step again
     as it says; without one all stay as they were linearised, and `gated` are the gates. With `keep`
     linearisations are stored in the plan. An `anchor` is a further measurement of all components at
-    each step, which holds beliefs near a point. `room(step)` gives the arrays that the update of a
-    step may write into; `check` refuses what is not finite. `residuals` has for each
-    relinearisation the largest of all steps, (runs,).
+    each step, no evidence, which holds beliefs near a point. `room(step)` gives the arrays that the
+    update of a step may write into; `check` refuses what is not finite. `residuals` has for each
+    relinearisation of a step's sensors the largest distance, over all steps, of a mean from where
+    it was linearised, in standard deviations, (runs,).
     """
 
     def __init__(
@@ -67,7 +68,10 @@ class MomentChain:
         return np.full(self.plan.runs, self.plan.linear)
 
     def start(self) -> Moments:
-        """The slice at step 0 before its measurements, controls zero; or where a window begins."""
+        """The belief over the slice at step 0 before its measurements, with controls of zero.
+
+        Where a belief `plan.begin` takes the prior's place, it is that.
+        """
         plan = self.plan
         if plan.begin is not None:
             return Moments(*plan.begin)

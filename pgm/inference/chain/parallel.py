@@ -157,7 +157,10 @@ class _First(NamedTuple):
 
 
 def _first(plan: ChainPlan, anchor: Anchor | None) -> _First:
-    """The beliefs at step 0, with the anchor's measurement there if there is one."""
+    """The beliefs at step 0 before and after its measurements, and the log-density of these.
+
+    An anchor's measurement is taken in with those of the step, but is not in the log-density.
+    """
     chain = MomentChain(plan, None, anchor=anchor)
     predicted = chain.start()
     known, log_density = chain.take(0, predicted)

@@ -15,6 +15,7 @@ from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, names
 from pgm.inference.associations import Found
+from pgm.inference.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.chain import adjoint, backward
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Careful
@@ -28,7 +29,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reweighting import Weights, evidence_kind
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
-from pgm.inference.status import FILTERED, PREDICTED, SMOOTHED, Kind, Status
+from pgm.inference.status import Status
 from pgm.inference.summaries import over_time
 from pgm.kernels import canonical
 from pgm.kernels.arrays import Array, block, quiet

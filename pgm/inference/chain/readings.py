@@ -117,8 +117,9 @@ def _absorb(
 ) -> tuple[Moments, Array | float] | None:
     """`update` with the sightings as one vector; None if their covariance S is nearly singular.
 
-    It is so where a component of z, given those before it, has a share of its variance in S below
-    `least`, and that is `NEARLY_SINGULAR`; with a smaller `least` there is always a result.
+    That is looked at only with `NEARLY_SINGULAR` for `least`: S is nearly singular if a component
+    of z, given those before it, has less than this share of its variance in S. With a smaller
+    `least` there is always a result.
     """
     mean, cov, _ = belief
     sharp, first = None, parts[0]
@@ -148,9 +149,12 @@ def _absorb(
 class Reading:
     """The sightings of one sensor at a step, to be linearised at any belief.
 
-    `values` (D, *batch) are as given, with a batch of one for all; `taken` as of `Measured`. With
-    `fixed` the sensor's stored linearisation is used as it is: angles stay on their branch, and
-    weights are not found anew. `seen` is the last linearisation.
+    `at` is the sensor's CPD with the evidence of these sightings. `values` (D, *batch) are as
+    given, with a batch of one for all; `taken` (D, *batch) marks the components measured, None for
+    all. With `fixed` the sensor's stored linearisation is used as it is: angles stay on their
+    branch, and weights are not found anew. `seen` is the last linearisation, `erroneous` whether
+    one has added an approximation error to the noise, and `error` (D, D, *batch) the covariance of
+    this error where weights are found. `gate` is the probability of a gate that has decided.
     """
 
     __slots__ = (

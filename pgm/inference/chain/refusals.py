@@ -110,8 +110,9 @@ def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
 def belief(plan: ChainPlan, step: int, *beliefs: tuple[Twofold, Twofold]) -> None:
     """Raise NumericalError if beliefs in twice the digits are not finite or indefinite.
 
-    A belief is its means (runs, n, 1 + q) and covariance (runs, n, n). An indefinite one is blamed
-    on a CPD whose approximation error may be so; without such a CPD it is not looked for.
+    A belief is the columns [m D] (runs, n, 1 + q) of its mean m + D δ, as of `careful_belief`, and
+    its covariance (runs, n, n). An indefinite one is blamed on a CPD whose approximation error may
+    be so; without such a CPD it is not looked for.
     """
     for belief in beliefs:
         if not all(np.isfinite(part.hi + part.lo).all() for part in belief):

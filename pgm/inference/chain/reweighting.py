@@ -56,7 +56,10 @@ def squares(
 
 
 def settled(plan: ChainPlan) -> Mask | bool:
-    """Whether graduated losses have reached the losses of the model, (runs,)."""
+    """Whether graduated losses have reached the losses of the model, (runs,), or True for all.
+
+    A graduated loss begins wide, and is sharpened from one linearisation to the next.
+    """
     found: Mask | bool = True
     for sensor in plan.robust:
         found = found & sensor.weights.staged

@@ -21,6 +21,7 @@ from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.rows import as_rows, require_finite
 from pgm.factors.scope import positions
+from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.chain import (
     careful,
     certificate,
@@ -43,15 +44,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.starting_points import Start, over_runs, require_hidden
-from pgm.inference.status import (
-    CLOSE_POINTS,
-    FAR_APART,
-    FILTERED,
-    LAST_PLACE,
-    SMOOTHED,
-    Kind,
-    Status,
-)
+from pgm.inference.status import CLOSE_POINTS, FAR_APART, LAST_PLACE, Status
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -61,7 +54,8 @@ from pgm.tracing import Judge, judged
 class Solver(ABC):
     """The solution of a chain by one kind of schedule.
 
-    `starts` says whether a user may give means at which everything is linearised first.
+    `starts` says whether a user may give means at which everything is linearised first. A gate on
+    a balanced tree is refused with a GraphError.
     """
 
     starts: ClassVar[bool] = False
@@ -80,7 +74,7 @@ class Solver(ABC):
         """The posterior computed in float64.
 
         `start` (T+1, runs, n) are means of the slices for the first linearisation, or None; `room`
-        are arrays in which a filter may leave its moments.
+        are arrays (T+1, runs, ...) in which a filter may leave its means and covariances.
         """
 
     @abstractmethod
@@ -156,8 +150,9 @@ class FilterSolver(Solver):
 class LagSolver(Solver):
     """Fixed-lag smoothing: backward messages over a lag.
 
-    Where CPDs are linearised again, a window slides along the chain, and each window is solved in
-    float64 or in pairs of it, as it needs.
+    Where CPDs are linearised again, a window, the last lag + 1 steps, slides along the chain, and
+    each window is solved in float64 or in pairs of it, as it needs. A GraphError refuses a balanced
+    tree.
     """
 
     def __init__(self, graph: DynamicGraph, schedule: FixedLag) -> None:
@@ -241,7 +236,8 @@ def bind_chain(
     """The evidence of a dynamic network, checked and laid out by step.
 
     `steps` is T, None for that of the evidence; `identities` allows sightings that leave open what
-    was seen; `compiled` tells how many threads may lay it out.
+    was seen; `compiled` tells how many threads may lay it out. A model that is not dynamic is
+    refused with a ModelError, evidence that is no mapping or does not fit with an EvidenceError.
     """
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
@@ -263,8 +259,9 @@ def run(
 ) -> ChainPosterior:
     """The posterior of a chain given its evidence, by a schedule, smoothing if that is None.
 
-    `start` maps hidden variables to means for the first linearisation; `room` has arrays for the
-    moments of a filter. Numbers that are too large are refused where they end up, so that NumPy
+    `start` maps hidden variables to means for the first linearisation; an EvidenceError refuses it
+    unless the schedule smooths all at once. `room` has arrays for the moments of a filter. A fixed
+    lag of 0 is a filter. Numbers that are too large are refused where they end up, so that NumPy
     need not warn; of lost digits the status tells, and the caller warns. Traces stand in for users'
     functions; where one proves wrong, all is done again.
     """
@@ -377,7 +374,10 @@ SOLVERS: dict[type[Any], type[Solver]] = {
 
 
 def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
-    """The solver for a schedule, or for the nearest of its base classes that has one."""
+    """The solver for a schedule, or for the nearest of its base classes that has one.
+
+    A ModelError refuses a schedule without any.
+    """
     for each in type(schedule).__mro__:
         if each in SOLVERS:
             return SOLVERS[each](graph, schedule)

@@ -54,7 +54,11 @@ class GateRecord:
 
     @classmethod
     def empty(cls, gate: float, given: Mask) -> GateRecord:
-        """The record before anything is decided, of components `given` (M, runs, d)."""
+        """The record of M sightings of which none is judged yet: none rejected, all squares NaN.
+
+        `gate` is the probability of the gate's χ² quantile, and `given` (M, runs, d) marks the
+        components that were measured.
+        """
         shape = given.shape[:2]
         return cls(gate, given, np.zeros(shape, dtype=bool), np.full(shape, np.nan))
 
@@ -186,9 +190,11 @@ class Sensor:
         return [int(k) for k in np.flatnonzero(self.variable.angle_mask)]
 
     def sharpness(self, noise: Array) -> Array | None:
-        """The determinant of S from which on a measurement is sharp, as of `along_runs.sharpness`.
+        """The bound on det S, (1,), below which a sighting of noise covariance R = `noise` is mild.
 
-        None unless `noise` is the covariance that all measurements of the sensor have in common.
+        S = H P Hᵀ + R is the predictive covariance; a mild sighting surely leaves a thousandth of
+        each variance or more, others count as sharp (`kernels.along_runs.sharpness`). None unless
+        `noise` is the very array that all measurements of the sensor have in common.
         """
         return self._sharpness if noise is self._constant else None
 
@@ -199,7 +205,7 @@ class Sensor:
 
     @cached_property
     def _sharpness(self) -> Array:
-        """The sharpness of the constant noise: see `along_runs.sharpness`."""
+        """The bound of `sharpness`, for the noise covariance that all measurements share."""
         assert self._constant is not None
         return along_runs.sharpness(self._constant)
 

@@ -235,8 +235,9 @@ def _compiled(
     """Smooth by Gauss–Newton steps in machine code, from a solution or a point of linearisation.
 
     At the end the last linearisation is swept, too. None where machine code does not know a part of
-    the plan, where its equations have no solution, and where means or standard deviations of both
-    differ by more than 10⁻⁷ or 3·10⁻⁹ standard deviations. The plan's account says so.
+    the plan, where its equations have no solution, and where the last step and the sweep differ in
+    a mean by more than 10⁻⁷ standard deviations, or in a standard deviation by more than 3·10⁻⁹ of
+    it. The plan's account says so.
     """
     from pgm.inference.chain.compiled.newton import Newton
 
@@ -285,7 +286,10 @@ def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Carefu
 
 
 def _is_long(plan: ChainPlan) -> bool:
-    """Whether a scan is faster than a sweep: 64 steps or more, of at most 200 components."""
+    """Whether a scan is faster than a sweep: 64 steps or more, of at most 200 numbers each.
+
+    The numbers are the components of the slices of all runs.
+    """
     return plan.steps >= _MANY_STEPS and plan.runs * plan.layout.slice_size <= _FEW_NUMBERS
 
 
@@ -341,7 +345,10 @@ class Chain(Generic[Either]):
             self.linearise(at, None)
 
     def settled(self) -> Mask | bool:
-        """Whether graduated robust losses have reached the losses of the model, (runs,)."""
+        """Whether graduated robust losses have reached the losses of the model, (runs,).
+
+        A graduated loss begins wide, and is sharpened from one linearisation to the next.
+        """
         return settled(self.plan)
 
     def solve(self, anchor: Anchor | None = None) -> Either:
@@ -378,7 +385,10 @@ class _Means:
         self.chain.linearise(at, active)
 
     def settled(self) -> Mask | bool:
-        """Whether graduated robust losses have reached the losses of the model, (runs,)."""
+        """Whether graduated robust losses have reached the losses of the model, (runs,).
+
+        A graduated loss begins wide, and is sharpened from one linearisation to the next.
+        """
         return self.chain.settled()
 
     def solve(self, anchor: Anchor | None = None) -> Means:

@@ -47,7 +47,10 @@ class Weights:
     def of(
         cls, cpd: ConditionalGaussian, own: Array, taken: Mask | None, shape: tuple[int, int]
     ) -> Weights:
-        """Unit weights (k, runs), for the noise covariances `own` (k or 1, runs or 1, d, d)."""
+        """Unit weights of `shape` (k, runs), for noise covariances `own` (k or 1, runs or 1, d, d).
+
+        A ModelError refuses singular covariances; a graduated loss is before its first stage.
+        """
         assert cpd.noise is not None
         if taken is not None:
             own = independent(own, taken)

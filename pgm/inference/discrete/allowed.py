@@ -12,26 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.errors import ModelError
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.impossible import ImpossibleEvidence
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
+from pgm.inference.impossible import ImpossibleEvidence
 from pgm.inference.limits import Room
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Discrete
-
-RAISE, ALLOW = "raise", "allow"
-
-
-def allows(impossible: object) -> bool:
-    """Whether impossible evidence is allowed, from the user's ``"raise"`` or ``"allow"``.
-
-    Any other value raises `ModelError`.
-    """
-    if impossible not in (RAISE, ALLOW):
-        raise ModelError(f'impossible is "{RAISE}" or "{ALLOW}", not {impossible!r}')
-    return impossible == ALLOW
 
 
 def beliefs_of(

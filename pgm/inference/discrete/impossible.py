@@ -12,6 +12,7 @@ from pgm.factors.scope import in_run, names
 from pgm.inference.discrete.run_pieces import some_runs
 from pgm.inference.discrete.tree_messages import TreeMessages
 from pgm.inference.discrete.tree_plan import TreePlan
+from pgm.inference.impossible import ImpossibleEvidence
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Discrete
 
@@ -19,27 +20,6 @@ ADVICE = (
     "Leave some of it out; or, if it can happen, replace the zeros that forbid it in the CPDs' "
     "tables by small probabilities"
 )
-
-
-# What the user can do besides where there are several runs.
-OF_RUNS = '; impossible="allow" gives such runs a log-evidence of −∞ and beliefs of NaN'
-
-
-class ImpossibleEvidence(EvidenceError):
-    """The error for evidence of probability zero; `lost`, (runs,), marks the runs that have it."""
-
-    def __init__(
-        self,
-        message: str,
-        lost: Mask,
-        lead: tuple[int, ...],
-        *,
-        variable: Discrete,
-        cluster: int | None = None,
-    ) -> None:
-        run = int(lost.argmax()) if lead else None
-        super().__init__(message, variable=variable, cluster=cluster, run=run)
-        self.lost = np.atleast_1d(lost)
 
 
 def require_possible(

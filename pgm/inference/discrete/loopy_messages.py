@@ -65,7 +65,7 @@ class TableMessages:
         """Compute a round's messages from those kept, without keeping them; `accept` does.
 
         Returns the largest change of a probability of each message, (messages, runs), in the order
-        in which the round was laid out.
+        in which the round was laid out. A message that is zero throughout raises `EvidenceError`.
         """
         count = sum(outlet.order.size for group in round for outlet in group.outlets)
         change = np.empty((count, self.runs))
@@ -118,7 +118,8 @@ class TableMessages:
         """Keep the messages of the last `propose`, in the runs that are active, (runs,).
 
         With damping d, a kept message is the new one to the power of 1 − d times the old one to the
-        power of d, normalised. Runs that are `lost` need no care of their own.
+        power of d, normalised; if that is zero throughout an `EvidenceError` is raised. `lost`,
+        (runs,), marks runs whose messages have diverged; it is not used, as none is active.
         """
         for group in round:
             for outlet in group.outlets:
@@ -164,7 +165,7 @@ class TableMessages:
 
 
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
-    """Refuse a graph and evidence whose tables and products of messages would not fit memory."""
+    """Raise `GraphError` if tables and products of messages would not fit memory for all runs."""
     # A cluster's table is multiplied by the messages of all neighbours but each in turn: where
     # these meet it is laid out for all clusters, the products are made for some at once.
     products = [size * max(1, len(graph.neighbours(k))) for k, size in enumerate(graph.sizes)]

@@ -7,10 +7,11 @@ from pgm.display import titled
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
-from pgm.inference.discrete.allowed import ALLOW, RAISE, allows, beliefs_of
+from pgm.inference.discrete.allowed import beliefs_of
 from pgm.inference.discrete.first_beliefs import FirstBeliefs
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs, TableMessages
 from pgm.inference.discrete.posterior import DiscretePosterior
+from pgm.inference.impossible import ALLOW, RAISE, allows
 from pgm.inference.limits import Room
 from pgm.inference.loopy import run_loopy
 from pgm.inference.schedule import Loopy, Schedule

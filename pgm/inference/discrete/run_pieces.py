@@ -1,4 +1,4 @@
-"""Batches of evidence: pieces that fit into memory, and runs that differ, each computed once.
+"""Batches of evidence: pieces that fit into memory, and the different runs, each once.
 
 A run is one set of evidence of a batch.
 """
@@ -20,9 +20,10 @@ FEW = 64
 
 
 def at_once(entries: int, batch: int) -> int:
-    """How many runs of a tree are calibrated at once: as many as fit, or one.
+    """How many runs of a tree are calibrated at once: as many as fit, or one if few would.
 
-    `entries` are those of its tables, `batch` the limit on entries times runs.
+    `entries` is the number of those of its tables, `batch` the limit on entries times runs. Fewer
+    than `FEW` runs go one by one.
     """
     size = batch // entries
     return size if size >= FEW else 1

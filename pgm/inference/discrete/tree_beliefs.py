@@ -13,12 +13,13 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.inference.discrete.impossible import OF_RUNS, require_possible
+from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.run_pieces import Distinct, pieces, tree_pieces
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.discrete.tree_messages import TreeMessages
 from pgm.inference.discrete.tree_passes import Calibrated, calibrate
 from pgm.inference.discrete.tree_plan import TreePlan, plan_for
+from pgm.inference.impossible import OF_RUNS
 from pgm.inference.limits import Room, require_runs
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import exp
@@ -37,10 +38,10 @@ class TreeBeliefs:
     storage: Storage
     evidence: BoundStates
     _room: Room
-    # The runs that differ, which all that follows is of.
+    # The different runs, each once; the fields below are of these.
     _distinct: Distinct
-    # The tables of consecutive parts of the runs, and their numbers of runs; None where they would
-    # take too much room.
+    # The tables of consecutive parts of these runs, and their numbers of runs; None where they
+    # would take too much room.
     _kept: Sequence[tuple[Calibrated, int]] | None
     # The marginals, (states of all variables, [runs]), where tables are not kept.
     _given: Array | None
@@ -101,7 +102,7 @@ class TreeBeliefs:
         return self._distinct.spread(self._read(reader))
 
     def _read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of `read` for the runs that differ."""
+        """The result of `read` for the different runs, of `_distinct`, each once."""
         found = _Gathered(self._distinct.evidence.runs)
         if self._kept is not None:
             for done, runs in self._kept:
@@ -123,7 +124,7 @@ class TreeBeliefs:
 
     @cached_property
     def _whole(self) -> TreeMessages:
-        """The messages between clusters for all runs that differ, each computed on request."""
+        """The messages between clusters, for all different runs; each is computed on request."""
         return TreeMessages(self.storage, self._distinct.evidence)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:

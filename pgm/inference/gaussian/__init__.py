@@ -1,4 +1,4 @@
-"""Gaussian networks of any shape: eliminating rows, messages as square roots."""
+"""Gaussian networks of any shape, whose factors are rows A of information matrices AᵀA."""
 
 from pgm.inference.gaussian.run import run
 

@@ -1,4 +1,12 @@
-"""Beliefs of the clusters of a Gaussian network, as moments about a frame."""
+"""Beliefs of the clusters of a Gaussian network: means and covariances in a frame's coordinates.
+
+A frame has coordinates ξ with x = mean + scale ξ (`Frame`). The components of all hidden variables
+make one vector, (size,), and the *place* of a component is its index there; its *column* is its
+index in the scope of a cluster. Where all runs share their covariances these are kept once, V = 1,
+and the means of the N runs are N columns beside one another; else V = runs, and N = 1. The means of
+all clusters stand one after another along one axis, and so do the entries of their covariances, row
+by row.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +24,14 @@ from pgm.kernels.arrays import Array, Integers, Mask
 
 
 def by_run(array: Array, *, shared: bool) -> Array:
-    """(..., runs, d) as (1, ..., d, runs) where runs share matrices, else (runs, ..., d, 1)."""
+    """Vectors (..., runs, d) as (V, ..., d, N), V = 1 if `shared`, N = 1 if not."""
     if shared:
         return np.moveaxis(array, -2, -1)[None]
     return np.moveaxis(array, -2, 0)[..., None]
 
 
 def runs_first(array: Array) -> Array:
-    """(V, ..., N), of V runs with a matrix each or N that share one, as (runs, ...)."""
+    """An array (V, ..., N) as (runs, ...): of N runs if V is 1, else of V runs."""
     if array.shape[0] == 1:
         return np.moveaxis(array[0], -1, 0)
     return array[..., 0]
@@ -31,43 +39,50 @@ def runs_first(array: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """The places of each cluster's moments, and of each variable's."""
+    """Where the clusters' moments stand along the flat axes of `Beliefs`.
+
+    The means of cluster k begin at starts[k], in the order of its columns; its covariance, row by
+    row, at block_starts[k].
+    """
 
     layout: Layout
 
     @cached_property
     def sizes(self) -> list[int]:
-        """Components of each cluster."""
+        """The number of components of each cluster."""
         return [len(columns) for columns in self.layout.columns]
 
     @cached_property
     def starts(self) -> Integers:
-        """The places of clusters' means in the vector of all."""
+        """The flat index of each cluster's first mean, and their total, (clusters + 1,)."""
         return np.cumsum([0, *self.sizes])
 
     @cached_property
     def block_starts(self) -> Integers:
-        """The places of clusters' covariances in the vector of all."""
+        """The flat index of each covariance's first entry, and their total, (clusters + 1,)."""
         return np.cumsum([0, *(size * size for size in self.sizes)])
 
     def means(self, clusters: Integers, columns: Integers) -> Integers:
-        """Flat indices of the means of (B, n) columns in (B,) clusters."""
+        """Flat indices (B, n) of the means at columns (B, n) of clusters (B,)."""
         return self.starts[clusters][:, None] + columns
 
     def covs(self, clusters: Integers, columns: Integers) -> Integers:
-        """The places of covariances, (B, n, n)."""
+        """Flat indices (B, n, n) of the covariances between columns (B, n) of clusters (B,)."""
         size = np.array(self.sizes, dtype=np.intp)[clusters][:, None, None]
         start = self.block_starts[clusters][:, None, None]
         return start + columns[:, :, None] * size + columns[:, None, :]
 
     def of(self, clusters: Integers, components: Integers) -> tuple[Integers, Integers]:
-        """The places of means and covariances of components (B, n), for (B,) clusters."""
+        """Flat indices of means (B, n) and covariances (B, n, n) of components in clusters (B,).
+
+        `components` (B, n) are their places; row b is of components that cluster b holds.
+        """
         at = clusters, self.layout.columns_of(clusters, components)
         return self.means(*at), self.covs(*at)
 
     @cached_property
     def homes(self) -> tuple[Integers, Integers]:
-        """For each component the smallest cluster that holds it, and its column there."""
+        """For each component the smallest cluster that holds it and its column there, (size,)."""
         cluster, column = np.empty((2, self.layout.size), dtype=np.intp)
         # Of clusters of one size the first is written last, and stays.
         for k in reversed(np.argsort(self.sizes, kind="stable").tolist()):
@@ -77,13 +92,19 @@ class Places:
 
     @cached_property
     def families(self) -> list[tuple[Integers, Integers]]:
-        """For each group of CPDs, where the moments of their hidden parents stand."""
+        """For each group of CPDs, flat indices of its hidden parents' moments, as `of` gives them.
+
+        They are (rows, n) and (rows, n, n), in the clusters that the CPDs are assigned to.
+        """
         return [self.of(group.clusters, group.parents) for group in self.layout.groups]
 
 
 @dataclass(frozen=True, eq=False)
 class Beliefs:
-    """Moments of clusters in a frame: (V, components, N) and (V, entries)."""
+    """Moments of all clusters in a frame: means (V, components, N), covariances (V, entries).
+
+    `places` tells where each cluster's moments stand.
+    """
 
     places: Places
     frame: Frame
@@ -92,7 +113,7 @@ class Beliefs:
 
     @classmethod
     def empty(cls, places: Places, frame: Frame, stacked: int, sides: int) -> Beliefs:
-        """Beliefs whose arrays are still to be filled in."""
+        """Beliefs whose arrays are not initialised, of V `stacked` covariances and N `sides`."""
         return cls(
             places,
             frame,
@@ -101,19 +122,26 @@ class Beliefs:
         )
 
     def put(self, stack: Stack, mean: Array, cov: Array) -> None:
-        """Keep the moments of a stack's clusters, (V, B, n, N) and (V, B, n, n)."""
+        """Store the moments of a stack's clusters, (V, B, n, N) and (V, B, n, n).
+
+        Their components are in the order of `stack.columns`.
+        """
         at = stack.clusters, stack.columns
         self.mean[:, self.places.means(*at)] = mean
         self.cov[:, self.places.covs(*at)] = cov
 
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
-        """Means (runs, ..., n) and covariances (V, ..., n, n) as the user knows them, by places."""
+        """Means (runs, ..., n) and covariances (V, ..., n, n) of components, in the user's units.
+
+        `where` (..., n) and `entries` (..., n, n) are the flat indices that `Places.of` returns,
+        `places` (..., n) those of the components.
+        """
         scale = self.frame.scale[places]
         mean = self.frame.mean[:, places] + scale * runs_first(self.mean[:, where])
         return mean, self.cov[:, entries] * (scale[..., :, None] * scale[..., None, :])
 
     def components(self) -> tuple[Array, Array]:
-        """Means and standard deviations of all hidden components, (runs, size), (V, size)."""
+        """Means (runs, size) and standard deviations (V, size) of all components, not in ξ."""
         cluster, column = self.places.homes
         where = self.places.starts[cluster] + column
         size = np.array(self.places.sizes, dtype=np.intp)[cluster]
@@ -125,9 +153,9 @@ class Beliefs:
 
 
 class TreePoint(NamedTuple):
-    """Beliefs as a linearisation point.
+    """Beliefs as a point of linearisation.
 
-    Means are (1, runs, size) and deviations (1, V, size), over all components.
+    Means are (1, runs, size) and standard deviations (1, V, size) of all hidden components.
     """
 
     mean: Array
@@ -137,9 +165,10 @@ class TreePoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """Calibrated beliefs of a tree.
+    """The beliefs of all clusters once the messages are sent, with ln p(evidence), (V, N).
 
-    With them stand ln p(evidence), (V, N), and each run's correct digits where they are measured.
+    `digits` (runs,) are the correct decimal digits of the means, counted from their standard
+    deviations; None where they are not measured.
     """
 
     beliefs: Beliefs
@@ -159,7 +188,7 @@ class Calibrated:
 
 
 def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
-    """Linearise every nonlinear CPD at its cluster's belief."""
+    """Linearise every nonlinear CPD at its cluster's belief anew, for the `active` (runs,)."""
 
     def moments(g: int) -> tuple[Array, Array]:
         where, entries = beliefs.places.families[g]
@@ -171,14 +200,14 @@ def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
 
 
 class Flat(NamedTuple):
-    """The rows of many factors, one after the other: (V, entries) and (V, rows, N)."""
+    """Rows of many factors along one axis: matrices (V, entries) and right sides (V, rows, N)."""
 
     matrix: Array
     right: Array
 
     @classmethod
     def of(cls, matrices: list[Array], rights: list[Array]) -> Flat:
-        """All entries and sides of stacks (V, B, k, n) and (V, B, k, N) in one vector each."""
+        """Join matrices (V, B, k, n) and right sides (V, B, k, N) of several stacks end to end."""
         return cls(
             np.concatenate([part.reshape(part.shape[0], -1) for part in matrices], axis=1),
             np.concatenate(
@@ -187,7 +216,10 @@ class Flat(NamedTuple):
         )
 
     def at(self, entries: Integers, rows: Integers) -> tuple[Array, Array]:
-        """The matrices and vectors of some entries and rows."""
+        """Gather matrices and right sides at flat indices of `entries` and `rows`.
+
+        Entries (B, k, n) and rows (B, k) give (V, B, k, n) and (V, B, k, N).
+        """
         return self.matrix[:, entries], self.right[:, rows]
 
     def put(
@@ -197,5 +229,5 @@ class Flat(NamedTuple):
         matrix: Array | float = 0.0,
         right: Array | float = 0.0,
     ) -> None:
-        """Store matrices and vectors of some entries and rows."""
+        """Store matrices and right sides at flat indices of `entries` and `rows`, or else zeros."""
         self.matrix[:, entries], self.right[:, rows] = matrix, right

@@ -1,12 +1,16 @@
-"""The digits that float64 leaves of a tree's beliefs, by how far apart its deviations lie.
+"""An estimate of the decimal digits that float64 leaves of a tree's beliefs.
 
-Rows are divided by their noise and multiplied by the prior's deviations: the size a of their
-entries is by how much a CPD or measurement is sharper than the prior. A factorisation moves each
-row by some 10⁻¹⁶ a, and a mean by as many of its deviations, times its distance from the prior's
-mean in deviations of the prior. A covariance pushed down the tree keeps what is small to 10⁻¹⁶ of
-the prior's, 10⁻¹⁶ a² of itself. What relations without noise put into rows counts as they do, and
-the reciprocals of what they are divided by; where it is not certain how many of them are
-independent, no digits are. The rounding of linearised values, where it is large, shifts them too.
+The rows of CPDs are whitened by their noise, and their variables are in units of the prior's
+standard deviations. So the size a of an entry is the prior's standard deviation over the noise's:
+by how much a CPD or measurement is sharper than the prior. With ε ≈ 10⁻¹⁶ the rounding of float64,
+
+- a factorisation moves each row by about ε a, and a mean by as many of its own standard
+  deviations, times its distance from the frame's mean in standard deviations of the prior;
+- a covariance that is pushed down the tree is wrong by ε of the prior's, by ε a² of itself;
+- relations without noise are put into rows: the entries that result count as others do, and so do
+  the reciprocals of the numbers divided by. Where it is not certain how many relations are
+  independent, no digit is;
+- the rounding of linearised values, where it is large, shifts means too (`linearised_rounding`).
 """
 
 from __future__ import annotations
@@ -20,16 +24,20 @@ from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.status import CLOSE_POINTS, FAR_APART
 from pgm.kernels.arrays import Array
 
-# What float64 holds; a sum of many roundings takes a digit of it.
+# Decimal digits that float64 holds; a sum of many roundings takes one of them.
 _DIGITS, _OF_SUMS = 15.6, 14.6
-# Digits, counted from the deviations, that answers have where nothing is said.
+# Digits, counted from standard deviations, from which on an answer needs no warning.
 SAFE_DIGITS = 6.6
 # Units whose squares are in range.
 _RANGE = 1e-140, 1e140
 
 
 def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
-    """The digits, counted from the deviations, that passes in float64 keep."""
+    """The decimal digits, counted from standard deviations, that both passes in float64 keep.
+
+    The least of means and covariances of all runs; zero where a number is not finite, or where the
+    square of a frame's unit is out of range.
+    """
     frame = buffer.model.frame
     total = beliefs.cov.sum() + log_evidence.sum() + frame.mean.sum()
     scale = frame.scale
@@ -44,6 +52,6 @@ def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
 
 
 def cause(model: Model) -> str:
-    """Why digits are few: what the warning says of it."""
+    """Why digits are few, for the warning: sigma points too close, or numbers too far apart."""
     few = _OF_SUMS - np.log10(max(shift(model), 1.0)) < SAFE_DIGITS
     return CLOSE_POINTS if few else FAR_APART

@@ -1,4 +1,8 @@
-"""The linearised CPDs of a network in decimals: y = F p + b + n, with nothing rounded."""
+"""The linearised CPDs of a network in decimals: y = F p + b + n, n ~ N(0, Q), with nothing rounded.
+
+p are a CPD's hidden parents, (n,), and y is its child, (d,). V is 1 where all runs share their
+matrices, with N = runs columns of offsets; else V = runs and N = 1.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ from pgm.kernels.decimals import Decimals
 
 @dataclass(frozen=True, eq=False)
 class Conditional:
-    """A CPD of a network: y = F p + b + n, in (V, d, n), (V, d, N) and (V, d, d)."""
+    """A linearised CPD, row `row` of group `g`: F (V, d, n), b (V, d, N) and Q (V, d, d)."""
 
     g: int
     group: Group
@@ -32,7 +36,7 @@ class Conditional:
 
 @dataclass(eq=False)
 class Conditionals:
-    """The linearised CPDs of a network, in decimals."""
+    """The linearised CPDs of a network, in decimals; iteration gives parents before children."""
 
     layout: Layout
     families: list[Family]
@@ -42,7 +46,7 @@ class Conditionals:
 
     @property
     def stacked(self) -> int:
-        """V, how many runs have matrices of their own."""
+        """The number V of runs that have matrices of their own; 1 where all share them."""
         return 1 if self.shared else self.runs
 
     def __iter__(self) -> Iterator[Conditional]:
@@ -50,7 +54,7 @@ class Conditionals:
             yield self.conditional(g, row)
 
     def conditional(self, g: int, row: int) -> Conditional:
-        """The linearised CPD at one row of group g, p(y | x) = N(F x + b, Q)."""
+        """The linearised CPD at one row of group g; a NumericalError if its noise is indefinite."""
         group, family = self.layout.groups[g], self.families[g]
         noise = family.noise[row, : self.stacked]
         return Conditional(
@@ -63,17 +67,20 @@ class Conditionals:
         )
 
     def by_run(self, values: Decimals) -> Decimals:
-        """Values of runs (runs, d), reshaped to (V, d, N) for V stacked matrices."""
+        """Vectors (runs, d) as (V, d, N)."""
         if self.shared:
             return np.asarray(values.T[None])
         return np.asarray(values[..., None])
 
     def by_float(self, values: Decimals) -> Array:
-        """(V, ..., N) as (runs, ...), rounded."""
+        """Decimals (V, ..., N) rounded to float64, as (runs, ...)."""
         return runs_first(decimals.floats(values))
 
     def root(self, noise: Array, family: Family) -> Root:
-        """The factors of a noise."""
+        """The factors L, D of a noise covariance (d, d), L D Lᵀ in decimals, cached by its value.
+
+        An indefinite one is the NumericalError `indefinite_noise`, which names the family's CPD.
+        """
         key = noise.tobytes()
         if key not in self._roots:
             made = Root.of(decimals.exact(noise))
@@ -83,7 +90,13 @@ class Conditionals:
         return self._roots[key]
 
     def span(self) -> int:
-        """Decades between the numbers that matter: deviations, and slopes."""
+        """The decades (powers of ten) between the numbers that matter in a solution, at least one.
+
+        They are those between the largest and the smallest standard deviation, of noises and of the
+        prior, plus those between the largest and the smallest slope |F_ij|; 1 is among both, zeros
+        are not. The prior's are bounds from above: summands of F p are taken as positive, so that
+        nothing cancels.
+        """
         edge = decimals.zeros(self.stacked, self.layout.size)
         least, most = Decimal(1), Decimal(1)
         slopes = [Decimal(1)]
@@ -103,7 +116,10 @@ class Conditionals:
 
 
 def _offset(family: Family, row: int, runs: int) -> Decimals:
-    """The offset b of one row of an affine CPD, (runs, d), in unrounded decimals."""
+    """The offset b of one row of a CPD, (runs, d), in decimals.
+
+    That of an affine CPD with observed parents is summed up anew, without rounding.
+    """
     cpd = family.cpd
     known = [p for p in cpd.given if p not in family.hidden]
     if not isinstance(cpd, AffineCPD) or not known:
@@ -120,7 +136,10 @@ def _offset(family: Family, row: int, runs: int) -> Decimals:
 
 @dataclass(frozen=True, eq=False)
 class Root:
-    """A covariance as L diag(d) Lᵀ, where L is unit lower triangular with its rows in an order."""
+    """A covariance as L D Lᵀ: column k of L is of component order[k], and `pivots` are D.
+
+    With its rows in this order L is unit lower triangular.
+    """
 
     lower: Decimals
     pivots: Decimals
@@ -128,7 +147,11 @@ class Root:
 
     @classmethod
     def of(cls, noise: Decimals) -> Root | None:
-        """The pivoted root of a covariance; None if it is indefinite."""
+        """Factorise a covariance (d, d) with the largest pivots first; None if it is indefinite.
+
+        Pivots are compared as parts of their components' variances; a negligible one counts as
+        zero.
+        """
         size = len(noise)
         variance = np.diagonal(noise).copy()
         least = variance * Decimal(roots.NEGLIGIBLE)
@@ -150,11 +173,11 @@ class Root:
 
     @property
     def matrix(self) -> Decimals:
-        """The covariance L Lᵀ, with entries that were rounding set to zero."""
+        """The covariance L D Lᵀ, in which negligible pivots are zero."""
         return decimals.product(self.lower * self.pivots, self.lower.T)
 
     def whitened(self, right: Decimals) -> Decimals:
-        """L⁻¹ B, (d, m)."""
+        """The rows L⁻¹ B of B (d, m), in the order of the pivots, (d, m)."""
         left, found = right.copy(), decimals.zeros(*right.shape)
         for k, row in enumerate(self.order):
             found[k] = left[row]

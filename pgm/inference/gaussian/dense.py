@@ -1,12 +1,15 @@
-"""The dense joint of components, made of linearised CPDs in decimals, with nothing rounded.
+"""The dense joint Gaussian of a network's components, made of linearised CPDs in decimals.
 
-A child joins its parents, y = F p + b + n, with the covariance F P Fᵀ + Σ, and F P with all before.
-One that is observed joins, is conditioned on component by component,
+Nothing is rounded but the last decimal. A child y = F p + b + n, n ~ N(0, Σ), joins the components
+before it, whose covariance is P and of which p are some: its own covariance is F P_pp Fᵀ + Σ, and
+the one with them F P_p·. An observed child joins, is conditioned on one component k after another,
 
     G = P eₖ / s,   m ← m + G (z − mₖ),   P ← P − G eₖᵀ P,   s = eₖᵀ P eₖ,
 
-and leaves again. A component with s = 0 is determined by what was read before: its measurement
-agrees, or contradicts the model.
+for its value z and the joint's mean m, and leaves again. A component with s = 0 is determined by
+what was read before: its value agrees with that, or contradicts the model.
+
+V is 1 where all runs share their covariances, with N columns of means; else V = runs.
 """
 
 from __future__ import annotations
@@ -21,15 +24,18 @@ from pgm.kernels import decimals
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
 
-# What cancels to less than this share of its summands' deviations is rounding of F, which is known
-# to half a unit in its last place: with no noise, y is determined.
+# A standard deviation of F p below this share of its summands' is rounding of F, which is known to
+# half a unit in its last place: without noise, y is determined.
 ROUNDED = Decimal(2) ** -51
 
 
 class Read(NamedTuple):
-    """Conditioning on a component: ln p of its values and where they contradict the model, (V, N').
+    """The result of conditioning on one component's values z, (V, N').
 
-    `moved` (V,) is by how much the columns beyond N' together may move ln p.
+    `log_density` is ln p(z) given what was read before, zero where it is determined;
+    `contradiction` whether z then misses the determined value; both are (V, N'). `moved` (V,) is
+    about how much the errors in the columns of `Joint.mean` beyond the first N' may together shift
+    ln p(z).
     """
 
     log_density: Array
@@ -39,11 +45,12 @@ class Read(NamedTuple):
 
 @dataclass(eq=False)
 class Joint:
-    """The joint of components so far: V runs with a covariance each, or V = 1 for all runs.
+    """The joint of the components so far: V covariances (V, size, size), and means (V, size, N).
 
-    Columns of `mean` (V, size, N) go through everything as a mean does; `edge` (V, size) are the
-    prior's deviations, all summands taken as positive; a number below the share `nothing` of a
-    variance of such a deviation is rounding of the digits.
+    Each column of `mean` is transformed as a mean is. `edge` (V, size) are bounds on the prior's
+    standard deviations: summands are taken as positive, so that nothing cancels. A covariance below
+    the share `nothing` of the product of its two bounds counts as zero: it is rounding of the
+    decimals.
     """
 
     mean: Decimals
@@ -53,7 +60,7 @@ class Joint:
 
     @classmethod
     def empty(cls, stacked: int, size: int, columns: int, nothing: Decimal) -> Joint:
-        """Without components yet: all of their rows are zero."""
+        """A joint without components yet, of V `stacked` runs: its rows are zero."""
         zeros = decimals.zeros
         return cls(
             zeros(stacked, size, columns),
@@ -70,7 +77,11 @@ class Joint:
         offset: Decimals,
         noise: Decimals,
     ) -> None:
-        """A child with F (V, d, n), b (V, d, N) and noise (V, d, d)."""
+        """Add a child y = F p + b + n at `places` (d,) of the joint, p being at `parents` (n,).
+
+        F is (V, d, n), b (V, d, N), and the noise covariance (V, d, d). A component of F p whose
+        variance is no more than rounding of its summands has none.
+        """
         self.mean[:, places] = decimals.product(matrix, self.mean[:, parents]) + offset
         cross = decimals.product(matrix, self.cov[:, parents])
         own = decimals.product(cross[:, :, parents], transpose(matrix))
@@ -90,7 +101,11 @@ class Joint:
         self.edge[:, places] = decimals.sqrt(prior * prior + variance)
 
     def read(self, place: int, value: Decimals, allowed: Decimals) -> Read:
-        """Condition on a component's values (V, N'), of the first columns, allowed to be off."""
+        """Condition on values z (V, N') of the component at `place`; N' columns are its means.
+
+        `allowed` (V, N') is by how much z may miss a value that is determined without contradicting
+        it.
+        """
         count = value.shape[1]
         variance, edge = self.cov[:, place, place], self.edge[:, place]
         open_ = np.asarray(variance > self.nothing * edge * edge, dtype=bool)
@@ -116,7 +131,7 @@ class Joint:
         )
 
     def forget(self, places: Integers) -> None:
-        """Marginalise components out; their slots become free."""
+        """Marginalise components out; their places become free."""
         self.mean[:, places] = ZERO
         self.cov[:, places] = ZERO
         self.cov[:, :, places] = ZERO

@@ -12,10 +12,13 @@ from pgm.kernels.solving import regression
 
 
 def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[Array, Array]:
-    """Mean (runs, n) and covariance (V, n, n) of components of any clusters.
+    """Mean (runs, n) and covariance (V, n, n) of components, which any clusters may hold.
 
-    Given the sepset with its parent, a cluster is independent of what is above: walking down from
-    the top, its covariance with all that is known goes through the regression on the sepset.
+    `wanted` (n,) are their places in the vector of all hidden components. The covariance is
+    collected from the top of the tree down. Given its sepset s with its parent, a cluster's other
+    components f are independent of the components a above it, so that their covariance is
+
+        P_fa = P_fs P_ss⁺ P_sa.
     """
     if isinstance(beliefs, DenseBeliefs):
         return beliefs.moments(wanted, wanted, wanted)
@@ -45,7 +48,11 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
 
 
 def _walk(plan: TreePlan, wanted: Integers) -> list[int]:
-    """The clusters of subtrees that hold some components, parents before children."""
+    """The clusters that connect the components at places `wanted` (n,), parents before children.
+
+    They are the smallest subtree with the smallest cluster that holds each component,
+    `Places.homes`; where these are in several trees, the paths from them to the roots.
+    """
     home, _ = plan.places.homes
     parent, depth = plan.forest.parent, plan.forest.depth
     ends = {int(home[place]) for place in wanted}
@@ -69,9 +76,11 @@ def _gain(
     shared: list[int],
     fresh: list[int],
 ) -> Array:
-    """Regression of a cluster's other components on the sepset with its parent: P_fs P_ss⁺.
+    """The regression P_fs P_ss⁺ of a cluster's other components f on the sepset s with its parent.
 
-    `inside` is the cluster's covariance, the sepset first. A calibrated tree knows the gain.
+    `inside` is the cluster's covariance, (V, s + f, s + f), the sepset first; `shared` and `fresh`
+    are the places of s and f. Beliefs of `calibrate` have the gain, which is then zero for
+    components without variance; else it is computed by a pseudo-inverse.
     """
     if not isinstance(beliefs, TreeBeliefs) or not shared:
         count = len(shared)

@@ -1,4 +1,9 @@
-"""The hidden components of a network, its CPDs in groups, and the places of their rows."""
+"""The hidden components of a network, its CPDs in groups, and the places of their rows.
+
+The components of all hidden variables make one vector, (size,), and the *place* of a component is
+its index there; its *column* is its index in the scope of a cluster. A *group* are the copies of
+one CPD, such as those of all steps of an unrolled chain, whose same parents are hidden.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +29,10 @@ def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
 
 
 def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
-    """Barren variables: inputs without evidence, and children of their CPDs.
+    """The variables that are left out: inputs without evidence, and unobserved children of them.
 
-    These stay if something observed or kept depends on them.
+    A child is left out if one of its CPD's `known_parents` has no evidence. A variable stays if an
+    observed one, or one that stays, depends on it.
     """
     inputs = set(network.inputs)
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}
@@ -43,10 +49,11 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Copies of one CPD with the same hidden parents: one row a copy, linearised in one call.
+    """Copies of one CPD, a row each, of whose parents the same are hidden; linearised together.
 
-    `child` (rows, d), empty if observed, and `parents` (rows, n) are places among all hidden
-    components; `clusters` (rows,) the clusters that the CPDs are assigned to.
+    `hidden` are the hidden parents of the first copy. `child` (rows, d), empty if observed, and
+    `parents` (rows, n) are places among all hidden components; `clusters` (rows,) the clusters that
+    the CPDs are assigned to.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -67,7 +74,7 @@ class Group:
         return int(self.child.shape[1] + self.parents.shape[1])
 
     def shape(self) -> tuple[bool, int, int]:
-        """Whether the children are observed; rows and columns."""
+        """What factors of equal shape have in common: observed children or not, rows, columns."""
         return self.observed, self.height, self.width
 
 
@@ -89,7 +96,7 @@ class Layout:
 
     @cached_property
     def places(self) -> dict[Variable, Integers]:
-        """Columns of each hidden variable's components in the vector of all hidden components."""
+        """The places of each hidden variable's components."""
         starts = np.cumsum([0, *(v.dimension for v in self.hidden)])
         return {v: np.arange(a, a + v.dimension) for v, a in zip(self.hidden, starts, strict=False)}
 
@@ -99,13 +106,13 @@ class Layout:
         return dimension(self.hidden)
 
     def components(self, scope: Scope) -> Integers:
-        """The places of some hidden variables' components."""
+        """The places of some hidden variables' components, one after another, (n,)."""
         if not scope:
             return np.zeros(0, dtype=np.intp)
         return np.concatenate([self.places[v] for v in scope])
 
     def without_evidence(self, scope: Scope) -> Scope:
-        """The variables among some that are hidden."""
+        """The hidden variables of a scope, in its order."""
         return tuple(v for v in scope if v not in self.observed and v not in self.absent)
 
     @cached_property
@@ -115,21 +122,21 @@ class Layout:
 
     @cached_property
     def columns(self) -> list[dict[int, int]]:
-        """For each cluster, the column of each component that it holds."""
+        """For each cluster, the column of each component that it holds, by the place."""
         return [
             {int(place): k for k, place in enumerate(self.components(scope))}
             for scope in self.scopes
         ]
 
     def columns_of(self, clusters: Integers, places: Integers) -> Integers:
-        """The places of components (B, n) in the scopes of clusters (B,)."""
+        """Columns (B, n) of components in the scopes of clusters (B,), by their `places` (B, n)."""
         pairs = zip(clusters.tolist(), places.tolist(), strict=True)
         found = [[self.columns[cluster][place] for place in row] for cluster, row in pairs]
         return np.array(found, dtype=np.intp).reshape(places.shape)
 
     @cached_property
     def directed(self) -> Directed:
-        """The messages."""
+        """The numbers of the messages, two for each sepset."""
         return Directed.of(self.graph)
 
     @cached_property
@@ -139,6 +146,7 @@ class Layout:
 
     @property
     def _cpds(self) -> Iterator[ConditionalGaussian]:
+        """The CPDs of the network, save those of `absent` variables."""
         for cpd in self.graph.network.cpds:
             assert isinstance(cpd, ConditionalGaussian)
             if cpd.child not in self.absent:
@@ -146,7 +154,7 @@ class Layout:
 
     @cached_property
     def groups(self) -> list[Group]:
-        """The CPDs, grouped by the original CPD and by their hidden parents."""
+        """The groups of CPDs, sorted by the shape of their factors."""
         home = {cpd.child: cluster.index for cluster in self.graph.clusters for cpd in cluster.cpds}
         alike: dict[tuple[CPD, tuple[bool, ...], bool], list[ConditionalGaussian]] = {}
         for cpd in self._cpds:
@@ -169,13 +177,17 @@ class Layout:
 
     @cached_property
     def shapes(self) -> list[list[int]]:
-        """The groups whose factors have one shape, which stand together."""
+        """Lists of neighbouring groups, by index, whose factors have one shape."""
         every = groupby(enumerate(self.groups), lambda item: item[1].shape())
         return [[k for k, _ in alike] for _, alike in every]
 
     @cached_property
     def order(self) -> list[tuple[int, int]]:
-        """All CPDs as (group, row), parents first, each only when something after it needs it."""
+        """All CPDs as (group, row), parents before children.
+
+        They are in the order of a depth-first search from the last children: a parent comes just
+        before something needs it, so that few components are needed at once.
+        """
         where = {
             cpd.child: (g, row)
             for g, group in enumerate(self.groups)

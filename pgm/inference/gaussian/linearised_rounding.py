@@ -1,7 +1,8 @@
 """The rounding of linearised CPDs of a network, and by how much it shifts its variables.
 
-F x + b is a difference of numbers as large as F μ, and where sigma points lie close together
-(`Points.cancellation`) a sum of values with large weights of both signs besides.
+A linearised mean F x + b is a difference of numbers as large as F μ, μ being the parents' mean. The
+values that sigma points give are weighted besides; where these lie close together the weights are
+large, and of both signs (`Points.cancellation`).
 """
 
 from __future__ import annotations
@@ -15,12 +16,19 @@ from pgm.kernels.arrays import Array, apply, deviation
 from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
 
-# Rounding of a linearised value, in parts of its summands.
+# Rounding of a linearised value, as a part of its summands.
 ROUNDING = 2.0**-52
 
 
 def rounding(model: Model, g: int) -> Array:
-    """The rounding that F x + b of a linearised CPD may have, (CPDs, runs, d)."""
+    """A bound on the rounding of F x + b of the nonlinear CPDs of group g, (CPDs, runs, d).
+
+    Where they were linearised the parents have the means μ and the standard deviations σ. With
+    sigma points the bound is 2⁻⁵² k (|F| (|μ| + σ) + |b|), k being the sum of their absolute
+    weights in the mean and in the slope. Else it is 2⁻⁵² (k (|F| |μ| + |b|) + |F| σ), k being 1,
+    and for each numerical derivative σ over its step besides; without |F| σ if `Taylor` has all
+    derivatives, and without hidden parents.
+    """
     family = model.families[g]
     rule, template = family.lineariser, family.template
     assert template is not None
@@ -43,9 +51,10 @@ def rounding(model: Model, g: int) -> Array:
 
 
 def shift(model: Model) -> float:
-    """How many 10⁻¹⁶ of a deviation CPDs are shifted by, whose sigma points lie close together.
+    """The largest shift that rounding causes, in units of 2⁻⁵² standard deviations of the noise.
 
-    By the rounding of their values, counted from the noise, or where there is none from the prior.
+    It is that of CPDs whose sigma points lie close together, and zero without them. Where a
+    component has no noise the standard deviation is that of F x.
     """
     most = 0.0
     for g, family in enumerate(model.families):

@@ -1,4 +1,9 @@
-"""Messages between clusters as rows: sent by rounds, damped, compared, and absorbed."""
+"""Messages between clusters as rows: sent by rounds, damped, compared, and absorbed.
+
+A message is the factor exp(g − ½ ‖A ξ − r‖²) over the s components of a sepset, in the coordinates
+ξ of a frame, with A (V, s, s), r (V, s, N) and the log-scale g (V, N): V = 1 where N runs share
+matrices, else V runs and N = 1. It is numbered as in `Directed`, and the one back is number ^ 1.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +23,7 @@ from pgm.kernels.rows import Rows, eliminate
 
 
 class RowRound(NamedTuple):
-    """A round of messages, computed by batched eliminations of equal shape."""
+    """A round: the numbers of its messages, and the batched eliminations that compute them."""
 
     messages: list[int]
     stacks: list[Stack]
@@ -26,10 +31,11 @@ class RowRound(NamedTuple):
 
 @dataclass(eq=False)
 class RowMessages:
-    """Messages as rows; they start as unit information about the frame.
+    """The messages of a graph with loops, as rows in a buffer.
 
-    From any positive start the information converges to the same fixed point, and with a proper
-    one every message exists.
+    Each starts as the factor exp(−½ |ξ|²): from any positive start the information matrices
+    converge to the same fixed point, and with a proper one every message exists. `damping` is the
+    share of the old message in a new one.
     """
 
     buffer: Buffer
@@ -40,7 +46,7 @@ class RowMessages:
 
     @classmethod
     def make(cls, buffer: Buffer, places: Places, damping: float) -> RowMessages:
-        """Messages not yet sent, in a buffer without any."""
+        """Messages at their start, with the CPDs' factors, in a buffer that has neither."""
         buffer.refresh()
         for size, members in buffer.rounds.by_size:
             entries, _ = buffer.out(members, size)
@@ -49,7 +55,7 @@ class RowMessages:
 
     @property
     def directed(self) -> Directed:
-        """The messages' numbers."""
+        """The numbers of the messages, with their source and target clusters."""
         return self.buffer.rounds.layout.directed
 
     @property
@@ -59,15 +65,19 @@ class RowMessages:
 
     @property
     def bounded(self) -> bool:
-        """Means may move any number of deviations."""
+        """False: a mean may move any number of standard deviations, and messages diverge."""
         return False
 
     def round(self, messages: Sequence[int]) -> RowRound:
-        """Lay out a round of messages as batched eliminations of equal shape."""
+        """Lay out some messages, by number, as batched eliminations of equal shape."""
         return RowRound(list(messages), self.buffer.rounds.messages(messages))
 
     def propose(self, round: RowRound) -> Array:
-        """Compute a round's messages from the kept ones; the change of each, (messages, runs)."""
+        """Compute a round's messages from the stored ones; returns their changes, (messages, runs).
+
+        They are kept aside for `accept`. A change is that of the sepset's belief, in standard
+        deviations; see `row_messages.change`.
+        """
         self._proposed = []
         change = np.empty((len(self.directed), self.runs))
         for stack in round.stacks:
@@ -81,10 +91,11 @@ class RowMessages:
         return change[round.messages]
 
     def accept(self, round: RowRound, active: Mask, lost: Mask) -> None:
-        """Keep the proposed messages, damped, for the active runs.
+        """Store the proposed messages, damped, for the active runs.
 
-        Runs that share matrices go on together: else the right sides of one would no longer fit
-        matrices that settle further for another. Only those that are lost stay behind.
+        Runs that share matrices go on together, converged ones too: the matrices settle further for
+        the others, and the right sides of one have to fit them. Only runs that are `lost` stay
+        behind.
         """
         for stack, new in self._proposed:
             old = self.buffer.messages(stack.members, stack.kept)
@@ -96,7 +107,11 @@ class RowMessages:
             self.buffer.store(stack, mixed, None)
 
     def relinearise(self, active: Mask) -> Array | None:
-        """Linearise at the clusters' beliefs; how far the means are from the last point."""
+        """Linearise the CPDs of the active runs at the clusters' beliefs.
+
+        Returns how far the means are from the last point of linearisation, (runs,), in standard
+        deviations; None if all CPDs are affine.
+        """
         model = self.buffer.model
         if model.exact:
             return None
@@ -111,35 +126,38 @@ class RowMessages:
         return move
 
     def send_once(self, rounds: list[list[Stack]]) -> None:
-        """Send each message of a tree once, after the messages that it depends on."""
+        """Send each message of a tree once; a round comes after those that it depends on."""
         for stacks in rounds:
             for stack in stacks:
                 done, log_scale = self.buffer.eliminate(stack)
                 self.buffer.store(stack, done.rest, log_scale)
 
     def kept(self, message: int) -> tuple[Rows, Array]:
-        """A message, (V, s, s), and its log-scale, (V, N)."""
+        """A stored message, by number: rows (V, s, s), and its log-scale, (V, N)."""
         size = int(self.buffer.rounds.sizes[message])
         one = self.buffer.messages(np.array([message]), size)
         log_scale = self.buffer.log_scale[:, len(self.places.sizes) + message]
         return row_messages.first(one), log_scale
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
-        """A cluster's factor times all messages to it, (V, k, n), and its log-scale, (V, N)."""
+        """The product of a cluster's CPDs and all messages to it, (V, k, n); log-scale (V, N)."""
         return self._product(*self.buffer.rounds.beliefs([cluster]))
 
     def potential(self, cluster: int) -> tuple[Rows, Array]:
-        """A cluster's factor alone, (V, k, n), and its log-scale, (V, N)."""
+        """The product of a cluster's CPDs alone, (V, k, n); log-scale (V, N)."""
         return self._product(*self.buffer.rounds.potentials([cluster]))
 
     def _product(self, stack: Stack) -> tuple[Rows, Array]:
-        """The rows of a cluster's potential and of the messages to it, and their log-scale."""
+        """The rows and the log-scale of the factor that a stack of one cluster gathers."""
         factor = self.buffer.factor(stack)
         # Columns of the stack are in the order of elimination: here, all, in the scope's.
         return row_messages.first(factor), self.buffer.log_scale[:, stack.logs].sum(axis=2)[:, 0]
 
     def beliefs(self) -> tuple[Beliefs, Array]:
-        """The moments of all clusters, and ln of their integrals, (V, clusters, N)."""
+        """The moments of all clusters, and ln of their factors' integrals, (V, clusters, N).
+
+        A belief that is not proper is a NumericalError.
+        """
         buffer = self.buffer
         stacked, _, sides = buffer.proper.right.shape
         found = Beliefs.empty(self.places, buffer.model.frame, stacked, sides)
@@ -151,7 +169,11 @@ class RowMessages:
         return found, logs
 
     def calibrated(self) -> Calibrated:
-        """The beliefs, and the Bethe value: ln of the clusters' integrals less the sepsets'."""
+        """The beliefs, with Bethe's approximation of ln p(evidence).
+
+        It is the sum of ln of the clusters' integrals, less that of the sepsets' (both messages'
+        product).
+        """
         found, logs = self.beliefs()
         total: Array = logs.sum(axis=1)
         layout = self.buffer.rounds.layout

@@ -1,4 +1,8 @@
-"""A Gaussian network with its evidence: its CPDs, linearised anew at each belief."""
+"""A Gaussian network with its evidence: its CPDs, which are linearised anew at each belief.
+
+A *group* are copies of one CPD, the rows of a `Family`. A *place* is the index of a component in
+the vector of all hidden components, (size,).
+"""
 
 from __future__ import annotations
 
@@ -27,12 +31,13 @@ Kind = TypeVar("Kind", np.float64, np.bool_)
 class Model:
     """The CPDs of a network, linearised, and the evidence of its observed children.
 
-    Lists are by group; a row is a CPD. `readings` are values of observed children, (CPDs, runs or
-    1, d), `moved` the same with angles on the branch nearest the CPD's value where it was
-    linearised, `taken` which components are not missing, None for all. `shared` says whether all
-    runs have the same matrices, covariances and components observed. `points` are the means and
-    deviations, (CPDs, runs, n), of hidden parents where CPDs were linearised last: if `first`, at
-    the prior's moments or a start, which may be far from the posterior.
+    `lead` are the user's axes of runs. Lists have an entry for each group. `readings` are the
+    values of observed children, (CPDs, runs or 1, d), None of hidden ones; `moved` are the same
+    with angles on the branch nearest the CPD's value where it was linearised; `taken` masks the
+    components that were measured, None for all. `shared` says whether all runs have the same
+    matrices, covariances and components measured. `points` are the means and standard deviations,
+    (CPDs, runs, n), of hidden parents where CPDs were linearised last: while it is the `first`
+    time, at the prior's moments or a start, maybe far from the posterior.
     """
 
     layout: Layout
@@ -57,7 +62,11 @@ class Model:
         *,
         judge: Judge | None = None,
     ) -> Model:
-        """Bind evidence, and linearise at the prior predictive moments or a start, (runs, size)."""
+        """Bind evidence, and linearise at the prior predictive moments or a start, (runs, size).
+
+        Without a start `predictive` finds these moments and linearises on the way. A flat prior is
+        a ModelError.
+        """
         for group in layout.groups:
             for cpd in group.cpds:
                 cpd.require_proper("only chains, of pgm.DynamicBayesianNetwork, take flat priors")
@@ -116,8 +125,9 @@ class Model:
     ) -> None:
         """Linearise every nonlinear CPD at a belief for the active runs, one call a group.
 
-        The mean is (runs, size), to whose branches angles of evidence move; parents' moments are
-        (CPDs, runs, ...) for each group with nonlinear CPDs.
+        `parents` are the means (CPDs, runs, n) and covariances (CPDs, runs, n, n) of the hidden
+        parents, for each group; None for affine CPDs. `mean` (runs, size) are the means of all
+        components, to whose branches angles of evidence move.
         """
         for g, (family, at) in enumerate(zip(self.families, parents, strict=True)):
             if at is not None:
@@ -130,9 +140,11 @@ class Model:
         self.first = False
 
     def _follow(self, mean: Array, active: Mask) -> None:
-        """Move angles to the branch nearest the means, (runs, size), for the active runs.
+        """Move angles by whole turns to the branch nearest the means (runs, size), in active runs.
 
-        If the child is observed, its reading moves; if hidden, the offset of its linearised CPD.
+        Readings of an observed child move to within π of its CPD's value at these means. If the
+        child is hidden, the offset of its linearised CPD moves, so that this value is within π of
+        the child's mean.
         """
         groups = zip(self.layout.groups, self.families, self.readings, self.moved, strict=True)
         for k, (group, family, reading, kept) in enumerate(groups):
@@ -150,7 +162,7 @@ class Model:
 
 
 def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
-    """The CPDs of a group as one family, whose rows are the CPDs, with their observed parents."""
+    """The CPDs of a group as one family, a row each, with the values of observed parents."""
     first = group.cpds[0]
     inputs = {
         first.parents[k]: _stacked([cpd.parents[k] for cpd in group.cpds], bound.values)
@@ -163,10 +175,7 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
 
 
 def _taken(group: Group, bound: BoundValues) -> Mask | None:
-    """The mask of observed components of a group's children, (CPDs, runs or 1, d).
-
-    None where all were.
-    """
+    """The mask of measured components of a group's children, (CPDs, runs or 1, d); None for all."""
     children = [cpd.child for cpd in group.cpds]
     if bound.taken.keys().isdisjoint(children):
         return None

@@ -18,7 +18,7 @@ from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.gaussian.tree import TreePlan
-from pgm.inference.gaussian.walks import spectral_radius
+from pgm.inference.gaussian.walks import shown, spectral_radius
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
@@ -123,7 +123,7 @@ class GaussianPosterior(Posterior):
 
     @cached_property
     def _messages(self) -> RowMessages:
-        """All messages; a tree's are computed on first request."""
+        """All messages; those of a tree are sent on the first request."""
         if self._sent is not None:
             return self._sent
         buffer = Buffer.make(self._plan.rounds, self._model)
@@ -167,7 +167,12 @@ class GaussianPosterior(Posterior):
     def _form(
         self, factor: Rows, log_scale: Array, scope: Scope, what: str, cluster: int
     ) -> CanonicalForm:
-        """Rows (V, k, n) about the frame as a canonical form in the user's coordinates."""
+        """Rows A (V, k, n) and r in a frame's coordinates as a canonical form in the user's.
+
+        It is K = AᵀA, h = Aᵀr and g = log_scale − ½ |r|², with A and r in the user's coordinates.
+        Exact relations, or numbers that are not finite, are a NumericalError; `what` names the
+        factor in it.
+        """
         if factor.exact is not None and factor.exact.any():
             raise NumericalError(
                 f"{what}, over {names(scope)}, has no canonical form: CPDs without noise "
@@ -197,7 +202,7 @@ class GaussianPosterior(Posterior):
 
         Exact measurements that repeat one another have no joint density; what is then given is that
         of those that do not, in a unit that depends on the graph. Beyond the range of float64, some
-        10¹⁵⁰ deviations from the model, it is a NumericalError.
+        10¹⁵⁰ standard deviations from the model, it is a NumericalError.
         """
         value = self._done.log_evidence
         if not np.isfinite(value).all():
@@ -209,7 +214,12 @@ class GaussianPosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`: exact, linearised, laplace or bethe."""
+        """The kind of `log_evidence`: exact, linearised, laplace or bethe.
+
+        On a tree it is exact if all CPDs are affine, Laplace's approximation if all are expanded to
+        first order and the means have converged, else that of the linearised network. On a graph
+        with loops, and while a loopy schedule has not converged, it is Bethe's.
+        """
         model = self._model
         sent = self._sent is None or bool(self.status.converged.all())
         if not self.graph.is_tree or not sent:
@@ -220,7 +230,10 @@ class GaussianPosterior(Posterior):
 
     @quiet()
     def _why_unsettled(self) -> str:
-        """Whether the network is walk-summable, for the run furthest from convergence."""
+        """A sentence on whether the network is walk-summable, in the run furthest from convergence.
+
+        Empty where messages were not sent by rounds, or the spectral radius is unknown.
+        """
         if self._sent is None or not len(self.status.residuals):
             return ""
         last = np.where(self.status.converged, -1.0, self.status.residuals[-1])
@@ -230,10 +243,12 @@ class GaussianPosterior(Posterior):
         about = "the spectral radius of |R|, R = I - D^(-1/2) J D^(-1/2) of its information J,"
         if radius >= 1.0:
             return (
-                f"The network is not walk-summable: {about} is {radius:.3g}, and from 1 on "
+                f"The network is not walk-summable: {about} is {shown(radius)}, and from 1 on "
                 "messages round loops may diverge. "
             )
-        return f"The network is walk-summable ({about} is {radius:.4g}): the nearer 1, the slower. "
+        return (
+            f"The network is walk-summable ({about} is {shown(radius)}): the nearer 1, the slower. "
+        )
 
     @property
     def _title(self) -> str:

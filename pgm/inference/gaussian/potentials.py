@@ -1,4 +1,13 @@
-"""The potentials of clusters as rows: their linearised CPDs, in the units of a frame."""
+"""The potentials of clusters as rows: their linearised CPDs, in the units of a frame.
+
+A CPD y = F p + b + n, n ~ N(0, Σ), of the child y (d,) and the hidden parents p, is a factor over
+the frame's coordinates ξ, x = m + s ξ, of the w components that are hidden. With the residual e = y
+− (F p + b) at the frame's means m it is
+
+    N(e + s_y ξ_y − F s_p ξ_p; 0, Σ).
+
+An *exact* row is one without noise: a relation that holds exactly.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +23,20 @@ from pgm.kernels import roots, solving
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent, transpose
 from pgm.kernels.rows import NEGLIGIBLE, largest_first
 
-# The size of a residual's summands that costs as many digits as an entry of one.
+# A residual with summands of size s costs as many digits as an entry of this times s.
 COARSE = 1e-1
 
 
 @dataclass(frozen=True, eq=False)
 class Potentials:
-    """The factors of all CPDs, one after the other in the order of the groups.
+    """The rows of all CPDs, one after another in the order of the groups.
 
     Where all runs share their matrices, V is 1 and each of N runs is a right side; else each of V
-    runs has a matrix, and N is 1. `exact` rows have no noise; log-scales are (V, CPDs, N). `coarse`
-    is the largest of the numbers that residuals are differences of, over the noise's deviations or
-    a relation's size; infinite where a component may be certain by rounding alone.
+    runs has a matrix, and N is 1. `proper` has the rows with noise, and `exact` those without, None
+    if there are none; in each there are zeros in place of the other's rows. Log-scales are (V,
+    CPDs, N). `coarse` is a tenth of the largest number that a residual is a difference of, over the
+    standard deviation of the noise, or over the length of an exact row; infinite where rounding
+    alone may make a component certain.
     """
 
     proper: Flat
@@ -35,11 +46,11 @@ class Potentials:
 
 
 def make_potentials(model: Model) -> Potentials:
-    """Turn the linearised CPDs into rows.
+    """Turn the linearised CPDs of a model into rows.
 
-    For a residual e = y − (F p + b) at the frame's means the factor is N(e + s_y ξ_y − F s_p ξ_p;
-    0, Σ); with Σ = L Lᵀ its rows are L⁻¹[s_y, −F s_p] and −L⁻¹e. Where L has no pivot the
-    component of the noise is determined by those before, and the row is exact.
+    With Σ = L Lᵀ they are L⁻¹ [s_y, −F s_p], with the sides −L⁻¹ e. Where L has no pivot the
+    component of the noise is determined by those before, and the row is exact. An indefinite noise
+    is a NumericalError.
     """
     if not model.layout.shapes:
         stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
@@ -57,14 +68,14 @@ def make_potentials(model: Model) -> Potentials:
 
 
 class _Linearised(NamedTuple):
-    """Linearised CPDs of one shape: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ).
+    """Linearised CPDs of one shape, in the coordinates ξ: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ).
 
-    The unknowns ξ are about a frame; the first axis runs over CPDs.
-
-    `matrix` is [s_y, −F s_p], (CPDs, V, d, w), without s_y where children are observed; `residual`
-    e, and `size` the numbers it is a sum of, (CPDs, runs, d); `known` columns are of certain
-    parents. Missing components, counted (CPDs, V), have unit variance. Where a child is certain
-    though a parent is not, it is `doubtful` whether what cancels does so exactly.
+    The first axis runs over CPDs. `matrix` is [s_y, −F s_p], (CPDs, V, d, w), without s_y where
+    children are observed; `residual` is e, and `size` the largest of the numbers it is a sum of,
+    (CPDs, runs, d); `noise` is Σ; `known` (CPDs, w) marks the columns of parents without variance
+    in the prior. Components not measured, counted as `missing` (CPDs, V), have unit variance.
+    `doubtful` (CPDs,) marks a child without variance whose parents have some: do the parts of F p
+    cancel exactly, or by rounding?
     """
 
     matrix: Array
@@ -77,9 +88,9 @@ class _Linearised(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, g: int) -> _Linearised:
-        """The CPDs of group g, about the model's frame.
+        """The CPDs of group g, in the coordinates of the model's frame.
 
-        If the child is observed, e is its reading less F p + b at the frame's means.
+        If the child is observed, its reading takes the place of its mean in e.
         """
         frame, runs = model.frame, 1 if model.shared else model.runs
         group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
@@ -109,7 +120,12 @@ class _Linearised(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Factor:
-    """The rows of some CPDs, (V, CPDs, d, w) and (V, CPDs, d, N); whether some are exact."""
+    """The rows of CPDs of one shape, (V, CPDs, d, w), with right sides (V, CPDs, d, N).
+
+    `matrix` and `right` have those with noise, `exact` and `exact_right` those without, zeros
+    elsewhere; `fixed` says whether some are exact. Log-scales are (V, CPDs, N); `coarse` is that of
+    `Potentials`.
+    """
 
     matrix: Array
     right: Array
@@ -121,18 +137,18 @@ class _Factor:
 
 
 def _factor(model: Model, groups: list[int]) -> _Factor:
-    """Information rows of the CPDs in some groups of equal shape; see `make_potentials`.
+    """The rows of the CPDs in some groups of equal shape; see `make_potentials`.
 
-    Noise is taken as correlations, its components ordered so that those that vary most come first,
-    and its root in that order. Exact rows are scaled to unit length, so that relations in any units
-    compare; one in which no variable is left is evidence that is met or not, and is scaled by its
-    summands.
+    The noise is divided by its standard deviations, its components are ordered so that the one with
+    the largest conditional variance comes next, and its root is taken in that order. Exact rows are
+    scaled to unit length, so that relations in any units compare. One in which no variable is left
+    is evidence that is met or not: it is divided by the size of its summands.
     """
     each = zip(*(_Linearised.of(model, g) for g in groups), strict=True)
     given = _Linearised(*map(np.concatenate, each))
     matrix, noise = given.matrix.swapaxes(0, 1), given.noise.swapaxes(0, 1)
     residual, size = (by_run(part, shared=model.shared) for part in (given.residual, given.size))
-    # In deviations, those first that vary most: then no row takes up the rounding of another.
+    # As correlations, those first that vary most: then no row takes up the rounding of another.
     variance = np.diagonal(noise, axis1=-2, axis2=-1)
     deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))[..., None]
     correlation = noise / (deviation * transpose(deviation))

@@ -1,4 +1,7 @@
-"""The prior predictive moments: where a network is first linearised, and its unit of length."""
+"""The prior predictive moments: where a network is first linearised, and its unit of length.
+
+The *place* of a component is its index in the vector of all hidden components, (size,).
+"""
 
 from __future__ import annotations
 
@@ -20,8 +23,9 @@ SHARE = 1e-6
 class Frame:
     """Coordinates ξ with x = mean + scale ξ, in which factors are kept: (runs, size) and (size,).
 
-    About the prior predictive means, in its standard deviations, large coordinates cost no digits
-    and units do not matter. Those `certain`, (size,), have no variance at all: ξ is zero.
+    The means and standard deviations are the prior's predictive ones, so that large coordinates
+    cost no digits and units do not matter. Components that are `certain`, (size,), have no variance
+    at all: their ξ is zero.
     """
 
     mean: Array
@@ -29,7 +33,7 @@ class Frame:
     certain: Mask
 
 
-# The plan of the prior's moments; see `prior_predictive`.
+# A function with the signature of `prior_predictive`.
 Predictive = Callable[..., Frame]
 
 
@@ -38,8 +42,10 @@ def prior_predictive(
 ) -> Frame:
     """Push moments through the CPDs in topological order, linearising on the way.
 
-    Families are one a group. The joint covariance of just those variables is kept that later CPDs
-    need. At a start, (runs, size), CPDs are linearised already; its NaN follow from the parents.
+    Families are one a group. Covariances are kept only as long as a later CPD needs them. At a
+    start, (runs, size), CPDs are linearised already, and the start is the frame's mean; where it is
+    NaN the mean follows from the parents. A unit is at least a millionth of the numbers that its
+    mean is a sum of.
     """
     mean = np.empty((runs, layout.size)) if start is None else start.copy()
     variance = np.zeros((1 if shared else runs, layout.size))
@@ -76,7 +82,11 @@ def prior_predictive(
 
 
 class _Frontier:
-    """A joint covariance whose components come and go: places share slots in turn."""
+    """The joint covariance of the components that later CPDs need.
+
+    It is (V, slots, slots), V = `stacked`; `slots` has each component's row there by its place, and
+    `free` the rows that no component uses.
+    """
 
     def __init__(self, stacked: int) -> None:
         self.cov = np.zeros((stacked, 8, 8))
@@ -84,16 +94,13 @@ class _Frontier:
         self.free = list(range(8))
 
     def covariance(self, places: Integers) -> tuple[Array, Array]:
-        """The covariance of components, (V, m, m).
-
-        Beside it stands their cross-covariance with all slots, (V, m, slots).
-        """
+        """The covariance of m components, (V, m, m), and that with all slots, (V, m, slots)."""
         rows = [self.slots[int(place)] for place in places]
         across = self.cov[:, rows]
         return across[:, :, rows], across
 
     def add(self, places: Integers, across: Array, own: Array) -> None:
-        """Take in components, given their covariance with everything and their own."""
+        """Take in d components with covariance (V, d, d) and that with all slots, (V, d, slots)."""
         while len(self.free) < len(places):
             size = self.cov.shape[-1]
             self.free.extend(range(size, 2 * size))
@@ -106,7 +113,7 @@ class _Frontier:
         self.cov[:, np.array(rows)[:, None], rows] = own
 
     def drop(self, places: list[int]) -> None:
-        """Forget components that no later CPD needs; their slots are free."""
+        """Forget components that no later CPD needs; their slots become free."""
         rows = [self.slots.pop(place) for place in dict.fromkeys(places)]
         self.cov[:, rows, :] = 0.0
         self.cov[:, :, rows] = 0.0

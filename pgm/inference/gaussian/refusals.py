@@ -9,7 +9,7 @@ from pgm.inference.gaussian.model import Model
 
 
 def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
-    """The error that measurements contradict an exact model, with the CPD to blame."""
+    """The error that measurements contradict CPDs without noise, naming the cluster and the run."""
     scope = model.layout.graph.clusters[cluster].scope
     which = f", run {run}" if model.lead else ""
     return NumericalError(
@@ -21,7 +21,7 @@ def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
 
 
 def indefinite_noise(cpd: CPD) -> NumericalError:
-    """The error that a noise covariance is not semidefinite."""
+    """The error that a CPD's noise plus its approximation error is indefinite."""
     return NumericalError(
         f"the noise of {cpd!r} plus the lineariser's approximation error is indefinite; use a "
         "rule with positive weights, or more samples",

@@ -1,4 +1,10 @@
-"""Rounds of messages: which rows each batched elimination gathers, and where its result goes."""
+"""Rounds of messages: which rows each batched elimination gathers, and where its result goes.
+
+The rows of all factors and messages stand in one buffer: the *entries* of their matrices along one
+axis, their right sides along another, with one for each *row*. An elimination gathers the rows of a
+cluster's CPDs and of messages to it by such indices, and integrates columns out. The *place* of a
+component is its index in the vector of all hidden components; its *column* that in a cluster.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +22,13 @@ from pgm.kernels.arrays import Integers
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Batched eliminations of one shape: outgoing messages, or beliefs, of some clusters.
+    """Batched eliminations of one shape: B outgoing messages, or beliefs, of some clusters.
 
-    `members` (B,) are the messages or clusters, from the factors of `clusters`, of whose columns
-    the first `drop` are integrated out. `components` (B, n) are the columns' places among all
-    hidden components, `columns` in the cluster's scope; `entries` (B, k, n), `rows` (B, k) those of
-    the factor in the buffer; `logs` (B, 1 + inputs) of log-scales, the cluster's and its messages'.
+    `members` (B,) are the numbers of messages or clusters; `clusters` (B,) those whose factors are
+    gathered, and of whose n columns the first `drop` are integrated out. `components` (B, n) are
+    the places of these columns, `columns` (B, n) their indices in the cluster's scope. In the
+    buffer the matrices are at `entries` (B, k, n), the right sides at `rows` (B, k), and the
+    log-scales at `logs` (B, 1 + inputs): the cluster's and those of the messages to it.
     """
 
     members: Integers
@@ -41,50 +48,50 @@ class Stack:
 
 @dataclass(frozen=True, eq=False)
 class Rounds:
-    """The places of the rows of a layout's factors and messages in one buffer.
+    """Where the rows of a layout's factors and messages stand in one buffer.
 
-    The factors of the CPDs come first, then the messages, each with as many rows as its sepset has
-    components, then a zero.
+    The factors of the CPDs come first, group by group, then the messages, each with as many rows as
+    its sepset has components, then a zero, at which all that is missing points.
     """
 
     layout: Layout
 
     @cached_property
     def sizes(self) -> Integers:
-        """For each message, the components of its sepset."""
+        """The number of components of each message's sepset, (messages,)."""
         sizes = [dimension(scope) for scope in self.layout.sepsets]
         return np.repeat(np.array(sizes, dtype=np.intp), 2)
 
     @cached_property
     def own_entries(self) -> Integers:
-        """The first entry of each group of CPDs, and the end."""
+        """The index of the first entry of each group of CPDs, and of the first message."""
         groups = self.layout.groups
         return np.cumsum([0, *(len(g.cpds) * g.height * g.width for g in groups)])
 
     @cached_property
     def own_rows(self) -> Integers:
-        """The first row of each group of CPDs, and the end."""
+        """The index of the first row of each group of CPDs, and of the first message."""
         return np.cumsum([0, *(len(g.cpds) * g.height for g in self.layout.groups)])
 
     @cached_property
     def entry_starts(self) -> Integers:
-        """The first entry of each message, and the zero."""
+        """The index of the first entry of each message, and of the zero."""
         return int(self.own_entries[-1]) + np.cumsum([0, *(self.sizes**2)])
 
     @cached_property
     def row_starts(self) -> Integers:
-        """The first row of each message, and the zero."""
+        """The index of the first row of each message, and of the zero."""
         return int(self.own_rows[-1]) + np.cumsum([0, *self.sizes])
 
     @cached_property
     def by_size(self) -> list[tuple[int, Integers]]:
-        """The messages of each size of sepsets."""
+        """Pairs of a size of sepsets and the numbers of its messages."""
         every = np.unique(self.sizes).tolist()
         return [(size, np.flatnonzero(self.sizes == size)) for size in every]
 
     @cached_property
     def _factors(self) -> list[list[tuple[Integers, Integers]]]:
-        """For each cluster, the information rows (rows, n) and right-hand sides of its CPDs."""
+        """For each cluster, indices of its CPDs' entries (rows, n) and right sides (rows,)."""
         found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
         starts = self.own_entries.tolist(), self.own_rows.tolist()
         for group, entry, first in zip(self.layout.groups, *starts, strict=False):
@@ -97,7 +104,7 @@ class Rounds:
 
     @cached_property
     def _arriving(self) -> list[tuple[Integers, Integers]]:
-        """For each message, its rows in the target cluster's columns, and its right-hand sides."""
+        """For each message, indices of its entries (s, n), in the target's columns, and sides."""
         found = []
         for message, target in enumerate(self.layout.directed.target.tolist()):
             size = int(self.sizes[message])
@@ -107,7 +114,11 @@ class Rounds:
         return found
 
     def _block(self, cluster: int, places: Integers, first: int, height: int) -> Integers:
-        """The entries of rows over some components, from the first on, in a cluster's columns."""
+        """Indices of entries (height, n) in a cluster's n columns.
+
+        The rows stand from `first` on, over the components at `places` only; other columns are
+        zero.
+        """
         columns = self.layout.columns[cluster]
         block = np.full((height, len(columns)), self.entry_starts[-1])
         inside = np.arange(height * places.size).reshape(height, places.size)
@@ -115,9 +126,10 @@ class Rounds:
         return block
 
     def messages(self, wanted: Sequence[int]) -> list[Stack]:
-        """Eliminations for some messages.
+        """The eliminations that compute some messages, by number.
 
-        Each sums its cluster's factors and incoming messages, save the target's.
+        Each gathers the rows of the source cluster's CPDs and of the messages to it, save the
+        target's, and integrates out what is not in the sepset.
         """
         layout, directed = self.layout, self.layout.directed
         kept = (layout.components(layout.sepsets[m // 2]).tolist() for m in wanted)
@@ -125,25 +137,26 @@ class Rounds:
         return self._stacks(zip(wanted, sources, map(directed.inputs, wanted), kept, strict=True))
 
     def beliefs(self, clusters: Iterable[int]) -> list[Stack]:
-        """The elimination of everything in some clusters, from all that they know."""
+        """The eliminations of all columns of some clusters, from CPDs and all messages to them."""
         outgoing = self.layout.directed.outgoing
         return self._stacks([(i, i, [m ^ 1 for m in outgoing[i]], []) for i in clusters])
 
     def potentials(self, clusters: Iterable[int]) -> list[Stack]:
-        """The elimination of everything in some clusters, from their CPDs alone."""
+        """The eliminations of all columns of some clusters, from their CPDs alone."""
         return self._stacks([(i, i, [], []) for i in clusters])
 
     @cached_property
     def all_beliefs(self) -> list[Stack]:
-        """The elimination of everything in every cluster."""
+        """The eliminations of all columns of every cluster; see `beliefs`."""
         return self.beliefs(range(len(self.layout.scopes)))
 
     def _stacks(self, tasks: Iterable[tuple[int, int, list[int], list[int]]]) -> list[Stack]:
-        """Lay out eliminations: tasks of a member, its cluster, messages to it, and variables kept.
+        """Lay out eliminations.
 
-        Clusters with as many components, as many of them kept, and about as many rows make one
-        stack. Their indices into the buffer put the eliminated components first; missing rows point
-        at a zero.
+        A task is a message or cluster, the cluster that it comes from, the numbers of the messages
+        to gather, and the places of the components to keep. Clusters with as many components, as
+        many of them kept, and about as many rows make one stack. Eliminated columns come first;
+        rows that one has less than another of its stack point at the zero.
         """
         count = len(self.layout.scopes)
         zero, zero_row = int(self.entry_starts[-1]), int(self.row_starts[-1])

@@ -22,9 +22,10 @@ from pgm.kernels.rows import Eliminated, Rows, eliminate
 class Buffer:
     """Factors and messages as rows; see `Rounds` for where they stand.
 
-    V runs have a matrix each and N = 1, or V = 1 matrix is for all of N runs; log-scales are (V,
-    clusters + messages + 1, N), the last zero. `coarse` and `largest` are those of the factors and
-    of all eliminations.
+    V runs have a matrix each and N = 1, or V = 1 matrix is for all of N runs. `proper` rows have
+    noise, `exact` ones are relations without it, None where there are none. Log-scales are (V,
+    clusters + messages + 1, N), the last zero. `coarse` is that of `Potentials`, and `largest` the
+    largest entry of all factors and eliminations, by which digits are estimated (`certificate`).
     """
 
     rounds: Rounds
@@ -37,7 +38,7 @@ class Buffer:
 
     @classmethod
     def make(cls, rounds: Rounds, model: Model) -> Buffer:
-        """A buffer in which nothing stands yet; see `refresh`."""
+        """A buffer of zeros; see `refresh`."""
         stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
         entries, rows = int(rounds.entry_starts[-1]) + 1, int(rounds.row_starts[-1]) + 1
         logs = len(rounds.layout.scopes) + len(rounds.layout.directed) + 1
@@ -45,7 +46,7 @@ class Buffer:
         return cls(rounds, model, proper, None, np.zeros((stacked, logs, sides)))
 
     def refresh(self) -> None:
-        """Take the CPDs' factors as they are linearised; messages stay."""
+        """Put in the CPDs' factors as they are linearised now; the messages stay."""
         potentials = make_potentials(self.model)
         self.coarse = float(np.maximum(self.coarse, potentials.coarse))
         own = potentials.proper
@@ -64,16 +65,20 @@ class Buffer:
         np.add.at(self.log_scale.swapaxes(0, 1), clusters, potentials.log_scale.swapaxes(0, 1))
 
     def factor(self, stack: Stack) -> Rows:
-        """The factors of a stack, products of clusters' CPDs and messages: (V, B, k, n)."""
+        """The factors that a stack gathers, CPDs and messages of B clusters: (V, B, k, n)."""
         return self._rows(stack.entries, stack.rows)
 
     def _rows(self, entries: Integers, rows: Integers) -> Rows:
-        """The rows at some entries and sides of the buffer, with exact relations if it has any."""
+        """The rows at some entries (B, k, n) and sides (B, k), with exact ones if there are any."""
         exact = () if self.exact is None else self.exact.at(entries, rows)
         return Rows(*self.proper.at(entries, rows), *exact)
 
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
-        """The rows that remain after a batch's QR elimination, and their log-scale, (V, B, N)."""
+        """Integrate the first columns out of a stack's factors; log-scales are (V, B, N).
+
+        A log-scale is g of the factor exp(g − ½ ‖A ξ − r‖²) that is left, for integrals in the
+        user's units. Exact relations that contradict one another are a NumericalError.
+        """
         done = eliminate(self.factor(stack), stack.drop)
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():
@@ -84,17 +89,17 @@ class Buffer:
         return done, known + done.log_scale + unit[:, None]
 
     def out(self, messages: Integers, size: int) -> tuple[Integers, Integers]:
-        """Indices of matrices (B, s, s) and right-hand sides (B, s) of messages of size s."""
+        """Indices of the entries (B, s, s) and right sides (B, s) of messages of size s."""
         inside = np.arange(size * size).reshape(size, size)
         entries = self.rounds.entry_starts[messages][:, None, None] + inside
         return entries, self.rounds.row_starts[messages][:, None] + np.arange(size)
 
     def messages(self, messages: Integers, size: int) -> Rows:
-        """The messages of one size as they are kept, (V, B, s, s)."""
+        """The stored messages of some numbers, all of one size, (V, B, s, s)."""
         return self._rows(*self.out(messages, size))
 
     def store(self, stack: Stack, rest: Rows, log_scale: Array | None) -> None:
-        """Store a stack of messages."""
+        """Store a stack of messages, and their log-scales unless they are None."""
         entries, rows = self.out(stack.members, stack.kept)
         self.proper.put(entries, rows, rest.matrix, rest.right)
         if self.exact is not None and rest.exact is not None and rest.exact_right is not None:
@@ -105,7 +110,10 @@ class Buffer:
             self.log_scale[:, len(self.rounds.layout.scopes) + stack.members] = log_scale
 
     def require_finite(self, done: Array, clusters: Iterable[int]) -> None:
-        """Refuse a belief that does not exist."""
+        """Raise a NumericalError that names the first cluster with a value that is not finite.
+
+        `done` (V, clusters, N) are the log-scales of the beliefs.
+        """
         if np.isfinite(done).all():
             return
         bad = ~np.isfinite(done).all(axis=(0, *range(2, done.ndim)))

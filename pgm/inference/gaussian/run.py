@@ -44,7 +44,7 @@ def run(
     lineariser: Lineariser,
     start: Start | None,
 ) -> GaussianPosterior:
-    """Send the messages of a schedule; see `pgm.infer`."""
+    """The posterior of a Gaussian network, by the messages of a schedule; see `pgm.infer`."""
     network = graph.network
     require_gaussian(network.cpds, "Gaussian beliefs")
     require_plain(network.cpds)
@@ -77,7 +77,12 @@ def _solved(
     again: bool,
     judge: Judge,
 ) -> GaussianPosterior:
-    """The solution in float64, or where that loses too many digits, `again` in twice as many."""
+    """The posterior in float64, or where that keeps too few digits or fails, in decimals.
+
+    Only if `again` is it calculated in decimals, as small networks are; else a failure is raised,
+    and for too few digits the status has their number, and warns. `at` are the means of a start,
+    (runs, size), or None.
+    """
     loopy = isinstance(schedule, Loopy)
     try:
         model = Model.make(plan.layout, bound, lineariser, at, judge=judge)
@@ -120,12 +125,12 @@ def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) ->
 def _plan(
     graph: ClusterGraph, observed: frozenset[Variable], absent: frozenset[Variable]
 ) -> TreePlan:
-    """The plan of messages of a tree, for evidence of these variables; made once for a graph."""
+    """The plan of a tree's messages for evidence of some variables; the graph keeps it."""
     return TreePlan(Layout(graph, observed, absent))
 
 
 def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
-    """The posterior of a graph with loops: messages are sent until none changes."""
+    """The posterior of a graph with loops: rounds of messages until none changes."""
     graph, model = plan.layout.graph, buffer.model
     messages = RowMessages.make(buffer, plan.places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
@@ -138,22 +143,26 @@ class _Tree:
     solver: Callable[[], Calibrated]
 
     def linearise(self, at: TreePoint, active: Mask) -> None:
-        """Linearise every CPD anew at its cluster's belief, for the active runs."""
+        """Linearise every nonlinear CPD anew at its cluster's belief, for the active runs."""
         relinearise(at.beliefs, self.model, active)
 
     def settled(self) -> bool:
-        """Nothing but points of linearisation changes."""
+        """Whether the model is the one asked for: always, only its linearisation changes."""
         return True
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
-        """Calibrate the tree with the CPDs as they are linearised now."""
+        """Calibrate the tree with the CPDs as they are linearised now; an anchor is not taken."""
         return self.solver()
 
 
 def _iterated(
     model: Model, solver: Callable[[], Calibrated], schedule: Schedule | None
 ) -> tuple[Calibrated, Status]:
-    """Solve, linearise at the beliefs, and solve again, until the means stay."""
+    """Solve, linearise at the beliefs, and solve again, until the means stay.
+
+    They stay when no mean moves by more than the schedule's tolerance in standard deviations; its
+    iterations are the most linearisations. `solver` solves the model as it is linearised.
+    """
     asked = schedule if isinstance(schedule, Calibration) else Calibration()
     tree, exact = _Tree(model, solver), np.full(model.runs, model.exact)
     done = tree.solve()
@@ -170,7 +179,11 @@ def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
 
 
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
-    """Means of all hidden components, (runs, size); NaN of a child without one or children."""
+    """The means of all hidden components at a start, (runs, size).
+
+    They are NaN for a variable that the start lacks, which has to be without children, or is an
+    EvidenceError.
+    """
     require_hidden(start, layout.places)
     mean = np.full((bound.runs, layout.size), np.nan)
     parents = {v for group in layout.groups for cpd in group.cpds for v in cpd.given}

@@ -1,8 +1,9 @@
 """Calibrating a tree: rows are eliminated towards the roots, moments pushed back.
 
-Upward, each cluster integrates out what its parent does not know and keeps its conditional; that
-is a sparse QR factorisation. Downward, the parent's moments go through the conditional. Nothing
-is divided or subtracted, and covariances may be singular.
+Upward, each cluster integrates out the components r that are not in the sepset s with its parent,
+and keeps their conditional, r = G s + offset + noise; that is a sparse QR factorisation. Downward,
+the parent's moments of s go through the conditional. Nothing is divided or subtracted, and
+covariances may be singular.
 """
 
 from __future__ import annotations
@@ -27,18 +28,18 @@ CERTAIN = 1e-28
 
 @dataclass(frozen=True, eq=False)
 class TreePlan:
-    """The rounds of both passes: for each depth, deepest first, stacks of one shape."""
+    """The rounds of both passes over a tree, and where rows and moments stand."""
 
     layout: Layout
 
     @cached_property
     def rounds(self) -> Rounds:
-        """The places of rows."""
+        """Where the rows of factors and messages stand in the buffer."""
         return Rounds(self.layout)
 
     @cached_property
     def places(self) -> Places:
-        """The places of moments."""
+        """Where the moments of clusters stand in `Beliefs`."""
         return Places(self.layout)
 
     @cached_property
@@ -48,14 +49,14 @@ class TreePlan:
 
     @cached_property
     def levels(self) -> list[list[Stack]]:
-        """The messages to parents, depth by depth; the roots' beliefs last."""
+        """Stacks of messages to parents by depth, deepest first; last of the roots' beliefs."""
         *below, roots = reversed(self.forest.levels)
         found = [self.rounds.messages(self.upward[level].tolist()) for level in below]
         return [*found, self.rounds.beliefs(roots.tolist())]
 
     @cached_property
     def upward(self) -> Integers:
-        """The message of each cluster to its parent, (clusters,); −1 of a root."""
+        """The number of each cluster's message to its parent, (clusters,); −1 of a root."""
         source, target = self.layout.directed.source, self.layout.directed.target
         found = np.full(len(self.forest.parent), -1)
         messages = np.flatnonzero(self.forest.parent[source] == target)
@@ -64,7 +65,7 @@ class TreePlan:
 
     @cached_property
     def senders(self) -> dict[int, tuple[int, int, int]]:
-        """For each cluster with a parent, where its message stands: level, stack and row."""
+        """For each cluster with a parent, where `levels` has its message: level, stack and row."""
         return {
             cluster: (level, k, row)
             for level, stacks in enumerate(self.levels[:-1])
@@ -81,7 +82,10 @@ class TreePlan:
 
     @cached_property
     def separators(self) -> list[list[tuple[Integers, Integers]]]:
-        """For each stack of messages, where the sepsets' moments stand in the parents."""
+        """For each stack of messages, where `Beliefs` has the sepsets' moments, in the parents.
+
+        They are flat indices of means (B, s) and covariances (B, s, s); see `Places.of`.
+        """
         parent = self.forest.parent
         return [
             [
@@ -94,13 +98,20 @@ class TreePlan:
 
 @dataclass(frozen=True, eq=False)
 class TreeBeliefs(Beliefs):
-    """Moments of a tree's clusters, and their gains from their parents', (V, B, r, s) by stack."""
+    """Moments of a tree's clusters, with the gains G of the upward pass, (V, B, r, s).
+
+    gains[level][stack] are the regressions of components r on the sepset with the parent.
+    """
 
     gains: list[list[Array]]
 
 
 def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
-    """Send the messages of both passes, of the CPDs as they are linearised."""
+    """The beliefs of a tree, and ln p(evidence): both passes, with the CPDs as linearised now.
+
+    Measurements that contradict CPDs without noise, and a belief that is not proper, are a
+    NumericalError.
+    """
     buffer.refresh()
     kept: list[list[Eliminated]] = []
     stacked, _, sides = buffer.proper.right.shape
@@ -141,7 +152,7 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
 
 
 def _certain(cov: Array) -> Array:
-    """Covariances with variances that are only rounding set to zero, with their covariances."""
+    """Covariances in which variances that are only rounding are zero, and so their covariances."""
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) > CERTAIN
     if open_.all():
         return cov

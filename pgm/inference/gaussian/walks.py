@@ -21,10 +21,18 @@ from pgm.inference.gaussian.messages import RowMessages
 MOST = 1000
 
 
+def shown(radius: float) -> str:
+    """A spectral radius in three or four digits, or 1 and its difference from 1 where it rounds."""
+    text = f"{radius:.4g}" if radius < 1.0 else f"{radius:.3g}"
+    if text != "1" or radius == 1.0:
+        return text
+    return f"1 {'+' if radius > 1.0 else '−'} {abs(radius - 1.0):.1g}"
+
+
 def spectral_radius(messages: RowMessages, run: int) -> float | None:
     """Spectral radius ρ(|R|) of one run's partial correlations; walk-summable if below 1.
 
-    None where there are too many components, or J does not exist, as with CPDs without noise.
+    None where there are more than 1000 components, or J does not exist, as with CPDs without noise.
     """
     layout = messages.buffer.rounds.layout
     if layout.size > MOST:

@@ -40,7 +40,10 @@ def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any
 def _by_row(
     lattice: Lattice, reading: Reading, cpd: UnidentifiedCPD, values: npt.NDArray[Any]
 ) -> Iterator[Array]:
-    """The associations (runs, k + 2) of each sighting of a reading, one after another."""
+    """The associations (runs, k + 2) of each sighting of a reading, one after another.
+
+    `values` are the beliefs (runs, T + 1, *cells).
+    """
     for row, step in enumerate(reading.step.tolist()):
         yield np.stack(
             [_responsible(lattice, reading, cpd, row, k, v[step]) for k, v in enumerate(values)]
@@ -62,6 +65,7 @@ def _responsible(
     """
 
     def of(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The entry of an array of the reading, (rows, runs or 1, ...), at this row and run."""
         return np.asarray(rows[row, run if rows.shape[1] > 1 else 0])
 
     total = np.zeros(len(cpd.candidates) + 2)

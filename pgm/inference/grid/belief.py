@@ -29,7 +29,8 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
     """Base of beliefs by point masses: grid cells or particles.
 
     `components` are the n components that it is over, `lead` the leading axes of independent
-    beliefs, (...): runs, then steps, where `steps` has their numbers.
+    beliefs, (...): runs, then steps, where `steps` has their numbers. `_parts` are objects, one a
+    component, with its `label` and whether it is an `angle`.
     """
 
     components: tuple[str, ...]

@@ -4,7 +4,8 @@ The weight of a target centre is the transition density there times the volume o
 a source cell's weights approximates an integral that is one; how far it may be off is found by
 shifting the target centres by parts of a cell, as the sum's variation. Near the bounds the sum goes
 on beyond them. A sum that differs from one by no more than the variation explains is normalised
-away; what is missing besides has left the bounds and stays missing.
+away; what is missing besides has left the bounds and stays missing. A window is a span of cells
+along each axis.
 """
 
 import math
@@ -185,14 +186,15 @@ class DensityGroup(Members):
 
 
 class _Maker:
-    """The weights of a group at a step of a run, from the cells of a window.
+    """The maker of a group's weights at a step of a run, from the cells of a window to all cells.
 
-    by: The axes depended on that are not moved.
-    own: The moved axes, where the density depends on them at the step before; otherwise none.
-    share: How much sums over centres have been found to vary, as of `Uneven`.
+    by: The axes depended on that are not moved, ascending.
+    own: All moved axes, if the density depends on one of them at the step before; otherwise none.
+    share: The largest difference found so far between sums of a source cell's weights over centres
+        shifted within a cell, each of which approximates one.
 
-    Source cells are those along `by` and `own`, flattened. Singular noise is refused by a
-    ModelError.
+    A source cell is one of the window's places along `by` and `own`, numbered flat in this order.
+    Singular noise of a Gaussian part is refused by a ModelError.
     """
 
     def __init__(self, group: DensityGroup, step: int, run: int, window: Window) -> None:
@@ -284,11 +286,11 @@ class _Maker:
         return found
 
     def _log_density(self, base: Array, later: Array) -> Array:
-        """The sum of the CPDs' log-densities, ln p(later | base), (n,).
+        """The sum of the log-densities of the group's CPDs, ln p(later | base), (n,).
 
-        base: Points of the step before, (n, axes).
-        later: Points of the step, (n, axes), at which the children and parents of the same step
-            stand.
+        base: Points of the step before, (n, axes of the lattice).
+        later: Points of the step, (n, axes of the lattice), at which the children and parents of
+            the same step stand.
         """
         points = dict(self.lattice.values(later))
         children = dict(points)

@@ -1,6 +1,7 @@
 """Sensors by their density, which is asked for at the centres of a window, some at a time.
 
 A measurement z is a row of the sensor's `Reading`, in a run; its density at a centre x is p(z | x).
+A window is a span of cells along each axis.
 """
 
 import math

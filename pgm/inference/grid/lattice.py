@@ -241,8 +241,8 @@ def _component(
 def _axis(variable: Variable, place: int, label: str, extent: Extent) -> Axis:
     """A component's axis with cells of equal width; an angle's covers the circle.
 
-    The extent is to be a number of cells of an angle, and (lo, hi, cells) of other components; a
-    ModelError says which is due.
+    `place` is the index of the component in its variable. The extent is to be a number of cells of
+    an angle, and (lo, hi, cells) of other components; a ModelError says which is due.
     """
     angle = variable.components[place] in variable.angles
     if angle != isinstance(extent, int):

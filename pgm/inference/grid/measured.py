@@ -2,7 +2,7 @@
 
 A measurement is given by its row in the sensor's `Reading`, where rows are sorted by step, and by
 its run. h(c) is the sensor's function, the expected measurement, at the centre of cell c; R is the
-covariance of its noise.
+covariance of its noise. A window is a span of cells along each axis.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Moves of mixtures: the weighted sum of what a mixture's parts do to the same states."""
+"""Moves of mixtures: the weighted sum of what a mixture's parts do to the same states.
+
+A window is a span of cells along each axis; arrays are over the cells of one.
+"""
 
 from __future__ import annotations
 
@@ -132,7 +135,11 @@ class MixedGroup(Members):
     weights: Array = field(default_factory=lambda: np.ones(1))
 
     def mixed(self, steps: Sequence[Step]) -> Mixed:
-        """The sum of steps, one for each part, weighted by the parts' probabilities."""
+        """The sum of the parts' steps, weighted by the parts' probabilities.
+
+        `steps` has one for each part, in the order of `parts`, all from the same source window. The
+        sum's target is the smallest window that contains all of theirs.
+        """
         target = []
         for k, axis in enumerate(self.lattice.axes):
             target.append(_around([step.target[k] for step in steps], axis.cells, axis.angle))

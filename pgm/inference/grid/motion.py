@@ -6,7 +6,8 @@ each axis being moved before those on which it depends, a step is products of ma
 axis after another: of one matrix, where the displacement is the same everywhere; of one matrix for
 each heading, where it depends on the heading alone. Otherwise every cell is split on its own
 neighbours, and blurred by what is left of the variance. Noise that enters through hidden controls,
-and correlated noise, is summed over the nodes of a quadrature.
+and correlated noise, is summed over the nodes of a quadrature. A window is a span of cells along
+each axis.
 """
 
 import math
@@ -106,7 +107,10 @@ class Motion:
         noises = [np.zeros(spread.size), *(drawn if spread.size else ())]
 
         def values(before: Array, after: Array) -> Array:
-            """The displacements (n, noises, axes) at points of the step before and of this one."""
+            """The displacements (n, noises, axes of the group), in cells, without and with noise.
+
+            before, after: Points (n, axes of the lattice) of the step before and of this one.
+            """
             shape = len(before), spread.size
             each = [
                 group.displacement(before, after, np.broadcast_to(noise, shape), spread, step, run)
@@ -165,8 +169,11 @@ def _slack(lattice: Lattice, group: Group) -> Array:
 
 
 class _Maker:
-    """The operators of a group of Gaussian CPDs, at a step of a run.
+    """The maker of the operators that move a group of Gaussian CPDs, at a step of a run.
 
+    source: The window of the belief at the step before, in which the dependence is tested.
+
+    dependence: The axes on which the group's displacements depend.
     noise: The nodes of a quadrature over the white noise that displacements share, (nodes, size).
     nodes: The weights of these nodes, (nodes,).
     """
@@ -185,7 +192,11 @@ class _Maker:
         self.noise, self.nodes = quadrature(group, self.spread, step, run)
 
     def operators(self, window: Window) -> tuple[Window, list[Operator]]:
-        """The window that the group's move reaches from another, and the operators between."""
+        """The window that the group's move reaches from another, and the operators between.
+
+        `window` is that which the groups moved before it have reached. Where nothing moves it is
+        returned as it is, without operators.
+        """
         order = self._order()
         if order is None:
             return self._split(window)
@@ -225,8 +236,9 @@ class _Maker:
         """The places of the group's axes in the order in which they are moved along one at a time.
 
         None where they have no such order, or matrices or kernels would be too large: cells are
-        split then. Splitting takes no dependence on the same step within the group; that is refused
-        by a ModelError where there is no order.
+        split then. Splitting takes no dependence on the same step within the group: with one, a
+        ModelError refuses what has no order, matrices that are too large, and kernels that memory
+        would not hold.
         """
         import networkx as nx  # here, since it is slow to import
 

@@ -1,11 +1,12 @@
 """Operators that move probabilities on a lattice, and their exact transposes.
 
 They take an array of the probabilities at the cells of a source window to one at those of a target
-window; what leaves an interval is lost. Displacements are in cells, variances in squared cells. A
-kernel is the distribution of a displacement over whole numbers of cells, its weights are the taps.
-A displacement of variance s² whose fractional part is f spreads over f(1 − f) at least: where s² is
-less, the lattice adds f(1 − f) − s². Noise that several displacements share is summed over the
-nodes of a quadrature, each with a weight; the weights sum to one.
+window; what leaves an interval is lost. A window is a span of cells along each axis. Displacements
+are in cells, variances in squared cells. A kernel is the distribution of a displacement over whole
+numbers of cells, its weights are the taps. A displacement of variance s² whose fractional part is f
+spreads over f(1 − f) at least: where s² is less, the lattice adds f(1 − f) − s². Noise that several
+displacements share is summed over the nodes of a quadrature, each with a weight; the weights sum to
+one.
 """
 
 import itertools

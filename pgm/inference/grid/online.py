@@ -15,6 +15,7 @@ from pgm.evidence import BoundEvidence
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
 from pgm.inference.associations import by_density
+from pgm.inference.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.inference.grid.belief import GridBelief, scope_axes
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.run import require_room
@@ -23,7 +24,6 @@ from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.online import step_evidence
 from pgm.inference.posterior import require_variable
-from pgm.inference.status import FILTERED, PREDICTED, Kind
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork

@@ -15,6 +15,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.inference.associations import Found
+from pgm.inference.belief_kind import FILTERED, Kind
 from pgm.inference.grid.associations import associations
 from pgm.inference.grid.belief import GridBelief, PointMassBelief, require_step, scope_axes
 from pgm.inference.grid.lattice import Lattice
@@ -22,7 +23,6 @@ from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.labelled import Labelled
 from pgm.inference.posterior import require_variable
-from pgm.inference.status import FILTERED, Kind
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable

@@ -59,8 +59,9 @@ def error(
 ) -> float:
     """The expected square of the error, in nats, of the log-evidence of a step's measurements.
 
-    predicted: The predicted probabilities of a window's cells.
+    predicted: The predicted probabilities of the window's cells.
     found: The weights of the step's measurements in this window.
+    window: The cells in use, a span along each axis.
 
     Zero where nothing was measured, the belief is wide for the cells, or no axis can be shifted.
     """

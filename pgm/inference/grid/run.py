@@ -12,6 +12,7 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
+from pgm.inference.belief_kind import SMOOTHED, Kind
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.slices import GridModel, GridSlices, Worst
@@ -20,7 +21,6 @@ from pgm.inference.grid.value import Grid
 from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.schedule import Schedule
-from pgm.inference.status import SMOOTHED, Kind
 from pgm.kernels.arrays import Array
 from pgm.progress import counted
 from pgm.resources import NUMBER, gibibytes, require_memory

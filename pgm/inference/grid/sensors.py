@@ -3,7 +3,7 @@
 A sensor's function is called with as few centres as tell all its values: one stands for all along
 axes on which it does not depend. Where it is a sum h(x) = f(other axes) + g(circles), as a bearing
 less a heading is, it is called for f and for g; whether it is such a sum is tested at every centre
-once, and at some of them with each measurement.
+once, and at some of them with each measurement. A window is a span of cells along each axis.
 """
 
 from collections.abc import Callable, Sequence
@@ -169,8 +169,8 @@ class GridSensor(MeasuredSensor):
     ) -> frozenset[int]:
         """The circles on which h depends by a sum, h(x) = f(other axes) + g(circles).
 
-        None are returned if it is no such sum. That is tested at every centre the first time, then
-        at some cells (n, axes).
+        None are returned if it is no such sum, or depends on no axis but circles. That it is a sum
+        is tested at every centre the first time, then at some cells (n, axes).
         """
         shape = self.shape
         if shape.turning is None:

@@ -297,7 +297,10 @@ class GridSlices:
             self.unresolved += resolution.error(*given)
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise an EvidenceError for measurements of probability zero under a predicted belief."""
+        """Raise an EvidenceError for measurements of probability zero under a predicted belief.
+
+        It names the run of these slices; `belief` and `run`, which other slices need, are not used.
+        """
         read = [s.reading.cpd.child for s in self.model.sensors if len(s.rows(step))]
         raise EvidenceError(
             f"the measurements of {listed(read)} at step {step}, run {self.run}, are impossible: "

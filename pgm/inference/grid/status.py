@@ -269,6 +269,7 @@ class GridStatus(Shown, Immutable):
 
     @property
     def _parts(self) -> list[str]:
+        """What the title says, phrase by phrase, the probability that has left first."""
         parts = [f"outside {float(self.outside.max(initial=0.0)):.2g}"]
         parts += [
             f"variance added to {name} {float(value.max()):.2g}"

@@ -186,9 +186,22 @@ class StateChain(BackwardChain):
         totals = self.total(joint)
         possible = totals > self.semiring.zero
         if not (possible.all() if self.batch else possible):
-            self.slices.refuse(step, belief, int(np.argmin(possible)))
+            joint, totals = self.contradicted(step, belief, joint, totals)
         known: Array = self.semiring.over(joint, totals)
         return known, self.semiring.logs(totals) + log_scale
+
+    def contradicted(
+        self, step: int, belief: Array, joint: Array, totals: Array
+    ) -> tuple[Array, Array]:
+        """What `take` goes on with where measurements are impossible in some run.
+
+        belief: Of the step, predicted, (*states, *runs).
+        joint: It times the weights of the measurements.
+        totals: The sums of `joint` over the states, (*runs), some of them zero.
+
+        Returns `joint` and `totals`, or others in their place; here an `EvidenceError` is raised.
+        """
+        self.slices.refuse(step, belief, int(np.argmin(totals > self.semiring.zero)))
 
     def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
         """Keep the filtered belief of a step and its log-density; the predicted belief is dropped.

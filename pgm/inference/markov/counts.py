@@ -48,7 +48,7 @@ def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Arr
 
 
 def _by_run(belief: Array, batch: int) -> Array:
-    """A belief (*states, [runs]) as (runs, *states)."""
+    """A belief (*states, [runs]) as (runs, *states); `batch` counts its axes of runs, 1 or 0."""
     return np.moveaxis(belief, -1, 0) if batch else belief[None]
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from pgm.factors.axes import States, sizes
+from pgm.inference.belief_kind import Kind
 from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.plan import SlicePlan, TableSlices
-from pgm.inference.status import Kind
 from pgm.kernels.arrays import Array
 
 
@@ -37,12 +37,14 @@ def potential(
 ) -> tuple[Array, Array | None, Array | float]:
     """The transition into a step, or the prior, and the weights of the step's measurements.
 
+    These are of the evidence as it was given, in runs where that is impossible too.
+
     Returns, in entries of the chain's semiring: p(slice | states before), (*states, *slice, *runs),
     or at step 0 p(states), (*slice, *runs); the weights, (*slice, *runs), None where nothing is
     measured; the log-scale of the weights.
     """
     slices: Any = chain.slices
-    weights, log_scale = slices.likelihood(step)
+    weights, log_scale = slices.given_likelihood(step)
     if not step:
         return slices.prior(), weights, log_scale
     runs = chain.known[0].shape[len(plan.shape) :]
@@ -93,7 +95,11 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
 
 
 def _behind(values: Array, axes: int, passed: int) -> Array:
-    """Values over a slice, with axes of length one for the variables of earlier slices."""
+    """Values over a slice, with axes of length one for variables of earlier slices behind its own.
+
+    values: (*slice, *runs), with `axes` axes of the slice; they become (*slice, 1..., *runs).
+    passed: How many variables of earlier slices there are.
+    """
     return values.reshape(*values.shape[:axes], *(1,) * passed, *values.shape[axes:])
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from pgm.display import NoArray, Shown, Summary
 from pgm.factors import Table
 from pgm.factors.axes import discrete
+from pgm.inference.belief_kind import Kind
 from pgm.inference.chain.marginals import located
 from pgm.inference.markov.plan import SlicePlan
-from pgm.inference.status import Kind
 from pgm.inference.summaries import marginals_over_time
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Variable

@@ -48,7 +48,7 @@ def _axes(controls: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _by_run(values: Array, batch: int) -> Array:
-    """Values (..., [runs]) with the axis of runs first; a single run without one gets it."""
+    """Values (..., [runs]) as (runs, ...); `batch` counts their axes of runs, 1 or 0."""
     return np.moveaxis(values, -1, 0) if batch else values[None]
 
 
@@ -104,7 +104,12 @@ def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
 
 
 def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Integers | None:
-    """The states of a parent in the same slice, (runs,); None for a parent in the slice before."""
+    """The states of a map's parent in the same slice, (runs,); None if it is in the slice before.
+
+    labels: The map's parent and child, see `SlicePlan.labels`.
+    states: Of the variables of the slice, (variables, runs).
+    count: The number of these variables; labels from it on are of the slice before.
+    """
     return states[labels[0]] if labels[0] < count else None
 
 
@@ -131,7 +136,13 @@ def _columns(move: Move, children: Integers, parents: Integers | None) -> Array:
 
 
 def _selected(table: Array, labels: tuple[int, ...], states: Integers, count: int) -> Array:
-    """A table of logarithms at the known states of its slice, (runs, *parents before)."""
+    """A table of logarithms at the known states of its slice, (runs, *parents before).
+
+    table: (size of each label..., [runs]); without an axis of runs it is that of all runs.
+    labels: The variables of its axes, see `SlicePlan.labels`.
+    states: Of the variables of the slice, (variables, runs).
+    count: The number of these variables; labels from it on are of the slice before.
+    """
     runs = states.shape[1]
     before = [k for k, x in enumerate(labels) if x >= count]
     now = [k for k, x in enumerate(labels) if x < count]

@@ -16,13 +16,13 @@ from pgm.display import InCode, titled
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
+from pgm.inference.belief_kind import FILTERED, PREDICTED
 from pgm.inference.markov.chain import TINY, StateChain
 from pgm.inference.markov.online_beliefs import Held, OnlineStates, Passed
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.run import require_beliefs
 from pgm.inference.online import step_evidence
 from pgm.inference.schedule import Filtering, FixedLag
-from pgm.inference.status import FILTERED, PREDICTED
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
 from pgm.linearisers import TAYLOR

@@ -17,10 +17,11 @@ from pgm.factors import Table
 from pgm.factors.axes import discrete
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
+from pgm.inference.belief_kind import Kind
 from pgm.inference.markov.chain import TINY, BackwardChain, smallest
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import require_variable
-from pgm.inference.status import Kind, Status
+from pgm.inference.status import Status
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring

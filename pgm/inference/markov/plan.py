@@ -16,14 +16,14 @@ import numpy as np
 
 from pgm.compile import SliceLayout
 from pgm.cpds import TableCPD
-from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
 from pgm.factors.axes import discrete, sizes
 from pgm.factors.scope import in_run
+from pgm.inference.impossible import ImpossibleEvidence
 from pgm.inference.markov.contraction import Contraction, Factor, Label, Move
 from pgm.inference.markov.input_tables import InputTables, smallest_entry
 from pgm.inference.markov.weights import Weights
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.kernels.stochastic import Dense
 from pgm.variables import Variable
@@ -224,10 +224,17 @@ class TableSlices:
     semiring: Of the entries: `SUM_PRODUCT`, unless made by `within`.
     rows: The tables of each transition CPD.
     weights: Those of each sensor's measurements.
+    of_runs: Advice that an error for impossible measurements adds where there are axes of runs.
+    lost: ([runs]), from `until`: the step from which on a run's measurements are left out; T + 1 of
+        a run that keeps all. None if all do.
     """
 
-    def __init__(self, plan: SlicePlan, bound: BoundEvidence, first: int = 1) -> None:
-        self.plan, self.bound, self.first = plan, bound, first
+    lost: Integers | None = None
+
+    def __init__(
+        self, plan: SlicePlan, bound: BoundEvidence, first: int = 1, of_runs: str = ""
+    ) -> None:
+        self.plan, self.bound, self.first, self.of_runs = plan, bound, first, of_runs
         self.semiring = SUM_PRODUCT
         self.steps, self.lead = bound.steps, bound.lead
         self.rows = [
@@ -243,6 +250,12 @@ class TableSlices:
         other = copy.copy(self)
         other.semiring = semiring
         other.__dict__.pop("_fixed", None)
+        return other
+
+    def until(self, lost: Integers) -> TableSlices:
+        """The same slices without the measurements of each run from step `lost` on."""
+        other = copy.copy(self)
+        other.lost = lost
         return other
 
     @property
@@ -318,6 +331,16 @@ class TableSlices:
 
         Log-scales are (steps, [runs]). The largest weight of each step and run is one.
         """
+        found, scales = self._given_weights_of(part)
+        if self.lost is not None:
+            left_out = self.lost <= np.array(part).reshape(-1, *(1,) * self.lost.ndim)
+            axes = tuple(range(1, len(self.plan.shape) + 1))
+            np.copyto(found, 1.0, where=np.expand_dims(left_out, axes))
+            np.copyto(scales, 0.0, where=left_out)
+        return found, scales
+
+    def _given_weights_of(self, part: range) -> tuple[Array, Array]:
+        """As `weights_of`, but of all measurements given, whatever `lost` is, as new arrays."""
         if len(self.weights) == 1 and self.weights[0].shape == self.plan.shape:
             picked = self.weights[0].picked(part)
             if picked is not None:
@@ -337,7 +360,7 @@ class TableSlices:
 
     @cached_property
     def _fixed(self) -> dict[str, list[Factor]]:
-        """The factors of each contraction, where they are the same at all steps."""
+        """The cache of `factors`, by `way`; it is filled where no CPD has inputs."""
         return {}
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
@@ -346,6 +369,14 @@ class TableSlices:
         p(z_t | x) is the weights, which broadcast with a belief, times the exponential of the
         scale.
         """
+        found, log_scale = self.given_likelihood(step)
+        if found is None or self.lost is None:
+            return found, log_scale
+        left_out = self.lost <= step
+        return np.where(left_out, self.semiring.one, found), np.where(left_out, 0.0, log_scale)
+
+    def given_likelihood(self, step: int) -> tuple[Array | None, Array | float]:
+        """As `likelihood`, but of all measurements given, whatever `lost` is."""
         found: Array | None = None
         log_scale: Array | float = 0.0
         for own, scale in self._weights_at(step):
@@ -370,29 +401,30 @@ class TableSlices:
                     yield own, weights.log_scale(row) if self.semiring.linear else 0.0
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise `EvidenceError`: under a predicted belief, a step's measurements are impossible.
+        """Raise `ImpossibleEvidence` for measurements that a predicted belief makes impossible.
 
         `run` counts the flattened runs. The error names the sensor of the first measurement that
-        leaves no state possible.
+        leaves no state of it possible, and has all runs that are lost at this step.
         """
         left, culprit = belief, None
         for weights in self.weights:
             for row in weights.at(step):
                 own = weights.row(row, self.semiring)
-                if own is None or culprit is not None:
+                if own is None:
                     continue
                 left = self.semiring.times(left, own)
-                if (left[..., run] if self.lead else left).max() == self.semiring.zero:
+                here = (left[..., run] if self.lead else left).max()
+                if culprit is None and here == self.semiring.zero:
                     culprit = weights.cpd
-        where = ""
-        if self.lead:
-            where = in_run((np.arange(self.bound.runs) == run).reshape(self.lead))
+        lost = np.asarray(left.max(axis=tuple(range(len(self.plan.shape)))) == self.semiring.zero)
+        where = in_run(lost.reshape(self.lead))
         variable = None if culprit is None else culprit.child
-        raise EvidenceError(
+        raise ImpossibleEvidence(
             f"the measurement of {variable!r} at step {step} has probability zero given those "
-            f"before it{where}. {ADVICE}",
+            f"before it{where}. {ADVICE}{self.of_runs if self.lead else ''}",
+            lost,
+            self.lead,
             variable=variable,
             cpd=culprit,
             step=step,
-            run=run if self.lead else None,
         )

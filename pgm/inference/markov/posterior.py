@@ -15,16 +15,18 @@ from pgm.errors import GraphError
 from pgm.factors import Table
 from pgm.factors.axes import discrete, sizes
 from pgm.factors.scope import Scope
+from pgm.inference.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.chain.marginals import require_at_steps
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
+from pgm.inference.markov.impossible_runs import blank, blanked
 from pgm.inference.markov.joints import joint, pair, potential
 from pgm.inference.markov.marginals import Beliefs, StateMarginals
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
-from pgm.inference.status import FILTERED, PREDICTED, SMOOTHED, Kind, Status
+from pgm.inference.status import Status
 from pgm.inference.summaries import over_time
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.variables import Variable
 
 
@@ -34,6 +36,11 @@ class StatePosterior(Posterior):
 
     ``posterior[x]`` is a stacked `Table` whose last leading axis is of steps: states at 0..T,
     hidden controls at 1..T; ``posterior[x.at(3)]`` is that of one step. Leading axes are runs.
+
+    With ``impossible="allow"``, a run whose measurements have probability zero has a log-evidence
+    of −∞ and NaN for each belief, joint or message that knows the first impossible one: filtered
+    beliefs before its step stay, smoothed ones are NaN at all steps. `potential` is of the evidence
+    as it was given.
 
     Attributes
     ----------
@@ -93,19 +100,31 @@ class StatePosterior(Posterior):
     def _marginals(self, beliefs: Beliefs, kind: Kind) -> StateMarginals:
         return StateMarginals(self._plan, beliefs, self._lead, kind)
 
+    @property
+    def _lost(self) -> Integers | None:
+        """The step, ([runs]), from which on runs are impossible; None if all are possible."""
+        return self._slices.lost
+
+    def _blanked(self, beliefs: Beliefs, kind: Kind) -> Beliefs:
+        """Beliefs of a kind by step, with NaN where they know an impossible measurement."""
+        return blanked(beliefs, self._lost, kind, self.graph.steps)
+
     @cached_property
     def _beliefs(self) -> Beliefs:
+        """The beliefs over the slice by step, (*states, *runs) each, of the posterior's kind."""
         if self.kind == FILTERED:
             return self._filtered
         chain = self._chain
         if self.kind == SMOOTHED:
-            return chain.smoothed_beliefs()
-        return chain.gathered(chain.lagged(int(self.kind.lag)))
+            return self._blanked(chain.smoothed_beliefs(), self.kind)
+        return self._blanked(chain.gathered(chain.lagged(int(self.kind.lag))), self.kind)
 
     @cached_property
     def _filtered(self) -> Beliefs:
+        """The filtered beliefs over the slice by step, (*states, *runs) each, as probabilities."""
         chain = self._chain
-        return chain.known if chain.semiring.linear else [*map(chain.numbers, chain.known)]
+        found = chain.known if chain.semiring.linear else [*map(chain.numbers, chain.known)]
+        return self._blanked(found, FILTERED)
 
     @property
     def filtered(self) -> StateMarginals:
@@ -118,7 +137,7 @@ class StatePosterior(Posterior):
         chain = self._chain
         found = [chain.start()]
         found += [chain.predict(k + 1, belief) for k, belief in enumerate(chain.known[:-1])]
-        return self._marginals([*map(chain.numbers, found)], PREDICTED)
+        return self._marginals(self._blanked([*map(chain.numbers, found)], PREDICTED), PREDICTED)
 
     @cached_property
     def log_evidence(self) -> Array:
@@ -149,10 +168,11 @@ class StatePosterior(Posterior):
         entries = math.prod((*sizes(before), *self._plan.shape))
         require_runs(entries, self._slices.bound.runs, f"the joint of {len(scope)} variables")
         values = joint(self._chain, self._plan, scope, self.kind)
+        values = blank(values, self._lost, self.kind.last(end, self.graph.steps))
         return Table._plain(scope, frozen(self._over_runs(values, len(scope))))
 
     def _over_runs(self, values: Array, axes: int) -> Array:
-        """Values (sizes..., [runs]) with the user's axes of runs first."""
+        """Values (sizes..., [runs]) with the user's axes of runs first; `axes` counts the sizes."""
         if not self._lead:
             return values
         return np.moveaxis(values, -1, 0).reshape(*self._lead, *values.shape[:axes])
@@ -196,9 +216,12 @@ class StatePosterior(Posterior):
             message, found, top = self._sized(step, message)
         if not (chain.numbers(chain.semiring.over(found, top)) > TINY).all():
             message, found, top = self._sized(step, self._message_back(step, chain.back))
-        rest = self._weight(self.graph.steps) - self._weight(step) - chain.semiring.logs(found)
-        message = chain.numbers(chain.semiring.over(message, top))
-        return self._states(message, total=False), rest + chain.semiring.logs(top)
+        message = self._states(chain.numbers(chain.semiring.over(message, top)), total=False)
+        later = np.asarray(chain.log_density[step + 1 :].sum(axis=0)).reshape(-1)
+        if self._lost is not None:  # NaN times a finite scale is NaN
+            later = np.where(self._lost > self.graph.steps, later, 0.0)
+        rest = later - chain.semiring.logs(found) + chain.semiring.logs(top)
+        return blank(message, self._lost, self.graph.steps), rest
 
     def messages_back(self) -> Iterator[tuple[Array, Array]]:
         """The backward messages to slices T..0, each made from the one before.
@@ -210,14 +233,19 @@ class StatePosterior(Posterior):
         plain = chain.unit()
         # Nothing is later than the last slice: one for each of its states, its controls apart.
         runs = plain.shape[len(self._plan.shape) :]
-        yield np.ones((*sizes(self._plan.states), *runs)), np.zeros(runs)
+        unit = np.ones((*sizes(self._plan.states), *runs))
+        yield blank(unit, self._lost, last), np.zeros(runs)
         for step in range(last - 1, -1, -1):
             with np.errstate(invalid="ignore"):
                 plain = chain.message(step, plain)
             yield self._scaled_back(step, plain)
 
     def _sized(self, step: int, message: Array) -> tuple[Array, Array, Array]:
-        """A message to a slice, the sum of its product with the belief, and its largest entry."""
+        """A message to a slice, its product with the filtered belief summed, and its largest entry.
+
+        `message`, (*states, *runs), is returned as it is; the other two are (*runs). All are in
+        entries of the chain's semiring.
+        """
         chain = self._chain
         found = chain.total(chain.semiring.times(chain.known[step], message))
         return message, found, message.max(axis=tuple(range(message.ndim - chain.batch)))
@@ -255,15 +283,17 @@ class StatePosterior(Posterior):
         Its sum is the evidence that its messages know: all of it after smoothing.
         """
         step, plan = self.graph.index(cluster), self._plan
-        weight = self._weight(self.kind.last(step, self.graph.steps))
+        last = self.kind.last(step, self.graph.steps)
+        weight = self._weight(last)
         message = self._message_back(step, self._chain.back)
         if not step:
             values = self._states(self._chain.posterior(0, message))
+            values = blank(values, self._lost, last)
             scope = discrete(tuple(v.at(0) for v in plan.states))
             return self._table(scope, values, weight)
         entries = math.prod((*sizes(plan.states), *plan.shape))
         require_runs(entries, self._slices.bound.runs, f"the belief of cluster {step}")
-        values = pair(self._chain, plan, step, message)
+        values = blank(pair(self._chain, plan, step, message), self._lost, last)
         scope = discrete(tuple(v.at(step) for v in self.graph.layout.pair))
         return self._table(scope, values, weight)
 
@@ -282,7 +312,8 @@ class StatePosterior(Posterior):
             values = chain.semiring.times(values, weights)
         if not step:
             values = self._states(values, total=False)
-        top = values.max(axis=tuple(range(values.ndim - chain.batch)))
+        # Zero throughout where a measurement is impossible, whatever was before.
+        top = chain.semiring.divisor(values.max(axis=tuple(range(values.ndim - chain.batch))))
         values = chain.numbers(chain.semiring.over(values, top))
         scale = np.broadcast_to(log_scale + chain.semiring.logs(top), self._slices.bound.runs)
         scope = self.graph.layout.pair if step else plan.states

@@ -7,35 +7,53 @@ import math
 import numpy as np
 
 from pgm.compile import DynamicGraph
-from pgm.errors import EvidenceError, GraphError
+from pgm.errors import GraphError
 from pgm.evidence import BoundEvidence
+from pgm.inference.belief_kind import FILTERED
+from pgm.inference.impossible import OVER_TIME, RAISE, ImpossibleEvidence, allows
 from pgm.inference.markov.chain import TINY, StateChain
+from pgm.inference.markov.impossible_runs import first_lost
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.markov.single_state import DirectChain
 from pgm.inference.schedule import Schedule
-from pgm.inference.status import FILTERED, Status
+from pgm.inference.status import Status
 from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.resources import require_memory
 
 
-def run(graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None) -> StatePosterior:
+def run(
+    graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, impossible: str = RAISE
+) -> StatePosterior:
     """The posterior after the messages of a filter, a fixed-lag smoother or a smoother.
 
-    Beliefs that would not fit memory are refused with a `GraphError`; see `kind_of` for schedules.
+    Beliefs that would not fit memory are refused with a `GraphError`, impossible evidence with an
+    `ImpossibleEvidence` unless it is allowed; see `kind_of` for schedules.
     """
+    allow = allows(impossible)
     kind = kind_of(schedule, "tables")
     require_chain(graph, "tables")
     plan = SlicePlan(graph.layout)
-    require_beliefs(plan, bound, 1 if kind == FILTERED else 2)
-    chain = solved(TableSlices(plan, bound))
+    sets = 1 if kind == FILTERED else 2
+    require_beliefs(plan, bound, sets)
+    slices = TableSlices(plan, bound, of_runs=OVER_TIME)
+    try:
+        chain = solved(slices)
+    except ImpossibleEvidence:
+        if not allow:
+            raise
+        require_beliefs(plan, bound, sets + 1)  # a copy has the NaN
+        chain = _without_impossible(slices)
     status = Status.of([], np.ones(bound.runs, dtype=bool), bound.lead)
     return StatePosterior(graph, status, kind, plan, chain)
 
 
 def solved(slices: TableSlices) -> StateChain:
-    """The chain after its forward sweep, with logarithms where numbers may have lost a state."""
+    """The chain after its forward sweep, with logarithms where numbers may have lost a state.
+
+    Evidence of probability zero is refused with an `ImpossibleEvidence`.
+    """
     found = _in_numbers(slices) if slices.smallest >= TINY else None
     return found or StateChain(slices.within(LOG_SUM_PRODUCT), LOG_SUM_PRODUCT).run()
 
@@ -43,21 +61,32 @@ def solved(slices: TableSlices) -> StateChain:
 def _in_numbers(slices: TableSlices) -> StateChain | None:
     """The chain after its forward sweep in plain numbers; None if these may have lost a state.
 
-    A state is lost to underflow. Evidence that seems impossible is refused with an `EvidenceError`
-    if no number is so small that this may be the reason.
+    A state is lost to underflow, which may also be why evidence seems impossible.
     """
     with np.errstate(under="ignore"):
-        if slices.single and slices.steps:
-            direct = DirectChain(slices).run()
-            if direct.precise and slices.smallest >= TINY:
-                return direct
         try:
+            if slices.single and slices.steps:
+                direct = DirectChain(slices).run()
+                if direct.precise and slices.smallest >= TINY:
+                    return direct
             chain = StateChain(slices).run()
-        except EvidenceError:
-            if slices.smallest >= TINY:
-                raise
-            return None  # the tables of a function have smaller numbers than was known before
+        except ImpossibleEvidence:
+            # A state that is possible may have become smaller, step by step, than any number.
+            return None
     return chain if min(chain.smallest, slices.smallest) >= TINY else None
+
+
+def _without_impossible(slices: TableSlices) -> StateChain:
+    """The chain whose lost runs go without the measurements from the first impossible ones on.
+
+    The log-density of these is −∞; `chain.slices.lost` has their steps.
+    """
+    lost = first_lost(slices)
+    chain = solved(slices.until(lost))
+    by_run = chain.log_density.reshape(slices.steps + 1, -1)
+    runs = np.flatnonzero(lost <= slices.steps)
+    by_run[np.atleast_1d(lost)[runs], runs] = -np.inf
+    return chain
 
 
 def require_beliefs(plan: SlicePlan, bound: BoundEvidence, sets: int) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.display import titled
 from pgm.errors import GraphError, ModelError
+from pgm.inference.belief_kind import Kind
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
-from pgm.inference.status import Kind
 
 
 def require_chain(graph: DynamicGraph, beliefs: str) -> None:

@@ -66,6 +66,7 @@ class Weights:
 
     @cached_property
     def _log_columns(self) -> Array:
+        """The logarithms of `_columns`."""
         with np.errstate(divide="ignore"):
             logs: Array = np.log(self._columns)
         return logs
@@ -81,8 +82,9 @@ class Weights:
         return turned.reshape(*turned.shape[: turned.ndim - len(self.order)], *self.shape)
 
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
-        """The weights of a measurement, (*slice, [runs]); None where it is missing.
+        """The weights of a measurement, (*slice, [runs]); one in runs where it is missing.
 
+        None instead, if it is missing and there is one run, or it is stored once for all runs.
         Entries are those of the semiring. As numbers, those of soft evidence are to be multiplied
         by the exponential of `log_scale`.
         """

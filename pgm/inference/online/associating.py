@@ -42,8 +42,8 @@ def associated(
 ) -> tuple[dict[Variable, Any], Found]:
     """The readings with candidates chosen for unknown parents, and the `Associations` by sensor.
 
-    The belief is that of the step before its measurements; those that are not open are taken in
-    first, through the gate. Sightings that are taken for no candidate become NaN.
+    `belief` is the one before these readings; those that are not open are taken in first, through
+    the gate, to choose by. Sightings that are taken for no candidate become NaN.
     """
     bound = step_evidence.readings(graph.model, belief, readings)
     everything = BoundEvidence(0, bound.lead, (), ())

@@ -24,18 +24,20 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable, set_writeable
 from pgm.inference.associations import NONE, Found
+from pgm.inference.belief_kind import Kind
 from pgm.inference.chain import certificate, close_points, last_places
 from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.lost import PageTest
-from pgm.inference.online.judged import Decided, Watch
+from pgm.inference.online.judged import Decided
+from pgm.inference.online.watch import Watch
 from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
 from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.inference.schedule import Filtering, FixedLag
-from pgm.inference.status import CLOSE_POINTS, FAR_APART, LAST_PLACE, Kind, Status, digits
+from pgm.inference.status import CLOSE_POINTS, FAR_APART, LAST_PLACE, Status, digits
 from pgm.inference.summaries import at_a_step
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, Integers, Mask, block, symmetric

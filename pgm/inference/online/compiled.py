@@ -16,12 +16,13 @@ import numpy as np
 
 from pgm.compile import SliceLayout
 from pgm.evidence import Sightings
+from pgm.inference.belief_kind import FILTERED, PREDICTED
 from pgm.inference.chain.compiled.judged import judge
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.online.beliefs import OnlineBelief, is_plain, put_core
 from pgm.inference.online.layout import Layout
 from pgm.inference.online.step_evidence import ARRAY, FLOAT, MOST, Values, numbers
-from pgm.inference.status import FILTERED, PREDICTED, Status
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 
 Make = Callable[[OnlineBelief, Any], ChainPlan]

@@ -21,6 +21,7 @@ from pgm.display import InCode
 from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
+from pgm.inference.belief_kind import FILTERED, PREDICTED
 from pgm.inference.chain import careful
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.gate import prepare as prepare_gates
@@ -49,15 +50,16 @@ from pgm.inference.online.beliefs import (
     told,
 )
 from pgm.inference.online.compiled import CompiledSteps
-from pgm.inference.online.judged import Watch, of_update, of_window
+from pgm.inference.online.judged import of_update, of_window
 from pgm.inference.online.settings import require_neither, require_settings
 from pgm.inference.online.slid import slid
 from pgm.inference.online.step_evidence import Layouts
+from pgm.inference.online.watch import Watch
 from pgm.inference.online.window import Passed, Sliding, Trail, look_again, trailing
 from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
-from pgm.inference.status import FILTERED, PREDICTED, Status
+from pgm.inference.status import Status
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable

@@ -1,79 +1,28 @@
-"""Decisions of gates at an update of an online filter; the test whether its belief is lost.
+"""Judged sightings of an update of an online filter: decisions of gates, and the watch after them.
 
-A *watch* is the state of that test (`pgm.inference.lost`) between steps, with the numbers that the
-present step has read. A *judged* sighting is one about which a gate, or robust noise that leaves
-outliers out, has decided.
+A *judged* sighting is one about which a gate, or robust noise that leaves outliers out, has
+decided; a `Watch` counts the decisions, beside the innovations.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.associations import Found
 from pgm.inference.chain.fixed_lag import Window
-from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.innovations import by_step
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.sensor import GateRecord
 from pgm.inference.chain.vector import vector
-from pgm.inference.gates import gate_of
-from pgm.inference.lost import PageTest, Read
+from pgm.inference.lost import Read
+from pgm.inference.online.watch import Watch
 from pgm.kernels import mahalanobis
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 # A sensor, the decisions of its gate, and the order of its sightings.
 Decided = tuple[Variable, GateRecord, Integers]
-
-
-class Watch(NamedTuple):
-    """The test whether a belief is lost, as it stood before a step, and what the step has read.
-
-    `read` has the numbers of the step's updates so far, None before the first. `opened` has those
-    of sightings with candidates, apart, since a window reads all of its newest step again.
-    """
-
-    before: PageTest
-    read: Read | None = None
-    opened: Read | None = None
-
-    @classmethod
-    def start(cls, lead: tuple[int, ...]) -> Watch:
-        """The watch at the prior, before any measurement; `lead` are the axes of runs."""
-        return cls(PageTest.start(math.prod(lead)))
-
-    def test(self, step: int) -> PageTest:
-        """The state of the test after the step, whose number is `step`, as far as it was read."""
-        parts = [each for each in (self.read, self.opened) if each is not None]
-        if not parts:
-            return self.before
-        read = parts[0] if len(parts) == 1 else parts[0].and_(parts[1])
-        return self.before.over(len(read.nis)).on(step, read.weights)
-
-    def on(self, step: int) -> Watch:
-        """The watch at the next step, `step` being the number of this one."""
-        return Watch(self.test(step))
-
-    def and_(self, read: Read) -> Watch:
-        """The watch after a further update of the step has read these numbers."""
-        return self._replace(read=read if self.read is None else self.read.and_(read))
-
-    def told(self, associations: Found, gate: Asked | None) -> Watch:
-        """The watch after counting how sightings of the step were associated, by sensor.
-
-        Of a sensor with a `gate` only sightings taken for no candidate count here: the gate counts
-        the others.
-        """
-        found = self.opened
-        for variable, each in associations.items():
-            strange, opened = each.judged(gated=gate_of(gate, variable) is not None)
-            read = Read.of_open(strange.sum(axis=0), opened.sum(axis=0), each.outliers)
-            found = read if found is None else found.and_(read)
-        return self._replace(opened=found)
 
 
 def of_update(

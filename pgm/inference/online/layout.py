@@ -128,8 +128,8 @@ class Layout:
     def _part(self, place: int, target: Array, *, shared: bool, missing: bool = False) -> None:
         """Note that the array given at a place is copied to the rows of `target`, (count, d).
 
-        If it is `shared`, its only row goes to all of them; with `missing` its components may be
-        NaN.
+        The place is its position among all that are given at a step (`places`). If it is `shared`,
+        its only row goes to all of them; with `missing` its components may be NaN.
         """
         count, width = target.shape
         rows = 1 if shared else count

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.inference.belief_kind import FILTERED, PREDICTED
 from pgm.inference.chain import close_points, last_places
 from pgm.inference.chain.readings import Moments
 from pgm.inference.online.beliefs import OnlineBelief, belief_of, nothing_to_iterate, refuse
 from pgm.inference.online.window import Make, Sliding
-from pgm.inference.status import (
-    CLOSE_POINTS,
-    FAR_APART,
-    FILTERED,
-    LAST_PLACE,
-    PREDICTED,
-    Status,
-)
+from pgm.inference.status import CLOSE_POINTS, FAR_APART, LAST_PLACE, Status
 from pgm.kernels.arrays import Array
 
 

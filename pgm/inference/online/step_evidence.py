@@ -201,7 +201,7 @@ def numbers(value: Any, axes: int) -> Array | None:
 
 
 def _numbers(value: Any) -> Array | None:
-    """The value as floats; None where it is refused, with an error of the general way."""
+    """The value as floats; None where it is refused: the general way then raises the error."""
     try:
         return as_floats(value, "a value", EvidenceError)
     except EvidenceError:  # which the general way words
@@ -272,7 +272,8 @@ class _Layout(NamedTuple):
 class Layouts:
     """The layouts of predictions or of updates, kept by the kind of the values given.
 
-    `make` makes the plan of a step from a belief and values. At most 64 layouts are kept.
+    `make` makes the plan of a step from a belief and values; `schedule` says how often an update
+    linearises. At most 64 layouts are kept; one more drops them all.
     """
 
     def __init__(

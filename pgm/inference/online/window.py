@@ -55,6 +55,8 @@ class Sliding:
     `entries` are the evidence of the steps whose CPDs are in it. `window` is the settled window,
     None while nothing has been read at its newest step; `before` is that of the step before, None
     at step 0. `left` (runs,) is the log-evidence of the steps that have left the window, in nats.
+    `lead` are the user's axes of runs. Methods take the filter's `make`, which makes the plan of
+    some steps from their evidence.
     """
 
     schedule: FixedLag
@@ -195,7 +197,7 @@ def _rows(parts: Sequence[npt.NDArray[Kind]]) -> npt.NDArray[Kind]:
 class _Ends(NamedTuple):
     """The beliefs at both ends of a transition, (2, runs, ...), as `Reverse.make` takes them.
 
-    Rows are the belief before and its prediction; the predicted moments are the same ones.
+    Rows are the belief before and its prediction; the predicted moments are `mean` and `cov` again.
     """
 
     mean: Array
@@ -295,8 +297,8 @@ class Trail(NamedTuple):
         """The first step of the trail and the smoothed mean and covariance there.
 
         `mean` and `cov` (*lead, ...) are those of the belief, at `step`. A `NumericalError` is
-        raised where a step was made in twice the digits, a variance falls too far, or rounding may
-        be more than 10⁻⁷ of a smoothed variance.
+        raised where a step was made in twice the digits, smoothing divides a variance by more than
+        2·10⁷, or rounding may be more than 10⁻⁷ of a smoothed variance.
         """
         first, before = step - len(self.passed), step
         later, added = [cov], np.zeros(cov.shape[:-2])
@@ -350,7 +352,8 @@ class Trail(NamedTuple):
 def is_like(behind: Trail | Sliding | None, own: Trail | Sliding | None) -> bool:
     """Whether a belief keeps the steps behind it as a filter does, with the same lag.
 
-    A window is to be of the same schedule.
+    `behind` are those of the belief, `own` those of the filter's prior. A window is to be of the
+    same schedule.
     """
     if isinstance(behind, Trail) and isinstance(own, Trail):
         return behind.lag == own.lag
@@ -360,5 +363,8 @@ def is_like(behind: Trail | Sliding | None, own: Trail | Sliding | None) -> bool
 
 
 def look_again(plan: ChainPlan, ats: Sequence[At], step: int, known: Moments) -> None:
-    """Predict again and look at every number, so that an error names the CPD that is not finite."""
+    """Predict again and look at every number, so that an error names the CPD that is not finite.
+
+    `known` are the moments before the prediction, `ats` the transition's CPDs, to `step`.
+    """
     MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)

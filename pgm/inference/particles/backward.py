@@ -22,9 +22,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pgm.inference.particles.cloud import BACKWARD, Cloud, stream, uniform
+from pgm.inference.particles.cloud import Cloud, uniform
 from pgm.inference.particles.laws import GaussianLaw, Law, Root, Some, States
 from pgm.inference.particles.model import ParticleModel
+from pgm.inference.particles.streams import BACKWARD, stream
 from pgm.inference.particles.value import FULL, Particles
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Integers, Mask

@@ -26,7 +26,7 @@ class ParticleBelief(PointMassBelief):
 
     .. math:: p(x) = \sum_i w_i \, δ(x - x_i)
 
-    - x_i: the particles, `states`;
+    - x_i: the n particles, `states`, of d components;
     - w_i: their weights, `weights`, of sum one.
 
     Leading axes are independent beliefs: runs, and, where `steps` says so, steps in time. Means and
@@ -264,6 +264,7 @@ class ParticleBelief(PointMassBelief):
         return closed(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))
 
     def _require_equal(self, what: str) -> None:
+        """Refuse `what`, which would be no array, by a ModelError where particle numbers differ."""
         counts = {int(count) for cloud in self._clouds for count in cloud.counts}
         if len(counts) > 1:
             raise ModelError(
@@ -272,6 +273,7 @@ class ParticleBelief(PointMassBelief):
             )
 
     def _require_one(self, what: str) -> None:
+        """Refuse `what`, which is of one belief, by a ModelError where there are leading axes."""
         if self.lead:
             raise ModelError(
                 f"{what} is of one belief, and this one has the leading axes {self.lead}: index a "

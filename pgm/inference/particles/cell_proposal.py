@@ -105,7 +105,7 @@ class CellProposal(InCode, Immutable):
 
     @property
     def _log_volume(self) -> float:
-        """The logarithm of a cell's volume, minus the log-density of a uniform draw in it."""
+        """The logarithm of a cell's volume; its negative is the log-density of a draw within."""
         return float(np.log(self.widths).sum())
 
     def sensors(self, model: ParticleModel, step: int) -> list[Sensor]:

@@ -18,20 +18,13 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
-from pgm.inference.particles.cloud import (
-    FORWARD,
-    INJECTED,
-    RESTARTED,
-    STARTED,
-    Cloud,
-    stream,
-    uniform,
-)
+from pgm.inference.particles.cloud import Cloud, uniform
 from pgm.inference.particles.guided_proposal import Guide
 from pgm.inference.particles.laws import Drawing, Some, States
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
 from pgm.inference.particles.record import Record
+from pgm.inference.particles.streams import FORWARD, INJECTED, RESTARTED, STARTED, stream
 from pgm.inference.particles.value import IGNORE, RAISE, RESTART, Injection, Particles
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices

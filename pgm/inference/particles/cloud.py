@@ -1,4 +1,4 @@
-"""The particles of all runs at one step, and the streams of random numbers that draw them.
+"""The particles of all runs at one step, and the blocks in which they are worked on.
 
 A particle's place is its index along the last axis, over all runs: those of run 0 come first.
 """
@@ -140,13 +140,3 @@ def blocks(starts: Integers) -> Iterator[Block]:
 def uniform(counts: Integers) -> Array:
     """The log-weights (particles,) of runs with these counts, equal in each run."""
     return np.repeat(-np.log(counts), counts)
-
-
-# The purposes of streams, which are independent of each other.
-FORWARD, RESTARTED, BACKWARD, STARTED, INJECTED = range(5)
-
-
-def stream(seed: int, run: int, step: int, purpose: int = FORWARD) -> np.random.Generator:
-    """The generator of a run's draws at a step, for a purpose: each is a stream of its own."""
-    key = np.random.SeedSequence(seed, spawn_key=(run, step, purpose))
-    return np.random.Generator(np.random.SFC64(key))

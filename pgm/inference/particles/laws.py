@@ -57,7 +57,7 @@ class Some(NamedTuple):
 
 
 class Drawing:
-    """The generators of random numbers for the particles of a block.
+    """The generators of random numbers for a block: particles in a row, worked on together.
 
     pieces: Slices of the block that follow one another, each of one run, with that run's generator.
     """
@@ -71,7 +71,7 @@ class Drawing:
     ) -> Drawing:
         """The drawing of a block, from the generators of all runs.
 
-        starts: The place at which each run begins, and the end, (runs + 1,).
+        starts: The place among all particles at which each run begins, and the end, (runs + 1,).
         """
         found = []
         for run in block.runs:
@@ -158,11 +158,19 @@ class Law:
         return self.cpd._log_density(wide, known)
 
     def open(self, row: int, step: int) -> Integers:
-        """The number of components with noise of their own, (1,): all, of a density of any kind."""
+        """The number of components with noise of their own, at a row, (runs or 1,).
+
+        `step` is that of the row, for messages. Here all components are taken to have it, since a
+        density of any kind does not tell.
+        """
         return np.array([self.cpd.child.dimension])
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse a sensor that has singular noise at one of its steps; here that is not known."""
+        """Refuse, by a ModelError, a sensor that has singular noise at one of its rows' steps.
+
+        `steps` are those of the rows, (rows,). Here nothing is refused, since a density of any kind
+        does not tell.
+        """
 
 
 class GaussianLaw(Law):
@@ -202,11 +210,11 @@ class GaussianLaw(Law):
         return root.log_density(residual, some)
 
     def _within(self, root: Root, row: int, some: Some, child: States) -> Array:
-        """The log-densities (m,) under singular noise; −∞ where a child is off it beyond rounding.
+        """The log-densities (m,) under singular noise; −∞ where a child is off its subspace.
 
         They are densities of the components with noise of their own, which determine the others.
-        The child (d, m) may be off by a rounding of its own type; residuals of angles count as they
-        are or wrapped.
+        The child (d, m) may be off by a rounding of its own type. Residuals of angles count as they
+        are, and wrapped where they are off the subspace so.
         """
         # That of the child alone: a particle is what the law made of another, and others are near.
         mean, error = self.mean(row, some), np.finfo(self.dtype).eps * np.abs(child)

@@ -69,7 +69,7 @@ class ParticleModel:
     def transition(self) -> list[Law]:
         """The laws of states' and hidden controls' transitions; row k is of step first + k + 1."""
         pairs = zip(self.model.transition, self.bound.transition, strict=True)
-        return [self._law(cpd, inputs) for cpd, inputs in pairs]
+        return [self._law(by_run(cpd, self.bound.lead), inputs) for cpd, inputs in pairs]
 
     @cached_property
     def sensors(self) -> list[Sensor]:

@@ -15,7 +15,8 @@ from pgm.errors import ModelError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.kld_sampling import draws_needed, keys, occupied
+from pgm.kernels.bins import keys, occupied
+from pgm.kernels.kld_sampling import draws_needed
 
 if TYPE_CHECKING:
     from pgm.inference.particles.laws import States

@@ -13,6 +13,7 @@ from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import namesake
+from pgm.inference.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.inference.grid.online import PointFilter
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.chain import ParticleChain
@@ -25,7 +26,6 @@ from pgm.inference.particles.run import require_fitting, require_room
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import require_variable
-from pgm.inference.status import FILTERED, PREDICTED, Kind
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork

@@ -15,6 +15,7 @@ from pgm.display import Summary
 from pgm.errors import EvidenceError
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.inference.associations import Found, collected
+from pgm.inference.belief_kind import FILTERED, Kind
 from pgm.inference.grid.belief import require_step
 from pgm.inference.grid.posterior import PointPosterior
 from pgm.inference.particles.belief import ParticleBelief
@@ -24,7 +25,6 @@ from pgm.inference.particles.laws import Some
 from pgm.inference.particles.model import ParticleModel, Sensor
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
-from pgm.inference.status import FILTERED, Kind
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable

@@ -30,7 +30,10 @@ class Record:
         self.ignored, self.restarted = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
 
     def keep(self, step: int, predicted: Cloud, known: Cloud, log_density: Array | float) -> None:
-        """Keep a step's cloud given its measurements, and their log-density, (runs,)."""
+        """Keep a step's cloud given its measurements, and their log-density, (runs,).
+
+        `known` is that cloud; `predicted`, the one before the measurements, is not kept.
+        """
         del predicted
         self.clouds.append(known)
         self.log_density[step] = log_density

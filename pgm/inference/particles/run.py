@@ -8,6 +8,7 @@ from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference import sweep
+from pgm.inference.belief_kind import FILTERED, Kind
 from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.particles.backward import Backward
 from pgm.inference.particles.chain import ParticleChain
@@ -18,7 +19,6 @@ from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.record import Record
 from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import Schedule
-from pgm.inference.status import FILTERED, Kind
 from pgm.networks import DynamicBayesianNetwork
 from pgm.resources import gibibytes, require_memory
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from pgm.compile import DynamicGraph
 from pgm.evidence import BoundEvidence
+from pgm.inference.belief_kind import FILTERED, SMOOTHED
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
@@ -17,7 +18,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import GateRecord, Sensor
 from pgm.inference.family import Family
-from pgm.inference.status import FILTERED, SMOOTHED, Status
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Lineariser
 

@@ -18,6 +18,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, as_scope, listed, namesake
 from pgm.inference.argument_checks import require_gaussian
 from pgm.inference.associations import is_open
+from pgm.inference.belief_kind import Kind
 from pgm.inference.chain import last_places
 from pgm.inference.chain.association import associated
 from pgm.inference.chain.kept_posterior import KeptPosterior
@@ -29,7 +30,7 @@ from pgm.inference.parts.split import Part, split
 from pgm.inference.parts.workers import Workers
 from pgm.inference.schedule import Calibration, Filtering, Schedule
 from pgm.inference.starting_points import Start
-from pgm.inference.status import LAST_PLACE, Kind, Status
+from pgm.inference.status import LAST_PLACE, Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
 from pgm.progress import counted
@@ -291,7 +292,7 @@ class Share:
     def arrays(self, found: ChainPosterior, runs: int) -> list[Array]:
         """The arrays of a part's posterior that are sent back, in the order of `shapes`.
 
-        A posterior that is sent whole has none.
+        They are of kept marginals or of beliefs: of a posterior that is sent whole none are asked.
         """
         if self.kept is None:
             swept, smoothed = found._swept, found._smoothed

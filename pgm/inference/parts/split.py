@@ -42,7 +42,8 @@ class Part:
 def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
     """The parts of all runs, in order: equal in size but for the last, as many for each worker.
 
-    They are as large as memory allows, with at most 5,000 runs.
+    Rounding sizes up may leave a worker a part less. Parts are as large as memory allows, with at
+    most 5,000 runs.
     """
     graph, bound, start = whole.graph, whole.bound, whole.start
     size = _size(graph, bound, lineariser, workers)
@@ -59,7 +60,7 @@ def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
 
 
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
-    """The number of runs in a part: at least one part a worker, bounded by memory.
+    """The number of runs in a part, rounded up: one part a worker, or more where memory bounds it.
 
     A step needs about 5 (n + s) (n + 1) floats for a slice of n components, s of them states; a
     measurement of d components 5 d (d + 1). It is all runs where a lineariser draws its points
@@ -118,6 +119,7 @@ def _evidence(bound: BoundEvidence, runs: slice) -> BoundEvidence:
     """The evidence of a part of the runs, with the number of its first as `first_run`."""
 
     def inputs(values: Mapping[Any, Array]) -> dict[Any, Array]:
+        """The values of inputs in the part's runs, by variable."""
         return {variable: cut(array, runs) for variable, array in values.items()}
 
     return replace(

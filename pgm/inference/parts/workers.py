@@ -89,7 +89,8 @@ class Workers:
     def room(self, shapes: Sequence[Shape]) -> list[Array]:
         """Arrays for the results of all runs, uninitialised; in a shared block if there is one.
 
-        A shape has leading axes and own axes, as of `vacant`.
+        A shape has the lengths of leading axes, the last of them runs, and of own axes; in memory
+        runs are fastest.
         """
         if self._idle is None:
             return [vacant(*shape) for shape in shapes]
@@ -130,6 +131,7 @@ class Workers:
         answers = [Block() if apart else None for _ in jobs]
 
         def calls() -> Iterator[Any]:
+            """The call of each job, once its large arrays are in the parcel's block."""
             for pickle, answer in zip(pickles, answers, strict=True):
                 if memory is not None:
                     pickle.fill(memory)
@@ -146,8 +148,9 @@ class Workers:
     ) -> Iterator[Done]:
         """Submit all calls, and yield their answers in the order of the runs.
 
-        If a worker dies, an `ExecutorError` names the runs that were lost; what waits is then
-        cancelled.
+        Each of `calls` is a function with its arguments, and of `answers` the block for the large
+        arrays of its answer, or None. If a worker dies, an `ExecutorError` names the runs that were
+        lost; what waits is then cancelled.
         """
         assert self._executor is not None
         waiting: deque[Task] = deque()

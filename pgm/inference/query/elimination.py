@@ -19,10 +19,11 @@ from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States
 from pgm.factors.scope import in_run, listed, names
 from pgm.inference.discrete.entered_evidence import one_hot
-from pgm.inference.discrete.impossible import ADVICE, OF_RUNS, ImpossibleEvidence
+from pgm.inference.discrete.impossible import ADVICE
 from pgm.inference.discrete.run_pieces import some_runs
+from pgm.inference.impossible import OF_RUNS, ImpossibleEvidence
 from pgm.inference.query.plan import EliminationPlan, Step
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
@@ -153,14 +154,26 @@ class Tables:
 
 def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
     """Raise ImpossibleEvidence if probabilities (sizes..., runs or 1) are NaN in any run."""
-    lost = np.asarray(np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1))))
-    if not lost.any():
-        return
-    first = int(lost.argmax())
+    lost = lost_runs(probabilities)
+    if lost.any():
+        raise refusal(plan, lost, plan.requisite.evidence.lead)
+
+
+def lost_runs(probabilities: Array) -> Mask:
+    """The runs, (runs or 1,), in which probabilities (sizes..., runs or 1) are NaN."""
+    return np.asarray(np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1))))
+
+
+def refusal(plan: EliminationPlan, lost: Mask, lead: tuple[int, ...]) -> ImpossibleEvidence:
+    """The error for evidence of probability zero in the runs that `lost` (runs or 1,) marks.
+
+    `lead` are the lengths of the user's axes of runs, () for none.
+    """
+    # Evidence that is given once for all runs has one run.
+    first = int(lost.argmax()) if plan.requisite.evidence.lead else 0
     involved, scope = _contradiction(plan, first)
-    where = in_run(lost.reshape(plan.requisite.evidence.lead))
-    lead = plan.requisite.evidence.lead
-    raise ImpossibleEvidence(
+    where = in_run(lost.reshape(lead))
+    return ImpossibleEvidence(
         f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
         f"for all states of ({listed(scope)}) are impossible given it. {ADVICE}"
         f"{OF_RUNS if lead else ''}",

@@ -93,7 +93,8 @@ class EliminationPlan:
         """The plan in weighted min-fill order: variables of stage 0, then those of 1, which stay.
 
         The vertices of the graph `adjacent` are places in `requisite.hidden`, as are the variables
-        of the CPDs' tables in `families`; `weights` and `stages` have a number for each vertex.
+        of the CPDs' tables in `families`. `weights` (numbers of states, or ones) and `stages`
+        have a number for each vertex.
         """
         found = min_fill(adjacent, weights, stages)
         position = [0] * len(found)
@@ -168,6 +169,7 @@ def _steps(scopes: Sequence[tuple[int, ...]], sizes: Sequence[int], hidden: int)
     made: list[Step] = []
 
     def entries(factor: int) -> int:
+        """The number of entries of the table of a factor."""
         return math.prod([sizes[k] for k in held[factor]])
 
     for place in range(hidden):

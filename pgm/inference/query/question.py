@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -21,10 +21,11 @@ from pgm.factors import Table
 from pgm.factors.axes import States, as_states, sizes
 from pgm.factors.scope import names, unknown_name
 from pgm.inference import limits
-from pgm.inference.discrete.allowed import RAISE, allows
 from pgm.inference.discrete.run import of_tree
 from pgm.inference.discrete.run_pieces import pieces
+from pgm.inference.impossible import RAISE, ImpossibleEvidence, allows
 from pgm.inference.query.elimination import NOTHING, eliminate, require_possible
+from pgm.inference.query.left_out import Contradiction, contradictions
 from pgm.inference.query.plan import EliminationPlan
 from pgm.inference.query.requisite import Requisite, certain
 from pgm.kernels.arrays import Array
@@ -66,8 +67,9 @@ def query(
     variables : Discrete or iterable of Discrete
         Not observed in all runs. The axes of the result are in this order.
     evidence : mapping of Discrete, optional
-        As for `infer`; leading axes are runs. Evidence that is separated from the variables by
-        other evidence is checked for its form alone, not for being possible.
+        As for `infer`; leading axes are runs. Where other evidence separates it from the
+        variables, it is looked at for being possible alone: by elimination, among the CPDs whose
+        tables have zeros; but not where this would need tables above the limit of memory.
     impossible : str
         What is done where evidence has probability zero: ``"raise"``, or ``"allow"``, where such
         runs have probabilities of NaN, and the others theirs.
@@ -113,10 +115,35 @@ def query(
         entries = math.prod(sizes(scope))
         limits.require_runs(entries, bound.runs, f"the joint over {names(scope)}")
     requisite = Requisite.of(asked, scope, bound)
-    values = _answer(graph, requisite, scope, allow=allows(impossible))
+    allow = allows(impossible)
+    elsewhere = contradictions(requisite.left_out, bound)
+    try:
+        values = _answer(graph, requisite, scope, allow=allow)
+    except ImpossibleEvidence as error:
+        _require_possible_elsewhere(elsewhere, bound, int(error.lost.argmax()))
+        raise
+    if not allow:
+        _require_possible_elsewhere(elsewhere, bound, bound.runs)
     lead, shape = requisite.evidence.lead, sizes(scope)
     values = np.moveaxis(values, -1, 0).reshape(lead + shape)
-    return Table._make(scope, np.broadcast_to(values, bound.lead + shape))
+    values = np.broadcast_to(values, bound.lead + shape)
+    for each in elsewhere:
+        lost = each.lost.reshape((*bound.lead, *(1,) * len(shape)))
+        values = np.where(lost, np.nan, values)
+    return Table._make(scope, values)
+
+
+def _require_possible_elsewhere(
+    elsewhere: Sequence[Contradiction], evidence: BoundStates, before: int
+) -> None:
+    """Raise the error of the first run that `elsewhere` contradicts, if earlier than run `before`.
+
+    `elsewhere` are the contradictions in what the query leaves out, `evidence` is that of the whole
+    network.
+    """
+    first = min(elsewhere, key=lambda each: int(each.lost.argmax()), default=None)
+    if first is not None and int(first.lost.argmax()) < before:
+        raise first.error(evidence) from None
 
 
 def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
@@ -146,8 +173,8 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
 def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -> States:
     """The variables that the user asks for, as a tuple.
 
-    Raises an EvidenceError for none, or for one that is not `known`, or is observed in all runs; a
-    ModelError for one that is asked for twice.
+    `known` are the network's variables. Raises an EvidenceError for none, or for one that is not
+    among these, or is observed in all runs; a ModelError for one that is asked for twice.
     """
     several = None if is_unordered(variables) else as_tuple(variables)
     found = (variables,) if several is None else several
@@ -192,7 +219,10 @@ def _answer(
 
 
 def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
-    """The joint of the variables `scope`, (sizes..., runs or 1), by summing the others out."""
+    """The joint of the variables `scope`, (sizes..., runs or 1), by summing the others out.
+
+    With `allow`, runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
+    """
     plan.require_size()
     some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
     parts = [eliminate(plan, piece) for piece in some]
@@ -205,6 +235,9 @@ def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
 
 
 def _read(graph: ClusterGraph, evidence: BoundStates, scope: States, *, allow: bool) -> Array:
-    """The joint of the variables `scope`, (sizes..., runs or 1), from the posterior of a tree."""
+    """The joint of the variables `scope`, (sizes..., runs or 1), from the posterior of a tree.
+
+    With `allow`, runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
+    """
     values = of_tree(graph, evidence, limits.Room.of(None, graph), allow=allow).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)

@@ -23,12 +23,15 @@ class Requisite:
     open: The variables of each of them that are not known.
     hidden: All variables that are not known, those asked for first.
     evidence: That of the variables of the part; its `lead` is () if it is given once for all runs.
+    left_out: The other CPDs of variables with evidence or above them, each with its variables that
+        are not known: they bear on nothing but the evidence's probability.
     """
 
     cpds: tuple[TableCPD, ...]
     open: tuple[States, ...]
     hidden: States
     evidence: BoundStates
+    left_out: tuple[tuple[TableCPD, States], ...] = ()
 
     @classmethod
     def of(
@@ -78,7 +81,8 @@ class Requisite:
             cpds,
             tuple(families[k][1] for k in inside),
             discrete(tuple(reached)),
-            _part(evidence, members),
+            evidence_of(evidence, members),
+            tuple(family for k, family in enumerate(families) if k not in inside),
         )
 
 
@@ -87,7 +91,7 @@ def certain(evidence: BoundStates) -> set[Discrete]:
     return {v for v, s in evidence.states.items() if isinstance(s, int) or s.min() >= 0}
 
 
-def _part(evidence: BoundStates, members: set[Variable]) -> BoundStates:
+def evidence_of(evidence: BoundStates, members: set[Variable]) -> BoundStates:
     """The evidence of the variables `members`, without those of a single state.
 
     States (1,), given once for all runs, become a number; if all evidence is such, `lead` is ().

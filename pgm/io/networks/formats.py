@@ -53,6 +53,12 @@ FORMATS = {
         "scipy.io.arff.loadarff reads it, for pgm.records; Weka saves networks as XMLBIF, for "
         "pgm.read_xmlbif",
     ),
+    "JSON": _format(
+        "JSON, which is not read here",
+        r'\{\s*["}]|\[\s*["{\[\]\d-]',
+        "write the network as BIF, XMLBIF or UAI where it was made; where a web site has answered "
+        "in place of the file, fetch the raw file",
+    ),
 }
 # White space, comments of all of these formats, and the head of an XML file; none is tried twice.
 _BEFORE = re.compile(

@@ -154,7 +154,9 @@ def read_uai_evidence(
             "read_uai_evidence takes the BayesianNetwork that the evidence is of, not "
             f"{type(network).__name__}"
         )
-    words = Words(sources.read(source, limit), heading=False)
+    content = sources.read(source, limit)
+    refuse_others(content, "evidence")
+    words = Words(content, heading=False)
     observed = words.count("the number of variables observed")
     # One sample that is announced leaves an odd count of numbers, where pairs leave an even one.
     if observed == 1 and words.left % 2:

@@ -96,7 +96,13 @@ def _order(graph: nx.DiGraph, rank: Mapping[Node, int]) -> tuple[Layers, int]:
 def _place(
     parts: Layers, crossings: int, sizes: Mapping[Node, Size], gap: float, across: bool
 ) -> Layout:
-    """Layers downwards or, if `across`, to the right."""
+    """The layout of nodes and arrows whose layers, and order within them, are decided.
+
+    Layers follow each other downwards or, if `across`, to the right. Within a layer nodes stand as
+    near to the nodes they are joined to as their widths allow; between two layers there are `gap`
+    points or, where arrows would be shallow, up to 72. `crossings` is the number of crossings of
+    arrows, `sizes` has the width and height of each node, in points.
+    """
     order = parts.layers
     count, total = len(parts.nodes), sum(map(len, order))
     half = np.zeros((total, 2))

@@ -19,7 +19,7 @@ from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import ChainPosterior, ParticlePosterior
-from pgm.inference.status import SMOOTHED
+from pgm.inference.belief_kind import SMOOTHED
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import Unit
 from pgm.plot.beliefs.plane import as_landmarks, name_plane

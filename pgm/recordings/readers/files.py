@@ -14,7 +14,7 @@ from pgm.boundary import as_tuple
 from pgm.errors import EvidenceError, FileError
 from pgm.io import sources
 from pgm.io.dropped import Dropped
-from pgm.io.networks.cursor import shown
+from pgm.io.networks.cursor import SHOWN, shown
 from pgm.io.sources import Content, Line, Origin, Source
 
 # Bytes that a file may hold once unpacked.
@@ -59,13 +59,13 @@ class Skipped:
             raise EvidenceError(
                 f"skip= names the first words of lines to leave out, like ('EQUIV',), not {skip!r}"
             )
-        self._words = frozenset(words)
+        self._asked = tuple(dict.fromkeys(words))
         self._lines: dict[str, list[int]] = {}
 
     def others(self, lines: Iterable[Line]) -> Iterator[Line]:
         """The lines that are kept."""
         for line in lines:
-            if line.words[0] in self._words:
+            if line.words[0] in self._asked:
                 self.leave(line, line.words[0])
             else:
                 yield line
@@ -81,12 +81,15 @@ class Skipped:
             for kind, rows in self._lines.items()
         ]
 
-
-def stranger(line: Line, kinds: Iterable[str]) -> FileError:
-    """The error for a line of an unknown kind, which `skip=` can leave out."""
-    word = shown(line.words[0])
-    hint = f"; skip=({word},) leaves such lines out" if line.words[0][0].isalpha() else ""
-    return line.fault(f"{word}; {', '.join(kinds)} was due{hint}")
+    def stranger(self, line: Line, kinds: Iterable[str]) -> FileError:
+        """The error for a line of an unknown kind, with the `skip=` that leaves it out, too."""
+        word = line.words[0]
+        hint = ""
+        if word[0].isalpha():
+            skip = (*self._asked, word)
+            short = all(len(each) <= SHOWN for each in skip)
+            hint = f"; skip={skip!r} leaves such lines out" if short else ""
+        return line.fault(f"{shown(word)}; {', '.join(kinds)} was due{hint}")
 
 
 @contextmanager

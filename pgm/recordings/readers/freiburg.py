@@ -76,7 +76,7 @@ def read_freiburg(folder: str | os.PathLike[str], *, skip: Sequence[str] = ()) -
             rows.append([len(motions), away, bearing])
             subjects.append(int(number))
         else:
-            raise files.stranger(line, ("ODOMETRY", "SENSOR"))
+            raise left.stranger(line, ("ODOMETRY", "SENSOR"))
     if not motions:
         raise held.origin.fault("no line of ODOMETRY; is it a Freiburg recording?")
     seen = np.array(rows).reshape(-1, 3)
@@ -101,7 +101,9 @@ def _world(where: os.PathLike[str]) -> dict[int, tuple[float, float]]:
         _, east, north = line.numbers("id east north")
         number = line.whole(line.words[0], "a landmark")
         if number in landmarks:
-            raise line.fault(f"the landmark {line.words[0]} for the second time")
+            raise line.fault(
+                f"the landmark {line.words[0]} for the second time; leave one of its lines out"
+            )
         landmarks[number] = (east, north)
     if not landmarks:
         raise held.origin.fault("no landmarks; lines of id east north were due")

@@ -114,7 +114,7 @@ def _tables(held: Content, kinds: tuple[str, ...], left: files.Skipped) -> dict[
     for line in left.others(sources.lines(held)):
         kind = line.words[0]
         if kind not in found:
-            raise files.stranger(line, kinds)
+            raise left.stranger(line, kinds)
         row = line.numbers(_KINDS[kind], 1)
         if kind == "range2":
             line.whole(line.words[6], "a module")

@@ -119,7 +119,7 @@ def read_pose_graph(
         elif line.words[0].startswith("PARAMS_"):
             left.leave(line, "parameters")
         else:
-            raise files.stranger(line, _KINDS)
+            raise left.stranger(line, _KINDS)
     if not found.poses and not found.edges:
         raise held.origin.fault("no poses and no edges; is it a pose graph of g2o or TORO?")
     for measured in (found.edges, found.seen):
@@ -226,7 +226,10 @@ def _edges(
 
 def _row(line: Line, number: int, rows: dict[int, int]) -> int:
     if number not in rows:
-        raise line.fault(f"the vertex {number}, which the file does not have")
+        raise line.fault(
+            f"the vertex {number}, which the file does not have; add its line, or leave this one "
+            "out"
+        )
     return rows[number]
 
 
@@ -250,7 +253,10 @@ def _point(found: _Found, line: Line) -> None:
 def _add(to: dict[int, list[float]], line: Line, numbers: list[float]) -> None:
     number = line.whole(line.words[1], "a vertex")
     if number in to:
-        raise line.fault(f"the vertex {number} for the second time")
+        raise line.fault(
+            f"the vertex {number} for the second time; leave one of its lines out, or give this "
+            "vertex, and its edges, a number of their own"
+        )
     to[number] = numbers
 
 
@@ -295,7 +301,7 @@ def _fix(found: _Found, line: Line) -> None:
 
 def _scan(found: _Found, line: Line) -> None:
     if found.last is None or found.last in found.scans:
-        raise line.fault("a scan before its pose")
+        raise line.fault("a scan before its pose; move it behind the line of the pose")
     front = len(_LASER.split())
     if len(line.words) < front:
         raise line.fault(f"{len(line.words)} words; `{_LASER}` was due")
@@ -328,6 +334,10 @@ def _require_planar(found: _Found, line: Line) -> None:
 
 
 def _yaw(line: Line, turn: Sequence[float]) -> float:
+    """The yaw [rad], in [−π, π), of a rotation that a line gives as a quaternion qx qy qz qw.
+
+    The quaternion is scaled to length one; one of length zero is refused.
+    """
     unit = np.array(turn) / max(float(np.linalg.norm(turn)), 1e-300)
     if not np.isclose(np.linalg.norm(unit), 1.0):
         raise line.fault(f"{list(turn)}; a quaternion qx qy qz qw was due")

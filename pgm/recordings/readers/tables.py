@@ -28,6 +28,8 @@ from pgm.recordings.stream import Stream
 
 # A landmark's number; 1_0 is a name, of which Python would make 10.
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
+# Words within a column's name, such as those of gps_lat and gpsLat.
+_WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
 SUBJECT, VARIANCE = "subject", "variance of "
 _STREAMS = ("odometry", "velocities", "truth", "imu", "fixes")
 _MOTION = ("odometry", "velocities")
@@ -36,6 +38,12 @@ _SPREAD = {
     earth.LATITUDE: earth.NORTH,
     earth.LONGITUDE: earth.EAST,
     **dict.fromkeys(earth.HEIGHTS, earth.UP),
+}
+# Components in metres, and words of columns' names that tell of degrees in their place.
+_FLAT = (earth.EAST, earth.NORTH, "x", "y")
+_ON_EARTH = {
+    **dict.fromkeys(("lat", "latitude"), earth.LATITUDE),
+    **dict.fromkeys(("lon", "long", "lng", "longitude"), earth.LONGITUDE),
 }
 # Angles that go on beyond a turn where they are not wrapped.
 _UNBOUNDED = ("heading", "yaw")
@@ -87,10 +95,12 @@ def read_csv(
     Raises
     ------
     EvidenceError
-        If `columns` is none, or a unit is unknown, or of another quantity than the component.
+        If `columns` is none, or a unit is unknown, or of another quantity than the component; or
+        a column named as a latitude or longitude is read as metres without a unit that says so.
     FileError
         If a column is not there, a cell is no number, a line has more cells than there are names,
-        or angles without a unit seem to be degrees; it has file and line.
+        angles without a unit seem to be degrees, or a latitude is beyond ±90° or a longitude
+        beyond ±180°; it has file and line.
 
     Notes
     -----
@@ -260,7 +270,25 @@ def _asked(part: str, given: Any) -> dict[str, _Column]:
         found[name] = _Column(column, size if component == name else size**2, bool(units))
     if STAMP not in found or not set(found) - {STAMP, SUBJECT}:
         raise EvidenceError(f"columns[{part!r}] names a column for t, and one or more components")
+    for name in _FLAT:
+        if name in found:
+            _require_metres(part, name, found[name])
     return found
+
+
+def _require_metres(part: str, name: str, column: _Column) -> None:
+    """Refuse a place in the plane whose column is by its name of latitudes or longitudes.
+
+    A unit beside the column's name, which must be one of length, says that it is metres after all.
+    """
+    words = _WORDS.findall(str(column.name))
+    world = next((_ON_EARTH[w.lower()] for w in words if w.lower() in _ON_EARTH), None)
+    if world is not None and not column.told:
+        raise EvidenceError(
+            f"columns[{part!r}][{name!r}] is in metres, and the column {column.name!r} by its name "
+            f"a {world}: degrees become metres as {{{world!r}: ({column.name!r}, 'deg'), ...}}; "
+            f"where it is in metres after all, say so, ({column.name!r}, 'm')"
+        )
 
 
 def _require_spread(what: str, component: str, asked: Mapping[str, Any]) -> None:

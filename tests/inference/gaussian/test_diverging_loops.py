@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.inference.gaussian.walks import spectral_radius
+from pgm.inference.gaussian.walks import shown, spectral_radius
 
 LTRIP = pgm.LTRIP()
 
@@ -151,6 +151,57 @@ def test_the_radius_is_of_the_run_that_is_furthest_off():
     assert spectral_radius(found._sent, last) == pytest.approx(
         radius(np.eye(2) + rows.T @ rows), rel=1e-9
     )
+
+
+def differences(noise, loop=4):
+    """Return a ring of unknowns with sharp readings of neighbours' differences, and J."""
+    hidden = [pgm.Variable(f"v{k}") for k in range(loop)]
+    cpds, evidence, J = [pgm.GaussianCPD(v, 0.0, 1.0) for v in hidden], {}, np.eye(loop)
+    for k in range(loop):
+        row = np.zeros(loop)
+        row[[k, (k + 1) % loop]] = 1.0, -1.0
+        reading = pgm.Variable(f"d{k}")
+        given = {hidden[k]: 1.0, hidden[(k + 1) % loop]: -1.0}
+        cpds.append(pgm.LinearGaussianCPD(reading, given=given, cov=noise))
+        evidence[reading] = 0.3 * k
+        J += np.outer(row, row) / noise
+    return pgm.BayesianNetwork(cpds), evidence, J
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-7])
+def test_a_radius_that_rounds_to_one_is_told_by_its_difference(noise):
+    """Of this ring it is 1 / (1 + noise/2), with 2/noise + 1 on the diagonal of J."""
+    net, evidence, J = differences(noise)
+    schedule = pgm.Sequential(iterations=40)
+    found, told = sent(pgm.compile(net, method=pgm.Bethe()), evidence, schedule)
+    assert not found.status.converged
+    gap = 1.0 - 1.0 / (1.0 + noise / 2.0)
+    np.testing.assert_allclose(1.0 - radius(J), gap, rtol=1e-6)
+    assert "The network is walk-summable" in told
+    assert f" is 1 − {gap:.1g}): the nearer 1, the slower" in told
+
+
+RADII = {0.99941: "0.9994", 0.99997: "1 − 3e-05", 1.0: "1", 1.0004: "1 + 0.0004", 1.006: "1.01"}
+
+
+@pytest.mark.parametrize("value", RADII)
+def test_how_a_radius_is_shown(value):
+    assert shown(value) == RADII[value]
+
+
+def test_damping_is_not_offered_where_residuals_shrink_steadily():
+    """There it would only slow: of as many rounds, damped ones leave more to do."""
+    net, evidence, _ = differences(1e-2)
+    graph = pgm.compile(net, method=pgm.Bethe())
+    found, told = sent(graph, evidence, pgm.Sequential(iterations=100))
+    assert (np.diff(found.status.residuals[-11:]) < 0.0).all()
+    assert "damping=" not in told
+    assert "Try iterations=" in told
+    damped, told = sent(graph, evidence, pgm.Sequential(iterations=100, damping=0.5))
+    assert "damping=" not in told
+    assert damped.status.residuals[-1] > found.status.residuals[-1]
+    _, told = sent(graph, evidence, pgm.Sequential(iterations=5))
+    assert "damping=0.5" in told, "too few rounds to judge by"
 
 
 def test_no_cause_is_told_where_none_is_known():

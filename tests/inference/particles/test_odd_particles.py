@@ -196,3 +196,22 @@ def test_measurements_that_no_cell_explains_are_ignored_as_was_asked(dtype):
         found = pgm.filter(boxed(), {z: seen[:2]}, belief=some)
     assert found.status.injected[2] > 50
     assert found[x].mean[2] > 4.0
+
+
+@pytest.mark.parametrize("lead", [(2, 3), (3,), (2, 1)])
+def test_hidden_controls_whose_runs_broadcast(lead):
+    """As with a grid and with moments, whose means they have."""
+    drift, place, read = pgm.variables("drift place read")
+    mean = np.arange(np.prod(lead), dtype=float).reshape(*lead, 1)
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, 0.0, 1.0)],
+        [
+            pgm.GaussianCPD(drift, mean, cov=0.01),
+            pgm.LinearGaussianCPD(place, {place.previous: 1.0, drift: 1.0}, cov=0.1),
+        ],
+        [pgm.LinearGaussianCPD(read, {place: 1.0}, cov=1e4)],
+    )
+    evidence = {read: np.zeros((2, 3, 2, 1))}
+    due = pgm.filter(model, evidence)[place].mean
+    found = pgm.filter(model, evidence, belief=pgm.Particles(4000, seed=1))[place].mean
+    np.testing.assert_allclose(found, due, atol=0.1)

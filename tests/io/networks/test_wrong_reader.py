@@ -2,10 +2,12 @@
 
 import gzip
 import io
+import json
 
 import pytest
 
 import pgm
+from pgm.examples import coin
 
 XML = '<?xml version="1.0" encoding="UTF-8"?>\n<!-- made by hand -->\n'
 FILES = {
@@ -44,6 +46,57 @@ def test_files_of_each_other(reader, due):
         return
     with pytest.raises(pgm.FileError, match=rf"pgm\.{due.__name__} reads it"):
         reader(io.StringIO(OURS[due]))
+
+
+PAGES = {
+    "plain": ("<!DOCTYPE html>\n<html><body>network n { }</body></html>", 1),
+    "lower case": ("\n <!doctype html>\n<head>", 2),
+    "without a type": ("<HTML lang='en'>", 1),
+    "XHTML": (XML + '<!DOCTYPE html PUBLIC "-//W3C//DTD XHTML 1.0 Strict//EN">\n<html>', 3),
+}
+READERS = {
+    **{reader.__name__: reader for reader in OURS},
+    "read_uai_evidence": lambda file: pgm.read_uai_evidence(file, coin),
+    "read_tum": pgm.read_tum,
+    "read_pose_graph": pgm.recordings.read_pose_graph,
+    "read_csv": lambda file: pgm.recordings.read_csv(file, {"truth": {"t": "t", "x": "x"}}),
+}
+
+
+@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("reader", READERS)
+def test_web_pages(page, reader):
+    text, line = PAGES[page]
+    packed = io.BytesIO(gzip.compress(("\ufeff" + text).encode()))
+    for file in (io.StringIO(text), packed, io.BytesIO(text.encode())):
+        with pytest.raises(pgm.FileError, match=r"it is a web page .*save the raw file") as caught:
+            READERS[reader](file)
+        assert caught.value.line == line
+
+
+@pytest.mark.parametrize(
+    "text", ['{"nodes": []}', '\n[\n {"id": 1}]', "{}", "[]", "[[0.2, 0.8]]", '["a"]', "[-1, 2]"]
+)
+@pytest.mark.parametrize("reader", [*list(READERS)[:4]])
+def test_json(text, reader):
+    assert json.loads(text) is not None
+    with pytest.raises(pgm.FileError, match=r"it is JSON, .*BIF, XMLBIF or UAI") as caught:
+        READERS[reader](io.StringIO(text))
+    assert caught.value.line == 1 + text.startswith("\n")
+
+
+@pytest.mark.parametrize("text", ["{ network", "[ network ]", "html", "<!-- html -->\n<BIFF>"])
+def test_what_is_neither_is_not_called_so(text):
+    for reader in OURS:
+        with pytest.raises(pgm.FileError) as caught:
+            reader(io.StringIO(text))
+        assert "web page" not in str(caught.value)
+        assert "JSON" not in str(caught.value)
+
+
+def test_a_network_given_as_evidence():
+    with pytest.raises(pgm.FileError, match=r"it is a UAI file; pgm.read_uai reads it"):
+        pgm.read_uai_evidence(io.StringIO(OURS[pgm.read_uai]), coin)
 
 
 def test_the_line_behind_comments():

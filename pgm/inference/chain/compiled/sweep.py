@@ -119,7 +119,7 @@ def forward(
     begin = MomentChain(first, schedule, keep=keep).start()
     chain.put(t.BEGIN_MEAN, _by_row(first, begin.mean, 1))
     chain.put(t.BEGIN_COV, _by_row(first, begin.cov, 2))
-    if not predicted and any(f.compiled and f.compiled.every == 1 for f in plan.families):
+    if not predicted and any(f.compiled for f in plan.families):
         predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
     chain.out = *known, *predicted
     for place, array in zip((t.MEAN, t.COV, t.DENSITY, *_PREDICTED), chain.out, strict=False):

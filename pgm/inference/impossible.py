@@ -1,0 +1,44 @@
+"""Evidence of probability zero: the error that refuses it, and the argument that allows it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pgm.errors import EvidenceError, ModelError
+from pgm.kernels.arrays import Mask
+
+RAISE, ALLOW = "raise", "allow"
+
+# What the user can do besides where there are several runs.
+OF_RUNS = f'; impossible="{ALLOW}" gives such runs a log-evidence of −∞ and beliefs of NaN'
+# The same over time, for an error that other functions than these three may raise.
+OVER_TIME = (
+    f'; pgm.filter, pgm.smooth and pgm.infer with impossible="{ALLOW}" give such runs a '
+    "log-evidence of −∞, and NaN for the beliefs that know this measurement"
+)
+
+
+def allows(impossible: object) -> bool:
+    """Whether impossible evidence is allowed, from the user's ``"raise"`` or ``"allow"``.
+
+    Any other value raises `ModelError`.
+    """
+    if impossible not in (RAISE, ALLOW):
+        raise ModelError(f'impossible is "{RAISE}" or "{ALLOW}", not {impossible!r}')
+    return impossible == ALLOW
+
+
+class ImpossibleEvidence(EvidenceError):
+    """The error for evidence of probability zero; `lost`, (runs,), marks the runs that have it.
+
+    On a chain these are the runs in which the measurements up to the error's step have it. The
+    error's `run` is the first of them, None without axes of runs, `lead`; `where` are its other
+    attributes, as of `PgmError`.
+    """
+
+    def __init__(self, message: str, lost: Mask, lead: tuple[int, ...], **where: Any) -> None:
+        run = int(lost.argmax()) if lead else None
+        super().__init__(message, run=run, **where)
+        self.lost = np.atleast_1d(lost)

@@ -1,0 +1,94 @@
+"""Runs of a chain whose measurements have probability zero: from which step on, and what is NaN.
+
+Such runs are called *lost*. A belief that knows the impossible measurement is NaN: a filtered one
+from its step on, a fixed-lag one as many steps earlier, a smoothed one at all steps. The filtered
+beliefs before it, and the predicted one at its step, are what the measurements before it give.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from pgm.inference.belief_kind import Kind
+from pgm.inference.markov.chain import TINY, StateChain, smallest
+from pgm.inference.markov.marginals import Beliefs
+from pgm.inference.markov.plan import TableSlices
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+
+
+class Search(StateChain):
+    """A forward sweep that goes on without measurements that are impossible.
+
+    lost: ([runs]): the first step whose measurements have probability zero given those before;
+        T + 1 where there is none.
+    least: The smallest positive probability in the filtered beliefs, which are not kept.
+    """
+
+    slices: TableSlices
+
+    def __init__(self, slices: TableSlices, semiring: Semiring = SUM_PRODUCT) -> None:
+        super().__init__(slices, semiring)
+        runs = (math.prod(slices.lead),) * self.batch
+        self.lost: Integers = np.full(runs, slices.steps + 1)
+        self.least = math.inf
+
+    def contradicted(
+        self, step: int, belief: Array, joint: Array, totals: Array
+    ) -> tuple[Array, Array]:
+        """Note which runs are lost, and put the predicted belief in place of their joint.
+
+        The sums that are returned are of the new joint.
+        """
+        lost = ~(totals > self.semiring.zero)
+        self.lost = np.where(lost, np.minimum(self.lost, step), self.lost)
+        joint = np.where(lost, belief, joint)
+        return joint, self.total(joint)
+
+    def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
+        """Note how small the probabilities are; nothing is kept."""
+        self.least = min(self.least, smallest(known)) if self.semiring.linear else self.least
+
+
+def first_lost(slices: TableSlices) -> Integers:
+    """The step, ([runs]), from which on the measurements of each run are impossible, or T + 1.
+
+    It is found in numbers, or with logarithms where numbers may have lost a state to underflow.
+    """
+    if slices.smallest >= TINY:
+        with np.errstate(under="ignore"):
+            search = Search(slices)
+            search.run()
+        if min(search.least, slices.smallest) >= TINY:
+            return search.lost
+    search = Search(slices.within(LOG_SUM_PRODUCT), LOG_SUM_PRODUCT)
+    search.run()
+    return search.lost
+
+
+def blank(values: Array, lost: Integers | None, last: int) -> Array:
+    """Values (..., [runs]), NaN in runs that are lost by the step `last`, up to which they know."""
+    if lost is None:
+        return values
+    return np.where(lost <= last, np.nan, values)
+
+
+def blanked(beliefs: Beliefs, lost: Integers | None, kind: Kind, steps: int) -> Beliefs:
+    """Beliefs of a kind by step, (*states, [runs]) each, with NaN where they know too much.
+
+    That is in runs that are lost by the last step whose measurements a belief knows.
+    """
+    if lost is None:
+        return beliefs
+    each: Iterable[Array] = (
+        blank(belief, lost, kind.last(step, steps)) for step, belief in enumerate(beliefs)
+    )
+    if not isinstance(beliefs, np.ndarray):
+        return list(each)
+    found = np.empty(beliefs.shape)
+    for row, belief in zip(found, each, strict=True):
+        row[...] = belief
+    return found

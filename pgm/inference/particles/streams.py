@@ -1,0 +1,14 @@
+"""Streams of random numbers: one for each run, step and purpose of its draws."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# The purposes of streams, which are independent of each other.
+FORWARD, RESTARTED, BACKWARD, STARTED, INJECTED = range(5)
+
+
+def stream(seed: int, run: int, step: int, purpose: int = FORWARD) -> np.random.Generator:
+    """The generator of a run's draws at a step, for a purpose: each is a stream of its own."""
+    key = np.random.SeedSequence(seed, spawn_key=(run, step, purpose))
+    return np.random.Generator(np.random.SFC64(key))

@@ -1,0 +1,165 @@
+"""Whether the evidence that a query leaves out is possible.
+
+A query leaves out the CPDs that evidence separates from the variables asked for: summed over their
+other variables, their product is a constant of the evidence, which a posterior does not depend on
+unless it is zero. That it can only be where tables have zeros. So of the CPDs left out those are
+looked at whose tables have a zero at the evidence, less those whose child nothing else restricts:
+some state of it is always possible. What remains falls into parts that share no unknown variable,
+and of each the probability of its evidence, up to a factor, is found by elimination.
+
+A variable is *known* if it has one state alone or is observed in all runs. A *family* is a CPD with
+those of its variables that are unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.cpds import TableCPD
+from pgm.evidence.static import BoundStates
+from pgm.factors.axes import States, discrete, sizes
+from pgm.factors.scope import in_run, names
+from pgm.inference import limits
+from pgm.inference.discrete.impossible import ADVICE
+from pgm.inference.discrete.run_pieces import pieces
+from pgm.inference.impossible import OF_RUNS, ImpossibleEvidence
+from pgm.inference.query.elimination import eliminate, lost_runs, refusal
+from pgm.inference.query.plan import EliminationPlan
+from pgm.inference.query.requisite import Requisite, evidence_of
+from pgm.kernels.arrays import Integers, Mask
+from pgm.variables import Discrete
+
+# A CPD and those of its variables whose state is not known.
+Family = tuple[TableCPD, States]
+
+
+@dataclass(frozen=True, eq=False)
+class Contradiction:
+    """Evidence of probability zero in a part that a query leaves out.
+
+    lost: (runs,): the runs that have it; one at least.
+    part: The elimination that found it; or the CPD whose variables are all observed.
+    """
+
+    lost: Mask
+    part: EliminationPlan | TableCPD
+
+    def error(self, evidence: BoundStates) -> ImpossibleEvidence:
+        """The error that refuses it, for the evidence of the whole network."""
+        if isinstance(self.part, EliminationPlan):
+            return refusal(self.part, self.lost, evidence.lead)
+        cpd, lead = self.part, evidence.lead
+        observed = [v for v in cpd.scope if v in evidence.states]
+        return ImpossibleEvidence(
+            f"the evidence has probability zero{in_run(self.lost.reshape(lead))}: that for "
+            f"{names(observed)} contradicts itself, for the table of {cpd.child!r} is zero there. "
+            f"{ADVICE}{OF_RUNS if lead else ''}",
+            self.lost,
+            lead,
+            variable=cpd.child,
+            cpd=cpd,
+        )
+
+
+def contradictions(left_out: Sequence[Family], evidence: BoundStates) -> list[Contradiction]:
+    """Where the evidence in the CPDs that a query leaves out has probability zero.
+
+    A part is not looked at where elimination would need tables above the limit of memory.
+
+    evidence: That of the whole network.
+    """
+    constraints = [family for family in left_out if _has_zero(family, evidence)]
+    if not constraints:
+        return []
+    found = []
+    for cpd, unknown in constraints:
+        if not unknown:
+            state = tuple(_state(v, evidence) for v in (*cpd.given, cpd.child))
+            zero = np.atleast_1d(cpd.table[state] == 0.0)
+            found.append(Contradiction(np.broadcast_to(zero, evidence.runs), cpd))
+    for part in _parts(_restricting(constraints, evidence)):
+        members = {v for cpd, _ in part for v in cpd.scope}
+        if members.isdisjoint(evidence.states) and members.isdisjoint(evidence.weights):
+            continue
+        hidden = discrete(tuple(dict.fromkeys(v for _, unknown in part for v in unknown)))
+        cpds, scopes = zip(*part, strict=True)
+        plan = EliminationPlan.of(
+            Requisite(cpds, scopes, hidden, evidence_of(evidence, members)), hidden[-1:]
+        )
+        if plan.peak > limits.LIMIT:
+            continue
+        some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
+        lost = np.concatenate([lost_runs(eliminate(plan, piece)) for piece in some])
+        found.append(Contradiction(np.broadcast_to(lost, evidence.runs), plan))
+    return [each for each in found if each.lost.any()]
+
+
+def _state(variable: Discrete, evidence: BoundStates) -> int | Integers:
+    """The state of a known variable, or of each run, (runs or 1,)."""
+    return 0 if variable.size == 1 else evidence.states[variable]
+
+
+def _has_zero(family: Family, evidence: BoundStates) -> bool:
+    """Whether a CPD's table has a zero at the states that are known and the same in all runs.
+
+    A table above the limit of memory, of a CPD that was given by its structure, is not looked at.
+    """
+    cpd, unknown = family
+    if cpd._maps and math.prod(sizes(discrete(cpd.scope))) > limits.LIMIT:
+        return False
+    if cpd._positive:
+        return False
+    index: list[int | slice] = []
+    for variable in (*cpd.given, cpd.child):
+        state = slice(None) if variable in unknown else _state(variable, evidence)
+        index.append(state if isinstance(state, int) else slice(None))
+    return not cpd.table[tuple(index)].all()
+
+
+def _restricting(constraints: Sequence[Family], evidence: BoundStates) -> list[Family]:
+    """The CPDs with unknown variables that may exclude the evidence, in their order.
+
+    One is left out if its child has no evidence and is in no other: whatever its parents' states,
+    some state of it is possible. That may leave others without their children's CPDs in turn.
+    """
+    left = {cpd.child: (cpd, unknown) for cpd, unknown in constraints if unknown}
+    count = Counter(v for _, unknown in left.values() for v in unknown)
+    waiting = list(left)
+    while waiting:
+        child = waiting.pop()
+        if child not in left or count[child] != 1:
+            continue
+        _, unknown = left[child]
+        if child not in unknown or child in evidence.states or child in evidence.weights:
+            continue
+        del left[child]
+        count.subtract(unknown)
+        waiting += unknown
+    return list(left.values())
+
+
+def _parts(families: Sequence[Family]) -> Iterator[list[Family]]:
+    """The families in parts that share no unknown variable."""
+    holding: dict[Discrete, list[int]] = {}
+    for k, (_, unknown) in enumerate(families):
+        for variable in unknown:
+            holding.setdefault(variable, []).append(k)
+    seen: set[int] = set()
+    for first in range(len(families)):
+        if first in seen:
+            continue
+        seen.add(first)
+        part, waiting = [], [first]
+        while waiting:
+            k = waiting.pop()
+            part.append(families[k])
+            for variable in families[k][1]:
+                new = [other for other in holding.pop(variable, ()) if other not in seen]
+                seen.update(new)
+                waiting += new
+        yield part
