@@ -256,13 +256,14 @@ class BoundFunction(NamedTuple):
     ) -> bool:
         """Whether derivatives (d, n, *shape) of a trace are wrong for the belief; see `Slopes`.
 
-        `std` (..., size) are the standard deviations of the hidden parents, without which nobody
-        can tell.
+        `std` (..., size) are the standard deviations of the hidden parents, None where nobody has
+        told them.
         """
-        slopes = self.template.slopes
-        if std is None or slopes is None:
+        slopes, missing = self.template.slopes, self.template.missing
+        if slopes is None:
             return False
-        missing = self.template.missing
+        if std is None:
+            std = np.zeros(self.template.size)
         own = std if len(missing) == self.template.size else std[..., list(missing)]
         if not shape:
             components = [c for argument in arguments for c in argument.tolist()]

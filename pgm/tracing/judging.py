@@ -20,16 +20,17 @@ from pgm.errors import PgmError
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, components_last, quiet
 from pgm.tracing.program import Column
-from pgm.tracing.slopes import Points, Slopes, beside, shown
+from pgm.tracing.slopes import Points, Slopes, beside, choice, shown
 from pgm.tracing.trace import Tracer
 
 Found = TypeVar("Found")
 
 # From so many points on, a trace is made anew at each call. Then about so many values are judged,
-# and so many derivatives are looked at.
-LARGE, _VALUES, _SLOPES = 2**12, 2**10, 2**13
-# So many points are judged at a time; in a call the function is asked for so many derivatives.
-_BATCH, _ASKED = 4096, 64
+# and the slopes of so many points are looked at, or so many entries of slopes.
+LARGE, _VALUES, _SLOPES, _ENTRIES = 2**12, 2**10, 2**13, 2**17
+# So many points are judged at a time; so many, at even distances, have their slopes compared with
+# differences whether they are in doubt or not.
+_BATCH, _EVEN = 4096, 16
 # Values that are the same differ by less: shares of a value, of the largest of a batch, and of the
 # noise's deviation.
 _OF_VALUE, _OF_LARGEST, _OF_NOISE = 1e-9, 1e-12, 1e-6
@@ -155,7 +156,7 @@ class Answers:
         self._open = False
         if self.fault is None and self._chosen:
             found, doubts = Points.joined(self._chosen), np.concatenate(self._doubts)
-            self.fault = self.slopes.fault(found.at(_choice(doubts, _ASKED)))
+            self.fault = self.slopes.fault(found.at(_chosen(doubts)))
         self._chosen, self._doubts = [], []
 
     def _look_back(self) -> None:
@@ -179,10 +180,10 @@ class Answers:
     def _look(self, points: Points) -> None:
         some = points.at(slice(None, None, self.thin))
         self._compare(some.arguments, some.value)
-        if self.fault is None and self._places and not np.isnan(points.std).all():
+        if self.fault is None and self._places:
             self._compare_beside(some)
             doubts = self.slopes.doubts(points)
-            chosen = _choice(doubts, _ASKED)
+            chosen = _chosen(doubts)
             self._chosen.append(points.at(chosen))
             self._doubts.append(doubts[chosen])
 
@@ -254,7 +255,8 @@ class Judge:
         found = Answers(tracer, columns, places, variances)
         # A sample suffices where a trace is new and shows all that its function does.
         if large and not found.trace.cast:
-            found.every = math.ceil(count / _SLOPES)
+            slopes = _ENTRIES // max(len(found.program.slope), 1)
+            found.every = math.ceil(count / min(max(slopes, _EVEN), _SLOPES))
             found.thin = math.ceil(count / found.every / _VALUES)
         self.answers.append(found)
         return found
@@ -291,9 +293,7 @@ def judged(call: Callable[[Judge], Found]) -> Found:
     return call(Judge(trusting=False))
 
 
-def _choice(doubts: Array, count: int) -> Integers:
-    """The places of up to `count` points: those most in doubt, and some at even distances."""
-    if len(doubts) <= count:
-        return np.arange(len(doubts))
-    some = np.linspace(0, len(doubts) - 1, count // 4).astype(np.intp)
-    return np.unique(np.append(some, np.argsort(doubts)[-(count - count // 4) :]))
+def _chosen(doubts: Array) -> Integers:
+    """The places of the points most in doubt, and of some at even distances."""
+    some = np.linspace(0, len(doubts) - 1, min(_EVEN, len(doubts))).astype(np.intp)
+    return np.union1d(some, choice(doubts))

@@ -21,15 +21,18 @@ from pgm.kernels import differences
 from pgm.kernels.arrays import Array, Integers, Mask, components_last, quiet
 from pgm.tracing.program import Program
 
-# Values show slopes so far beside a point, in standard deviations.
-_BESIDE = 1e-2
+# Values show slopes so far beside a point, in standard deviations; where nobody has told these they
+# are taken to be so large.
+_BESIDE, _UNTOLD = 1e-2, 1e-2
 # Differences are taken over steps of these shares of a standard deviation.
 _SCALES = 1e-2, 1e-4
-# Of so many points in doubt the function is asked.
-_ASKED = 64
-# Slopes that are the same move a prediction by less, in its standard deviations; some are alike
-# that differ by this share of an error and of themselves.
-_OF_PREDICTION, _ALIKE = 1e-3, 0.1
+# The function is asked for about so many entries of slopes in doubt.
+_ASKED = 256
+# Slopes that are the same differ by less: shares of themselves; of the noise and of the prediction,
+# when they move it. Some are alike that differ by a share of an error, and of themselves.
+_OF_ITSELF, _OF_NOISE, _OF_PREDICTION, _ALIKE = 1e-3, 1e-3, 1e-9, 0.1
+# Slopes are in doubt from so much on.
+_DOUBT = 1e-3
 # The rounding of a value is some units in its last place; coordinates are this many of theirs from
 # each other, or no difference tells anything.
 _ROUNDING, _APART = 1e-14, 1e5
@@ -40,12 +43,22 @@ def beside(x: Array, std: Array) -> Array:
 
     So no difference of components is the same there as at x, as it were with equal steps.
     """
-    return x + _steps_beside(x, std)
+    return x + _steps_beside(x, _told(std))
 
 
 def _steps_beside(x: Array, std: Array) -> Array:
     shares = 0.5 + np.modf(0.6180339887498949 * np.arange(1.0, x.size + 1.0))[0]
     found: Array = _BESIDE * shares.reshape(x.shape) * np.nan_to_num(std, posinf=0.0)
+    return found
+
+
+def _told(std: Array) -> Array:
+    """Standard deviations (..., n) to judge slopes by, all of them finite and above zero.
+
+    They are zero of all components where a call linearises at points alone, as at a start, and of
+    those under a flat prior.
+    """
+    found: Array = np.where(np.isfinite(std) & (std > 0.0), std, _UNTOLD)
     return found
 
 
@@ -122,7 +135,7 @@ class Slopes:
         ones = np.ones(len(self.columns))
         self._places: list[int] = self.columns.tolist()
         self._shares: list[float] = _steps_beside(ones, ones).tolist()
-        self._least: list[float] = (_OF_PREDICTION * noise).tolist()
+        self._least: list[float] = (_OF_NOISE * noise).tolist()
 
     def function(self, flat: Array) -> Array | None:
         """The function's value (..., d) at arguments side by side; None where it fails."""
@@ -137,71 +150,65 @@ class Slopes:
         return np.split(flat, self._cuts, axis=-1)
 
     def doubts(self, points: Points) -> Array:
-        """How far slopes are from those a step beside them on both sides, (k,).
+        """How far slopes are from those a step beside them on both sides, (k, d, n).
 
-        Of the slopes J₊ and J₋ beside J the largest of (|J − (J₊ + J₋)/2| − |J₊ − J₋|) σ, in
-        standard deviations of the prediction; what is below zero is as a smooth function has it.
+        Of the slopes J₊ and J₋ beside J it is (|J − (J₊ + J₋)/2| − |J₊ − J₋|) σ, as a share of the
+        noise and of |J₊ + J₋| σ / 2; what is below zero is as a smooth function has it.
         """
-        x = points.arguments[:, self.columns]
-        step = _steps_beside(x, points.std)
+        std, x = _told(points.std), points.arguments[:, self.columns]
+        step = _steps_beside(x, std)
         pair = np.repeat(points.arguments[None], 2, axis=0)
         pair[0][:, self.columns] += step
         pair[1][:, self.columns] -= step
         both = self.program.batch(self.apart(pair), pair.shape[:-1])[1]
         above, below = np.einsum("ijpk->pkij", both)
-        return self._doubts(points.slope, above, below, points.std)
+        with quiet():
+            own = std[:, None, :]
+            middle = 0.5 * (above + below)
+            off = (np.abs(points.slope - middle) - np.abs(above - below)) * own
+            unit = np.abs(middle) * own + self._noise[:, None]
+            found: Array = np.nan_to_num(off / np.where(unit > 0.0, unit, 1.0))
+            return found
 
     def doubtful(self, components: Sequence[float], slope: Array, std: Array) -> bool:
-        """Whether the slope (d, n) of one evaluation is in doubt, as `doubts` of many.
+        """Whether the slope (d, n) of one evaluation may be in doubt, as `doubts` of many.
 
         `components` are those of all arguments side by side, `std` (n,) of the columns. Nearly all
         slopes are cleared in plain Python, a few numbers being too few for NumPy.
         """
-        above, below, spread = list(components), list(components), std.tolist()
+        above, below = list(components), list(components)
+        spread = [each if 0.0 < each < math.inf else _UNTOLD for each in std.tolist()]
         for column, share, each in zip(self._places, self._shares, spread, strict=True):
             above[column] += share * each
             below[column] -= share * each
         over, under = self.program.numbers(above), self.program.numbers(below)
         if over is None or under is None:
-            return False
-        height, width = slope.shape
-        k, every = height, slope.ravel().tolist()
+            return True
+        height = len(slope)
+        sides = zip(slope.ravel().tolist(), over[height:], under[height:], strict=True)
         for least in self._least:
             for each in spread:
-                one, other, here = over[k], under[k], every[k - height]
+                here, one, other = next(sides)
                 off = abs(here - 0.5 * (one + other)) - abs(one - other)
-                if off * each > least + 1e-9 * abs(here) * each:
-                    near = np.reshape([over[height:], under[height:]], (2, height, width))
-                    return bool(self._doubts(slope, near[0], near[1], std) > _OF_PREDICTION)
-                k += 1
+                if not off * each <= least + 1e-9 * abs(here) * each:
+                    return True
         return False
 
-    def _doubts(self, slope: Array, above: Array, below: Array, std: Array) -> Array:
-        with quiet():
-            std = np.nan_to_num(std, posinf=0.0)[..., None, :]
-            middle = 0.5 * (above + below)
-            off = (np.abs(slope - middle) - np.abs(above - below)) * std
-            unit = np.sqrt(((middle * std) ** 2).sum(axis=-1, keepdims=True)) + self._noise[:, None]
-            found: Array = np.nan_to_num(off / np.where(unit > 0.0, unit, 1.0)).max(axis=(-2, -1))
-            return found
-
     def misled(self, points: Points) -> str | None:
-        """The `fault` of points in doubt, of 64 of them at the most; None where none is."""
-        doubts = self.doubts(points)
-        worst = np.argsort(doubts)[-_ASKED:]
-        worst = worst[doubts[worst] > _OF_PREDICTION]
-        return self.fault(points.at(worst)) if worst.size else None
+        """The `fault` of the points in doubt; None where none is."""
+        chosen = choice(self.doubts(points))
+        return self.fault(points.at(chosen)) if chosen.size else None
 
     def fault(self, points: Points) -> str | None:
         """The words for a slope unlike the function's differences, if there is one.
 
-        An entry (i, j) is wrong where it moves a prediction by too many of its deviations: of
-        |J − D| σⱼ against Σ (D σ)² and the noise. The differences D, over a step, are believed
-        where the trace's own slopes a step to either side are D, too: not at kinks, nor where a
-        function bends within a step. Rounding of values, over a step, is no fault of the slope.
+        An entry (i, j) is wrong if |J − D| is more than a thousandth of it, and of the noise when
+        multiplied by σⱼ. The differences D, over a step, are believed where the trace's own slopes
+        a step to either side are alike, and D their mean: not at kinks, nor where a function bends
+        within a step. Rounding of values, over a step, is no fault of the slope.
         """
         flat, x = points.arguments, points.arguments[:, self.columns]
-        std = np.nan_to_num(points.std, posinf=0.0)
+        std = _told(points.std)
         told = std >= _APART * np.spacing(np.abs(x))  # elsewhere steps are no numbers
         count, columns = len(self._angles), np.arange(len(self.columns))
 
@@ -225,12 +232,14 @@ class Slopes:
                 near = np.einsum("ijpsj->psij", near)  # by each column, a step along it
                 error, own = np.abs(points.slope - due), std[:, None]
                 doubt = np.abs(near - due[:, None]).max(axis=1)
+                apart = np.abs(near.mean(axis=1) - due) * own
                 unit = np.sqrt(((due * own) ** 2).sum(axis=-1, keepdims=True))
-                least = _OF_PREDICTION * (unit + self._noise[:, None])
+                least = np.maximum(_OF_NOISE * self._noise[:, None], _OF_PREDICTION * unit)
                 least = least + _ROUNDING * size * own / step[:, None]
-                alike = np.maximum(_ALIKE * np.abs(due) * own, _ALIKE * least)
-                wrong = (error * own > least) & told[:, None]
-                wrong &= (doubt < _ALIKE * error) & (doubt * own < alike)
+                itself = np.maximum(np.abs(due), np.abs(points.slope))
+                wrong = (error * own > least) & (error > _OF_ITSELF * itself) & told[:, None]
+                wrong &= doubt < _ALIKE * error
+                wrong &= apart < _ALIKE * np.maximum(np.abs(due) * own, least)
             if wrong.any():
                 row, part, _ = (int(axis[0]) for axis in np.nonzero(wrong))
                 return (
@@ -240,6 +249,17 @@ class Slopes:
                     "is of a branch much narrower than the belief"
                 )
         return None
+
+
+def choice(doubts: Array) -> Integers:
+    """The places of the points most in doubt, of each entry some, from doubts (k, d, n)."""
+    count, height, width = doubts.shape
+    most = min(max(_ASKED // (height * width), 1), count)
+    flat = doubts.reshape(count, -1)
+    worst = np.argpartition(flat, count - most, axis=0)[count - most :]
+    doubtful = np.take_along_axis(flat, worst, axis=0) > _DOUBT
+    found: Integers = np.unique(worst[doubtful])
+    return found
 
 
 def shown(numbers: Array) -> str:

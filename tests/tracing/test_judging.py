@@ -164,6 +164,7 @@ NARROW = {
 }
 
 
+@pytest.mark.filterwarnings("ignore::pgm.PrecisionWarning")  # far coordinates, narrow beliefs
 @pytest.mark.parametrize("kind", NARROW)
 @pytest.mark.parametrize(
     ("place", "scale"), [(0.0, 1e-9), (0.0, 1.0), (3.7e5, 1e-5), (5e6, 3e-4), (1.7e9, 0.1)]
