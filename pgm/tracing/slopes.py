@@ -24,8 +24,9 @@ from pgm.tracing.program import Program
 # Values show slopes so far beside a point, in standard deviations; where nobody has told these they
 # are taken to be so large.
 _BESIDE, _UNTOLD = 1e-2, 1e-2
-# Differences are taken over steps of these shares of a standard deviation.
-_SCALES = 1e-2, 1e-4
+# Differences are taken over steps of these shares of a standard deviation, and the trace's slopes
+# looked at so many steps away: at two distances, lest a function that swings be taken for straight.
+_SCALES, _SIDES = (1e-2, 1e-4), (1.0, -1.0, 1.6, -1.6)
 # The function is asked for about so many entries of slopes in doubt.
 _ASKED = 256
 # Slopes that are the same differ by less: shares of themselves; of the noise and of the prediction,
@@ -204,8 +205,8 @@ class Slopes:
 
         An entry (i, j) is wrong if |J − D| is more than a thousandth of it, and of the noise when
         multiplied by σⱼ. The differences D, over a step, are believed where the trace's own slopes
-        a step to either side are alike, and D their mean: not at kinks, nor where a function bends
-        within a step. Rounding of values, over a step, is no fault of the slope.
+        one and 1.6 steps to either side are alike, and D their mean: not at kinks, nor where a
+        function bends within a step. Rounding of values, over a step, is no fault of the slope.
         """
         flat, x = points.arguments, points.arguments[:, self.columns]
         std = _told(points.std)
@@ -225,10 +226,11 @@ class Slopes:
             step = np.where(told, scale * std, np.finfo(float).tiny)
             with quiet():
                 due = np.where(told[:, None], differences.over(along, x, step, self._angles), 0.0)
-                pair = np.repeat(flat[:, None, None], 2, axis=1).repeat(len(columns), axis=2)
-                pair[:, 0, columns, self.columns] += step
-                pair[:, 1, columns, self.columns] -= step
-                near = self.program.batch(self.apart(pair), pair.shape[:-1])[1]
+                sides = np.repeat(flat[:, None, None], len(_SIDES), axis=1)
+                sides = sides.repeat(len(columns), axis=2)
+                for k, side in enumerate(_SIDES):
+                    sides[:, k, columns, self.columns] += side * step
+                near = self.program.batch(self.apart(sides), sides.shape[:-1])[1]
                 near = np.einsum("ijpsj->psij", near)  # by each column, a step along it
                 error, own = np.abs(points.slope - due), std[:, None]
                 doubt = np.abs(near - due[:, None]).max(axis=1)

@@ -87,19 +87,18 @@ def of_step(
     """The `error` (runs,) after a step of an online filter, from the decimal digits left before it.
 
     `before` and `after` are the beliefs that the step went from and to. `digits` (*runs) is −log₁₀
-    of the error before, None as long as none were lost. The prediction between is not at hand: ρ is
-    taken to be the smaller of a component's two variances over the larger, at its largest. Nor are
-    slopes: the share of the step is taken to be ε c |m| / σ of the component that is farthest from
-    zero in any run, and none if no rule has weights that cancel. A further share (runs,) is that of
-    the means' last `place`, 0 where that need not be told. None where the error is at most 10⁻⁹ in
-    all runs.
+    of the error before, None as long as none were lost. A step predicts or updates: ρ is the one or
+    the other of its two factors. Slopes are not at hand: the share of the step is taken to be
+    ε c |m| / σ of the component that is farthest from zero in any run, and none if no rule has
+    weights that cancel. A further share (runs,) is that of the means' last `place`, 0 where that
+    need not be told. None where the error is at most 10⁻⁹ in all runs.
     """
     times = largest(families(plan))
     if not times and digits is None and isinstance(place, float):
         return None
     (_, known), (mean, cov) = before.by_run, after.by_run
     was, left = np.maximum(variances(known), 0.0), np.maximum(variances(cov), 0.0)
-    stays = ratio(np.minimum(left, was), np.maximum(left, was))
+    stays = ratio(was, left) if plan.transition else ratio(left, was)
     past = 0.0 if digits is None else 10.0 ** (-2.0 * digits.reshape(-1))
     added = times * _farthest(plan, mean, cov) if times else 0.0
     total: Array = np.sqrt(past * stays + added**2 + place**2)
