@@ -50,7 +50,7 @@ QUICK: dict[str, Any] = {
     "spins": [-0.75, -0.5, 0.0, 1.5],
     "precisions": [0.5, 1.0],
     "side": 4,
-    "count": 20,
+    "count": 8,
     "draws": 1,
     "known": ["asia"],
 }

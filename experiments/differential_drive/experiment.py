@@ -26,7 +26,7 @@ Meaning = Literal["deviation", "variance"]
 
 PARTICLES = (30, 100, 300)
 PARTICLE_DRIVES = 200  # at most, since particles take longer
-QUICK: dict[str, Any] = {"runs": 300, "seconds": 4}
+QUICK: dict[str, Any] = {"runs": 200, "seconds": 4}
 
 
 def run(

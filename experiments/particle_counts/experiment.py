@@ -26,7 +26,7 @@ SHOWN = 100
 # Particles and repeats of the comparison of resamplers.
 DRAWN, REPEATS = 300, 5
 ADAPTED_RUNS = 8
-QUICK: dict[str, Any] = {"runs": 20, "seconds": 4, "reference": 2000}
+QUICK: dict[str, Any] = {"runs": 12, "seconds": 4, "reference": 2000}
 
 
 def run(

@@ -84,6 +84,7 @@ def test_maps_are_of_steps_that_there_are():
 
 
 @pytest.mark.filterwarnings("ignore:measurements are too sharp")  # its few cells are wide
+@pytest.mark.slow
 def test_everything_is_written(tmp_path):
     grid_localisation.run(out=tmp_path, seed=0, **grid_localisation.QUICK)
     summary = json.loads((tmp_path / "summary.json").read_text())
