@@ -31,8 +31,8 @@ class Point(NamedTuple):
 
     Row t is the slice at a step, its n hidden components. `joint` (steps − 1, runs, m, m) are the
     covariances of pairs, of m components: the states of the step before, then the slice; None where
-    no CPD needs them. Where a flat prior leaves variances in `cov` infinite, `proper` is finite: the covariance
-    along the directions that the measurements determine.
+    no CPD needs them. Where a flat prior leaves variances in `cov` infinite, `proper` is finite:
+    the covariance along the directions that the measurements determine.
     """
 
     mean: Array

@@ -1,7 +1,7 @@
 """Summaries of posteriors: log-evidence, status, and the ends of the beliefs over time.
 
-Arguments `runs` are the user's axes of runs; `last` is T, the last step; ``beliefs[x.at(t)]`` is the
-belief of a variable x at step t, of all runs.
+Arguments `runs` are the user's axes of runs; `last` is T, the last step; ``beliefs[x.at(t)]`` is
+the belief of a variable x at step t, of all runs.
 """
 
 from __future__ import annotations
