@@ -52,7 +52,7 @@ class Kind(InCode):
     def last(self, step: int, steps: int) -> int:
         """The last step whose measurements a belief at `step` of a chain of `steps` knows.
 
-        It is min(step + lag, T); −1 of a prediction at step 0, which knows none.
+        It is min(step + lag, T), with T = `steps`; −1 of a prediction at step 0, which knows none.
         """
         return int(min(step + self.lag, steps))
 

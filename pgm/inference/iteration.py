@@ -30,9 +30,9 @@ class Point(NamedTuple):
     """A point of linearisation: mean (steps, runs, n) and cov (steps, runs, n, n).
 
     Row t is the slice at a step, its n hidden components. `joint` (steps − 1, runs, m, m) are the
-    covariances of pairs: the states of the step before, then the slice; None where no CPD needs
-    them. Where a flat prior leaves variances in `cov` infinite, `proper` is finite: the covariance
-    along the directions that the measurements determine.
+    covariances of pairs, of m components: the states of the step before, then the slice; None where
+    no CPD needs them. Where a flat prior leaves variances in `cov` infinite, `proper` is finite:
+    the covariance along the directions that the measurements determine.
     """
 
     mean: Array
@@ -51,7 +51,10 @@ class Point(NamedTuple):
         return np.sqrt(np.maximum(np.diagonal(self.known_cov, axis1=-2, axis2=-1), 0.0))
 
     def start(self, states: Index) -> tuple[Array, Array]:
-        """Mean (1, runs, k) and covariance (1, runs, k, k) of step 0 at the places `states`."""
+        """Mean (1, runs, k) and covariance (1, runs, k, k) of the k states of step 0.
+
+        `states` are their places in the slice.
+        """
         return self.mean[:1][..., states], block(self.cov[:1], states, states)
 
     def pairs(self, states: Index, places: Index) -> tuple[Array, Array]:
@@ -139,9 +142,10 @@ class Problem(Protocol[Found]):
         """The solution of the linearised model, with an anchor's measurement added, if any."""
 
     def settled(self) -> Mask | bool:
-        """Whether the model of a run is the one asked for, (runs,), or True for all.
+        """Whether robust noise lets a run converge, (runs,); True where all runs may.
 
-        Robust losses may be reached in stages, from iteration to iteration.
+        It does once a graduated loss has been sharpened to that of the user's model, and weights of
+        sightings, where they are iterated, no longer move.
         """
 
 
@@ -154,7 +158,7 @@ class Controlled(Problem[Found], Protocol[Found]):
     def feasible(self, mean: Array, found: Point) -> Array:
         """Means (steps, runs, n) moved to where the exact linear CPDs hold, and the cost is finite.
 
-        `found` is the solution of the model linearised there.
+        `found` is the solution of the model linearised at the means before they are moved.
         """
 
 
@@ -182,10 +186,11 @@ def iterate(
 ) -> Iterated[S]:
     """Linearise and solve again until each run converges, or the schedule's iterations are used up.
 
-    A run has converged when its residual (see `Iterated`) is within the tolerance and its model is
-    the one asked for; it then stays as it is. `solution` is the first, of one linearisation;
-    `first` the point where that was made, if all of it was made at one: the step from there is
-    controlled, too. `converged` (runs,) are the runs in which nothing is to iterate.
+    A run has converged when its residual (see `Iterated`) is within the tolerance and its robust
+    noise settled (`Problem.settled`); it then stays as it is. `solution` is the first, of one
+    linearisation; `first` the point where that was made, from which the step is controlled, too;
+    None if it was not all made at one. `converged` (runs,) are the runs in which nothing is to
+    iterate.
     """
     control = _Control(problem, schedule.damping, converged.size)
     residuals: list[Array] = []
@@ -225,7 +230,10 @@ class _Control:
         self.weight = np.full(runs, first)
 
     def feasible(self, first: Point, found: Point) -> Point:
-        """The first point; under control by cost with means of a finite cost."""
+        """The point `first`; under control by cost with means moved to where the cost is finite.
+
+        `found` is the solution of the model linearised at `first`; see `Controlled.feasible`.
+        """
         if not isinstance(self.damping, LevenbergMarquardt):
             return first
         return first._replace(mean=self.problem.feasible(first.mean, found))

@@ -89,7 +89,7 @@ class Messages(Protocol[Round]):
     def accept(self, round: Round, active: Mask, lost: Mask) -> None:
         """Keep the messages that `propose` computed last, damped, in the active runs, (runs,).
 
-        Converged runs may go on, for the sake of the others. Those that are `lost`, (runs,), keep
+        Converged runs may go on, for the sake of other runs. Runs that are `lost`, (runs,), keep
         the messages that they have.
         """
 

@@ -4,7 +4,8 @@ A *row* is a step of a transition, or a sighting of a sensor: a measurement at s
 there may be several. *Runs* are the simulations or robots that are worked on together; all of them
 have the same rows. In the arrays of `At` component axes come first, then the *batch*: no axis for
 one run, else that of runs, of length one where all runs are alike. An *input* is the value of a
-parent with evidence.
+parent with evidence. d are the components of the CPD's child y, of an input its own; n those of the
+hidden parents, stacked to one vector x.
 """
 
 from __future__ import annotations
@@ -265,7 +266,7 @@ def own_noise(
     """The CPD's own noise covariance at its rows, (rows or 1, runs or 1, d, d).
 
     It has one row if it does not depend on `inputs` (rows, runs or 1, d). `step` (rows,) is None
-    without time; `lead` are the user's axes of runs.
+    without time; `lead` are the user's axes of runs; messages count runs from `first_run`.
     """
     size = cpd.child.dimension
     if not isinstance(cpd.cov, Noise):

@@ -1,6 +1,7 @@
 """Summaries of posteriors: log-evidence, status, and the ends of the beliefs over time.
 
-Arguments `runs` are the user's axes of runs; `last` is T, the last step.
+Arguments `runs` are the user's axes of runs; `last` is T, the last step; ``beliefs[x.at(t)]`` is
+the belief of a variable x at step t, of all runs.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def ends(
 ) -> list[str | Listing]:
     """Listings of the beliefs of the first variables, each of its first and last steps.
 
-    `beliefs` gives them by variable and step. Variables that are no `states` begin at step 1.
+    Variables that are no `states` begin at step 1.
     """
     shown = variables[:VARIABLES]
     most = max(ROWS // max(len(shown), 1) - (len(shown) > 1), ENDS)
@@ -171,7 +172,7 @@ def _ends(
     kept: dict[int, Any] = {}
 
     def at(place: Place) -> Any:
-        """The belief at a step, of all runs."""
+        """The belief, of all runs, at the step of a place, an index along `lead`."""
         step = steps[place[-1]]
         if step not in kept:
             kept[step] = beliefs[variable.at(step)]

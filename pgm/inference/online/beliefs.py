@@ -207,7 +207,10 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
 
     def told(self, associations: Found, gate: Asked | None) -> OnlineBelief:
-        """The same belief with the associations of its sightings, which its watch counts, too."""
+        """The same belief with the associations of its sightings, which its watch counts, too.
+
+        Which of them it counts depends on the sensors' `gate`; see `Watch.told`.
+        """
         found = copy(self)
         watch = None if self.watch is None else self.watch.told(associations, gate)
         found._set(associations=MappingProxyType(dict(associations)), watch=watch)

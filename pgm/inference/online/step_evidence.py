@@ -130,7 +130,10 @@ def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> A
 
 
 def _single(variable: Variable, value: Any) -> Any:
-    """One measurement, with an axis of sightings of length one added."""
+    """One measurement (*runs, d) with an axis of sightings, of length one: (*runs, 1, d).
+
+    Of a discrete sensor, an index (*runs) becomes (*runs, 1), and weights (*runs, 1, size).
+    """
     if not isinstance(variable, Discrete):
         return as_rows(variable, value, None)[..., None, :]
     if isinstance(value, Soft):
@@ -211,7 +214,8 @@ def _numbers(value: Any) -> Array | None:
 def places(values: Mapping[Variable, Any]) -> dict[tuple[Variable | None, Variable], int]:
     """The place of each array among all that are given at a step, by sensor and variable.
 
-    The sensor is the one with whose sightings the variable was given, or None.
+    The sensor is the one with whose sightings a parent was given; it is None for a variable given
+    by itself, a sensor with its own measurements included.
     """
     found: dict[tuple[Variable | None, Variable], int] = {}
     for variable, value in values.items():
@@ -353,7 +357,8 @@ def _local(
 ) -> _Local:
     """A CPD with the places of its inputs; `where` has the places by sensor and variable.
 
-    `sensor` is the CPD's child and `count` its sightings; None and 1 for a transition.
+    `sensor` is the CPD's child and `count` its sightings; None and 1 for a transition. What was
+    given by itself, not with the sensor's sightings, is shared by all of them.
     """
     inputs = []
     for parent in family.inputs:

@@ -40,8 +40,8 @@ Make = Callable[[BoundEvidence, int, bool], ChainPlan]
 class Entry(NamedTuple):
     """The evidence of a step of a window.
 
-    `motion` has, for each CPD of the transition to the step, its inputs; `readings` the
-    measurements.
+    `motion` has, for each CPD of the transition to the step, its inputs, (1, runs or 1, d) by
+    variable, without rows at step 0; `readings` the measurements.
     """
 
     motion: tuple[Inputs, ...]
@@ -197,7 +197,9 @@ def _rows(parts: Sequence[npt.NDArray[Kind]]) -> npt.NDArray[Kind]:
 class _Ends(NamedTuple):
     """The beliefs at both ends of a transition, (2, runs, ...), as `Reverse.make` takes them.
 
-    Rows are the belief before and its prediction; the predicted moments are `mean` and `cov` again.
+    Row 0 is the belief before the transition, row 1 its prediction. For the reverse of a single
+    transition only row 0 of `mean` and `cov` counts, and row 1 of the predicted moments: hence the
+    same arrays serve as both.
     """
 
     mean: Array
@@ -254,7 +256,10 @@ class Passed:
 
     @cached_property
     def added(self) -> Array:
-        """The largest part of P that rounding of the reversed transition may be, (*lead,)."""
+        """A bound of the rounding by the reversed transition, as a share of P, (*lead,).
+
+        P is the covariance of the slice before the transition, as of `moments`.
+        """
         predicted = self._made[2].by_run[1]
         found: Array = accumulated(np.stack([predicted, predicted]))
         return found.reshape(self._lead)

@@ -115,7 +115,12 @@ def _with_places(
     parts: Sequence[Part],
     results: Sequence[Result],
 ) -> Status:
-    """The status with what last places cost where other parts alone have measured digits."""
+    """The status of all runs, with the digits that last places cost in parts that measured none.
+
+    Those parts count as having all digits if other parts have measured theirs (`one_status`). The
+    places are of the beliefs that they have sent, in the `room` or as a posterior. Where no part or
+    every part has measured digits, the status stays as it is.
+    """
     if status.digits is None or all(result.status.digits is not None for result in results):
         return status
     lost = np.zeros(status.digits.size)
@@ -281,7 +286,10 @@ class Share:
     def moments(
         self, arrays: Sequence[Array], found: ChainPosterior | None
     ) -> Iterable[tuple[Array, Array]]:
-        """Means and covariances in a part's `arrays`, or of its posterior `found` as it is sent."""
+        """Pairs of a mean and a covariance, (steps, runs, ...), that a part has sent.
+
+        They are of its posterior `found`, if that was sent whole; if that is None, in its `arrays`.
+        """
         if found is not None:
             every = [found._swept, found._smoothed]
             return [(each.mean, each.cov) for each in every if each is not None]
@@ -293,6 +301,7 @@ class Share:
         """The arrays of a part's posterior that are sent back, in the order of `shapes`.
 
         They are of kept marginals or of beliefs: of a posterior that is sent whole none are asked.
+        `runs` is the number of the part's runs.
         """
         if self.kept is None:
             swept, smoothed = found._swept, found._smoothed

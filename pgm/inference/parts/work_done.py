@@ -56,8 +56,9 @@ def here(work: Callable[[Any], Any], job: Any) -> Done:
 def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
     """Do some work in another process: the `Done` pickled, and the bytes of its large arrays.
 
-    `data` is the pickle of a function and its argument; `own` names the block of its parcel. Large
-    arrays of the answer go to the block `answer`; without one they stay in the pickle.
+    `data` is the pickle of a function and its argument; `own` names the block of its parcel, if it
+    has one. Large arrays of the answer go to the block `answer`; without one they stay in the
+    pickle.
     """
     try:
         work, job = loads(data, None if own is None else seen(own))
