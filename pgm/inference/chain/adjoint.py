@@ -181,7 +181,10 @@ class CarefulSmoothed:
         return Point(self.beliefs.mean, self.beliefs.cov, pairs, self.proper)
 
     def pairs(self) -> Array:
-        """The covariances of the pairs (states at t − 1, slice at t), t = 1..T, (T, runs, m, m)."""
+        """The covariances of the pairs (states at t − 1, slice at t), t = 1..T.
+
+        They are (T, runs, m, m), m being the number of states' components plus n.
+        """
         states, front = self.layout.state_places, self.layout.state_size
         found = [
             joint(self.careful, [step - 1, step], self.slices)[1]

@@ -55,8 +55,8 @@ def associated(
 ) -> Associated:
     """Associate the open sightings of all steps by a filter that linearises each CPD once.
 
-    `gate` is the filter's, for all sightings that are taken in. An EvidenceError refuses a prior of
-    infinite variance, and sightings that are to be summed out.
+    `gate` is the filter's (see `gate.py`), for all sightings that are taken in; None for no gate.
+    An EvidenceError refuses a prior of infinite variance, and sightings that are to be summed out.
     """
     known = replace(bound, readings=tuple(r for r in bound.readings if r.unknown is None))
     plan = ChainPlan.make(graph, known, lineariser)
@@ -118,7 +118,8 @@ class _Pending:
 
     `probability`, `values` and `taken` have one array for each sighting associated so far, in the
     order of the reading: the probabilities (runs, k + 2) of the candidates, of spurious and of new;
-    the value (runs, d) of the parent; and the mask (runs, d) of the components taken in.
+    the value (runs, p) of the parent, of p components; and the mask (runs, d) of the sighting's d
+    components that were taken in.
     """
 
     def __init__(self, reading: Reading, gate: Asked | None) -> None:

@@ -269,9 +269,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         return made
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
-        """Linearise a sensor's measurements, for the active runs.
+        """Linearise one sensor at moments of the slice, as `UpdateProblem.move` has them.
 
-        A lineariser that cannot do with an infinite variance is refused with a LinearisationError.
+        Variances may be infinite; a lineariser that cannot do with one is refused with a
+        LinearisationError. Runs that are not `active` (runs,) stay; None means all.
         """
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 

@@ -133,9 +133,10 @@ def _is_regular(cov: Array, limit: float) -> bool:
 
 
 def _hold(before: Array, after: Array, limit: float) -> bool:
-    """Whether no variance falls to less than 1 / `limit` from before a measurement to after it.
+    """Whether no variance falls to less than 1 / `limit` from before measurements to after them.
 
-    One that falls to zero is known exactly, which loses nothing; a negative one is rounding.
+    `before` and `after` are covariances (T+1, runs, n, n), the latter maybe smoothed. A variance
+    that falls to zero is known exactly, which loses nothing; a negative one is rounding.
     """
     left = variances(after)
     fallen = limit * left < variances(before)

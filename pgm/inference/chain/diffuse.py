@@ -67,7 +67,7 @@ class Diffuse(NamedTuple):
         return cov
 
     def of(self, places: Index) -> Diffuse:
-        """The belief over some components."""
+        """The belief over the components at some `places` of the n."""
         return Diffuse(
             block(self.cov, places, places), self.open[..., places, :], self.size[..., places, :]
         )
@@ -119,7 +119,7 @@ class Diffuse(NamedTuple):
 
 
 def _combined(reach: Array, noise: Array) -> tuple[Array, Mask]:
-    """Combinations N (k, d, d) of measured components, and the mask (k, d) of rows with N U = 0.
+    """Combinations N (k, d, d) of the components of k measurements, and the mask (k, d) of N U = 0.
 
     They come from the elimination of U, `reach` (k, d, q), by rows in units of the standard
     deviations of their noise (k, d, d). The component that depends most on an unknown direction is

@@ -22,8 +22,9 @@ from pgm.kernels.arrays import Array, Index, Mask, block, quiet
 class FamilyBelief(NamedTuple):
     """The joint belief (rows, runs, n) of a CPD's hidden parents and, if hidden, its child.
 
-    `values` (rows, runs or 1, d) are the measurements of a sensor, None of another CPD; `taken` is
-    the mask of the components measured, None for all.
+    The n components are the parents', then the child's; `cov` is (rows, runs, n, n). `values`
+    (rows, runs or 1, d) are the measurements of a sensor, None of another CPD; `taken` is the mask
+    of the components measured, None for all.
     """
 
     family: Family

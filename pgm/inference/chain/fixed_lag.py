@@ -220,7 +220,7 @@ class Beginning(NamedTuple):
 
     @property
     def in_digits(self) -> Begin:
-        """The belief in twice the digits."""
+        """The belief in twice the digits: `careful`, or else made from the moments in float64."""
         if self.careful is not None:
             return self.careful
         return Begin(Belief.of(self.mean, self.cov), Twofold.zeros((len(self.mean), 1, 1)))

@@ -7,6 +7,9 @@ quantile of the gate's probability, with as many degrees of freedom as component
 in this pass and in all later ones: the masks of the plan's sensors say so. Directions of which
 nothing is known yet, given a flat prior, are not judged, and are no degrees of freedom: see
 `diffuse`.
+
+The gates that a user has `Asked` for are one probability for all sensors, or a mapping from gated
+sensors' variables to theirs.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class Innovated(ABC):
     @property
     @abstractmethod
     def _plan(self) -> ChainPlan:
-        """The same plan, with the linearisations of the forward pass."""
+        """The plan `_planned`, with the linearisations of the forward pass."""
 
     @cached_property
     @quiet()

@@ -125,7 +125,10 @@ def _old(plan: ChainPlan, ahead: Forward) -> Array:
 
 
 def _back(ahead: Forward, smoothed: Beliefs, widest: Array) -> Array:
-    """The largest root of what a backward pass in float64 has added up of shares², (runs,)."""
+    """The largest √ν_t of a smoother's pass back in float64, (runs,).
+
+    `widest` (runs, n) are the largest variances that the components had.
+    """
     after = variances(smoothed.cov)
     stays = ratio(variances(ahead.cov)[:-1], variances(ahead.predicted_cov)[1:]) ** 2
     stays = np.minimum(stays * ratio(after[1:], after[:-1], most=np.inf), 1.0)

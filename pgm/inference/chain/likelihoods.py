@@ -286,7 +286,10 @@ def _added(parts: Array, counts: Integers) -> Array:
 
 
 def _one_a_step(parts: Array, steps: int) -> Array:
-    """The k rows of each of S steps, one below the other: (S k, R, d, ...) to (S, R, k d, ...)."""
+    """The k rows of d components of each step, one below the other.
+
+    Rows (steps k, runs, d, ...) become (steps, runs, k d, ...).
+    """
     rows, runs, *shape = parts.shape
     count = rows // steps
     memory = parts.transpose(*range(2, parts.ndim), 0, 1).reshape(*shape, steps, count, runs)

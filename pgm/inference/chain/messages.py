@@ -47,7 +47,10 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
 
 
 def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonical:
-    """The messages about the filtered means, (T+1, runs, ...), step by step from the last one."""
+    """The messages about the filtered means, (T+1, runs, ...), step by step from the last one.
+
+    The last is `message` (runs, ...), that of step T: with no measurements after it, all zeros.
+    """
     messages = [message]
     conditionals = transition(plan)
     for later in range(plan.steps, 0, -1):
@@ -61,7 +64,10 @@ def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonica
 
 
 def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | None:
-    """`_stepwise` by a scan of 2 log₂ T rounds; None where a root or inverse does not exist."""
+    """`_stepwise` by a scan of 2 log₂ T rounds; None where a root or inverse does not exist.
+
+    `last` is its `message`.
+    """
     segments = take(absorbed_at_once(plan, forward), slice(None, None, -1))
     tree = levels(segments, lambda later, sooner: elements.compose(sooner, later))
     found = prefixes(_Message(*(part[None] for part in last)), tree, _passed)

@@ -46,6 +46,8 @@ class ChainPosterior(Innovated, Posterior):
     Attributes
     ----------
     graph : DynamicGraph
+        Its clusters are numbered by step: 0 is over the states at step 0, t = 1..T over the states
+        at t − 1 and the slice at t.
     status : Status
         Linearisations, residuals, and whether they converged.
     kind : Kind

@@ -154,7 +154,9 @@ class Reading:
     all. With `fixed` the sensor's stored linearisation is used as it is: angles stay on their
     branch, and weights are not found anew. `seen` is the last linearisation, `erroneous` whether
     one has added an approximation error to the noise, and `error` (D, D, *batch) the covariance of
-    this error where weights are found. `gate` is the probability of a gate that has decided.
+    this error where weights are found. Once a gate has decided, `gate` is its probability, and
+    `gated` has the mask of rejected sightings and their squares νᵀS⁻¹ν, (k, *batch) each; before,
+    `gated` is None. `weights` are those of robust noise, None where they are not to be found.
     """
 
     __slots__ = (
@@ -202,9 +204,9 @@ class Reading:
     ) -> Measured:
         """Linearise at a belief over the slice, (n, *batch) and (n, n, *batch).
 
-        The result is `seen`, too. Runs that are not `active` (runs,) keep their linearisation.
-        Measured angles are moved to the branch nearest the value. Without a copy H and the value
-        may be arrays that the user's function uses again.
+        The result is `seen`, too. Runs that are not `active` (runs,) keep their linearisation; None
+        means all. Measured angles are moved to the branch nearest the value. Without a copy H and
+        the value may be arrays that the user's function uses again.
         """
         sensor, at = self.sensor, self.at
         if not sensor.whole:

@@ -44,8 +44,8 @@ def squares(
     """The squares νᵀR⁻¹ν of a sensor's residuals by its linearisation, (M, runs).
 
     With a rule that takes expectations they are expected under the beliefs, and Ω, `error` (M,
-    runs, d, d), is the covariance of its approximation error. `mean` (T+1, runs, n) and `cov` are
-    of the slices, the first of which is at step `first`.
+    runs, d, d), is the covariance of its approximation error, None for zero. `mean` (T+1, runs, n)
+    and `cov` are of the slices, the first of which is at step `first`.
     """
     family, parents, places = sensor.family, sensor.parents, sensor.family.step - first
     residual = sensor.moved - family.value(slice(None), gather(mean, places)[..., parents])

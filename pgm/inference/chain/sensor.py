@@ -360,7 +360,8 @@ def linearise_grouped(
 
     `steps` (G,) have k sightings each, which are linearised as one vector of D = k d components;
     beliefs are (G, runs, n) and (G, runs, n, n). The sensor's family stores the linearisations, and
-    the sensor the covariances between sightings' errors; runs that are not `active` keep theirs.
+    the sensor the covariances between sightings' errors; runs that are not `active` (runs,) keep
+    theirs, and None means all.
     """
     family, parents = sensor.family, sensor.parents
     template = family.template

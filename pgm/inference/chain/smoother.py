@@ -84,7 +84,7 @@ class Smoothed:
         return Point(self.beliefs.mean, self.beliefs.cov, joint)
 
     def at(self, plan: ChainPlan, mean: Array) -> Smoothed:
-        """The smoothed chain with other means, as step control may keep them."""
+        """The smoothed chain with other means (T+1, runs, n), as step control may keep them."""
         reverse = self.reverse.moved(mean, plan.layout.state_places)
         return Smoothed(self.forward, reverse, Beliefs(mean, self.beliefs.cov), self.paired)
 
@@ -268,12 +268,12 @@ def _compiled(
 
 
 def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """Smooth step by step, as everything is linearised; the `reference` is not needed."""
+    """A `Chain.solver`: smooth step by step as all is linearised, without use of `reference`."""
     return Smoothed.of(plan, forward.stored(plan, anchor))
 
 
 def _scanned(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """Smooth by a parallel scan over the steps, as everything is linearised.
+    """A `Chain.solver`: smooth by a parallel scan over the steps, as everything is linearised.
 
     Slices are counted from `reference` (T+1, runs, n), a trajectory near the beliefs.
     """
@@ -281,7 +281,7 @@ def _scanned(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smooth
 
 
 def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> CarefulSmoothed:
-    """Smooth in pairs of float64, as everything is linearised."""
+    """A `Chain.solver`: smooth in pairs of float64 as all is linearised, `reference` unused."""
     return CarefulSmoothed.of(plan, careful.sweep(plan, None, anchor)[0])
 
 
@@ -376,7 +376,7 @@ class Chain(Generic[Either]):
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """A chain solved for its means alone, by the normal equations of a Gauss–Newton step."""
+    """A problem for `iterate`: a chain's means alone, by the normal equations of Gauss–Newton."""
 
     chain: Chain[Smoothed]
 

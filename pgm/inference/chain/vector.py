@@ -150,7 +150,7 @@ class Stack(NamedTuple):
 
 
 def stacks(plan: ChainPlan, sensors: list[Sensor], reference: Array) -> list[Stack]:
-    """The stored measurements of all steps by `Stack`, one for each number of them by sensor.
+    """The stored measurements of all steps: a `Stack` for those with equally many of each sensor.
 
     Residuals are at the slices' means `reference` (T+1, runs, n). Steps without measurements are
     left out.
@@ -169,7 +169,7 @@ def stacks(plan: ChainPlan, sensors: list[Sensor], reference: Array) -> list[Sta
 def _stack(
     plan: ChainPlan, sensors: list[Sensor], steps: Integers, counts: Integers, reference: Array
 ) -> Stack:
-    """The stack of some steps (G,) with equally many sightings, `counts` of each sensor.
+    """The stack of some steps (G,) with equally many sightings: counts[i] of sensors[i].
 
     Sensors stand below one another, with the covariances between the sightings of a step.
     """

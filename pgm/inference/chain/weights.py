@@ -77,8 +77,9 @@ class Weights:
     ) -> Array:
         """The squares rᵀ R⁻¹ r of residuals (k, runs, d), (k, runs); expected, given a covariance.
 
-        `matrix` is H (k, runs, d, m), `cov` P (k or 1, runs, m, m) of the belief over the parents,
-        `error` Ω (k, runs, d, d) or None. Missing components do not count.
+        `matrix` is H (k, runs, d, m), `cov` P (k or 1, runs, m, m) of the belief over the parents'
+        m components: both, or neither. `error` is Ω (k, runs, d, d), None for zero. Missing
+        components do not count.
         """
         if self.taken is not None:
             residual = np.where(self.taken, residual, 0.0)
@@ -98,7 +99,7 @@ class Weights:
         """Set the weights to those at squares (k, runs); returns how far they move, (runs,).
 
         That is the largest change of a weight, infinite while a graduated loss is not yet the one
-        asked for. Runs that are not `active` (runs,) keep theirs, and move by zero.
+        asked for. Runs that are not `active` (runs,) keep theirs, and move by zero; None means all.
         """
         weight, stage = self._weights(square)
         change = np.abs(weight - self.weight).max(axis=0, initial=0.0)
@@ -137,8 +138,9 @@ class Weights:
     ) -> tuple[Mask, Mask] | None:
         """Masks (k, runs) of sightings rejected by a gate or this noise, and of those judged.
 
-        `gated` are the two masks of the gate, or None. A truncated loss judges all sightings with a
-        measured component, and rejects those of a weight below ½; other noise judges none.
+        `rows` picks the k sightings, by default all; `gated` are the two masks of the gate for
+        them, None without a gate. A truncated loss judges all sightings with a measured component,
+        and rejects those of a weight below ½; other noise judges none, and `gated` is the result.
         """
         if not self.noise.graduated:
             return gated
@@ -149,7 +151,7 @@ class Weights:
         return (left, seen) if gated is None else (gated[0] | left, gated[1] | seen)
 
     def surplus(self, rows: slice = slice(None)) -> Array:
-        """The robust log-density of each sighting less ln N(r; 0, R / w), (k, runs)."""
+        """The robust log-density of each sighting in `rows` less ln N(r; 0, R / w), (k, runs)."""
         count = self.count if self.taken is None else self.count[rows]
         return self.noise.surplus(self.square[rows], count, self.weight[rows])
 
