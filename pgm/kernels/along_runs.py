@@ -202,7 +202,10 @@ def _eliminate(matrix: Array, right: Array | None = None) -> Array:
 
 
 def _lower(unit: Array, root: Array) -> Array:
-    """The lower triangular U diag(r) of a unit lower triangular U (n, n, R) and roots r (n, R)."""
+    """The lower triangular U diag(`root`), (d, d, runs), `root` being (d, runs).
+
+    U has ones on its diagonal, and below it the entries of `unit` (d, d, runs).
+    """
     lower = np.zeros_like(unit)
     for j in range(len(unit)):
         lower[j, j] = root[j]
