@@ -1,9 +1,9 @@
 """Gaussian predictions and updates of many runs at once; the last axis of all arrays is the runs.
 
 Each operation on a component goes along a contiguous row of runs. Covariances P (n, n, runs) are
-exactly symmetric. A measurement of a belief N(m, P) is z = H x + n, n ~ N(0, R); r = z − H m is its
-residual, S = H P Hᵀ + R the covariance of r. It is *mild* where S is at most a thousand times R in
-every direction: then no variance falls more than a thousand times.
+exactly symmetric. A measurement of a belief N(m, P) is z = H x + n, n ~ N(0, R), of d components;
+r = z − H m is its residual, S = H P Hᵀ + R the covariance of r. It is *mild* where S is at most a
+thousand times R in every direction: then no variance falls more than a thousand times.
 
 Symmetric matrices are factorised as U D Uᵀ, with U unit lower triangular and D the diagonal of
 pivots: a pivot is the variance of a component given those before it.

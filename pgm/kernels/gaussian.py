@@ -4,8 +4,8 @@ Each function chooses the fastest code: for one small Gaussian, Python generated
 (`unrolled`); for a larger one LAPACK; for a batch of runs `along_runs`. Where S is nearly singular,
 all go to `moments`, which tells singular covariances from rounding.
 
-A measurement is z = H x + n, n ~ N(0, R); S = H P Hᵀ + R. The components of a prediction that are
-*bare* have no noise of their own: what they have is F x + b.
+A measurement of d components is z = H x + n, n ~ N(0, R); S = H P Hᵀ + R. The components of a
+prediction that are *bare* have no noise of their own: what they have is F x + b.
 """
 
 from __future__ import annotations
@@ -183,8 +183,9 @@ class Update(NamedTuple):
 
     Measured components that those before them determine add nothing to the density; `left`
     (d, *batch) has their distances from the values determined, and zero for the others; None if
-    none is determined. `regular`: no pivot of S is below 10⁻⁶ of its diagonal entry. `mild`: the
-    measurement is known to shrink no variance more than a thousand times.
+    none is determined. `regular`: no pivot of S is below 10⁻⁶ of its diagonal entry, or in a batch
+    below the `least` given, where the noise is not `exact`. `mild`: the measurement is known to
+    shrink no variance more than a thousand times.
     """
 
     mean: Array

@@ -1,4 +1,7 @@
-"""Errors for evidence of probability zero, which tell where it contradicts the tables."""
+"""Errors for evidence of probability zero, which tell where it contradicts the tables.
+
+In shapes, [runs] is an axis that a single run lacks.
+"""
 
 import math
 from collections.abc import Iterable
