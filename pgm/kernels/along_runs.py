@@ -1,9 +1,9 @@
 """Gaussian predictions and updates of many runs at once; the last axis of all arrays is the runs.
 
 Each operation on a component goes along a contiguous row of runs. Covariances P (n, n, runs) are
-exactly symmetric. A measurement of a belief N(m, P) is z = H x + n, n ~ N(0, R); r = z − H m is its
-residual, S = H P Hᵀ + R the covariance of r. It is *mild* where S is at most a thousand times R in
-every direction: then no variance falls more than a thousand times.
+exactly symmetric. A measurement of a belief N(m, P) is z = H x + n, n ~ N(0, R), of d components;
+r = z − H m is its residual, S = H P Hᵀ + R the covariance of r. It is *mild* where S is at most a
+thousand times R in every direction: then no variance falls more than a thousand times.
 
 Symmetric matrices are factorised as U D Uᵀ, with U unit lower triangular and D the diagonal of
 pivots: a pivot is the variance of a component given those before it.
@@ -202,7 +202,10 @@ def _eliminate(matrix: Array, right: Array | None = None) -> Array:
 
 
 def _lower(unit: Array, root: Array) -> Array:
-    """The lower triangular U diag(r) of a unit lower triangular U (n, n, R) and roots r (n, R)."""
+    """The lower triangular U diag(`root`), (d, d, runs), `root` being (d, runs).
+
+    U has ones on its diagonal, and below it the entries of `unit` (d, d, runs).
+    """
     lower = np.zeros_like(unit)
     for j in range(len(unit)):
         lower[j, j] = root[j]

@@ -109,7 +109,7 @@ def _gram(a: Array) -> Array:
 def _log_weight(mean: Array, h: Array, rest: Array, white: Array, upper: Array) -> Array:
     """The log-integral ln ∫ N(x; m, L Lᵀ) exp(−½ xᵀK x + hᵀx) dx, (...).
 
-    `rest` is h − K m, `upper` and X are those of `_meet`, and `white` is X (h − K m).
+    `rest` is h − K m, `upper` the U of `_meet`, and `white` is X (h − K m) with the X of `_meet`.
     """
     level = 0.5 * (inner(h + rest, mean) + inner(white, white))
     return level - 0.5 * solving.log_determinant(upper)

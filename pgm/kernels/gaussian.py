@@ -4,8 +4,8 @@ Each function chooses the fastest code: for one small Gaussian, Python generated
 (`unrolled`); for a larger one LAPACK; for a batch of runs `along_runs`. Where S is nearly singular,
 all go to `moments`, which tells singular covariances from rounding.
 
-A measurement is z = H x + n, n ~ N(0, R); S = H P Hᵀ + R. The components of a prediction that are
-*bare* have no noise of their own: what they have is F x + b.
+A measurement of d components is z = H x + n, n ~ N(0, R); S = H P Hᵀ + R. The components of a
+prediction that are *bare* have no noise of their own: what they have is F x + b.
 """
 
 from __future__ import annotations
@@ -100,8 +100,9 @@ def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ())
     """The covariance F P Fᵀ + noise of a prediction, (d, d, *batch).
 
     `cov` P (n, n, *batch) is exactly symmetric; of `matrix` F (d, n, *batch) and `noise`
-    (d, d, *batch) the batch may be of length one. `bare` are the places of the bare components:
-    where the variance of one is no more than rounding, it and its covariances become zero.
+    (d, d, *batch) the batch may be of length one. `bare` are the places in the prediction of its
+    bare components: where the variance of one is no more than rounding, it and its covariances
+    become zero.
     """
     if cov.ndim == 2:
         written = predicting(len(noise), len(cov))
@@ -182,8 +183,9 @@ class Update(NamedTuple):
 
     Measured components that those before them determine add nothing to the density; `left`
     (d, *batch) has their distances from the values determined, and zero for the others; None if
-    none is determined. `regular`: no pivot of S is below 10⁻⁶ of its diagonal entry. `mild`: the
-    measurement is known to shrink no variance more than a thousand times.
+    none is determined. `regular`: no pivot of S is below 10⁻⁶ of its diagonal entry, or in a batch
+    below the `least` given, where the noise is not `exact`. `mild`: the measurement is known to
+    shrink no variance more than a thousand times.
     """
 
     mean: Array
@@ -209,12 +211,14 @@ def update(
     """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), of residual z − H mean.
 
     The mean is m + G (z − H m), and the covariance (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of
-    semidefinite terms, with the gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise.
+    semidefinite terms, with the gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise. `mean` is m (n, *batch),
+    `cov` P (n, n, *batch), exactly symmetric, `residual` (d, *batch); of `matrix` H (d, n, *batch)
+    and `noise` (d, d, *batch) the batch may be of length one.
 
-    The batch is last; H and the noise may be one for all; P is exactly symmetric. `out`, a mean and
-    a covariance, may be used for the new moments of a batch. With `exact` the noise is singular,
-    and zeros are told from rounding. A batch goes to `moments` if a pivot of S is at most `least`
-    of its diagonal entry; `sharp` is `along_runs.sharpness(noise, least)`, computed if None.
+    `out`, a mean and a covariance, may be used for the new moments of a batch. With `exact` the
+    noise is singular, and zeros are told from rounding. A batch goes to `moments` if a pivot of S
+    is at most `least` of its diagonal entry; `sharp` is `along_runs.sharpness(noise, least)`,
+    computed if None.
     """
     if not exact:
         if cov.ndim > 2:

@@ -3,6 +3,7 @@
 The messages of all steps t are *rows* of an array (steps, states, [runs]). A forward row is
 proportional to p(x_t | z up to t), a backward row to p(z after t | x_t). The sum of a row over its
 states is its *mass*. The *weights* of a step are p(z_t | x_t) up to a factor, (states, [runs]).
+[runs] is an axis that a single run lacks.
 """
 
 from __future__ import annotations

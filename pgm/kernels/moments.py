@@ -1,8 +1,8 @@
 """Gaussians in moment form on arrays: mean (..., n), covariance (..., n, n), singular ones too.
 
 A variance that ought to be zero is left at about 10⁻¹⁴ of the summands it was computed from
-(`ROUNDING`): that tells zeros from small variances. Measurements are z = H x + n, n ~ N(0, noise),
-with S = H P Hᵀ + noise.
+(`ROUNDING`): that tells zeros from small variances. Measurements of d components are z = H x + n,
+n ~ N(0, noise), with S = H P Hᵀ + noise.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Transition(ABC):
 
 
 class Dense(Transition):
-    """A matrix with all its entries; its transpose is copied once, for products along rows."""
+    """A dense matrix (parents, children); its transpose is copied once, for products along rows."""
 
     def __init__(self, matrix: Array) -> None:
         self.matrix = np.ascontiguousarray(matrix)
@@ -114,7 +114,7 @@ class Dense(Transition):
         return np.cumsum(self.matrix, axis=-1)
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
-        """Child states drawn by bisection of each row's cumulative probabilities; any shape."""
+        """Child states drawn by bisection of cumulative probabilities; see `Transition.draw`."""
         cumulative = self._cumulative
         # A uniform below one, times the last sum, stays below it, so that what rounding leaves of
         # the sum from one goes to no state of its own.
@@ -143,7 +143,7 @@ class Dense(Transition):
 
 
 class Sparse(Transition):
-    """A sparse matrix of SciPy, whose zeros are not stored."""
+    """A sparse matrix (parents, children) of SciPy's, copied by rows without its zeros."""
 
     def __init__(self, matrix: Any) -> None:
         own = matrix.tocsr(copy=True)
@@ -166,7 +166,10 @@ class Sparse(Transition):
         return _along(self.matrix, message, axis)
 
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """Logarithms moved along an axis: the k-th stored entries of all rows at once, k by k."""
+        """Logarithms moved along an axis: the k-th stored entries of all rows at once, k by k.
+
+        The rows are of the transpose, or with `back` of the matrix itself; see `Transition.logs`.
+        """
         own = self.matrix if back else self.turned
         moved = np.moveaxis(values, axis, 0)
         flat = moved.reshape(len(moved), -1)
@@ -202,7 +205,7 @@ class Sparse(Transition):
         return levels
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
-        """Child states drawn by one search in all rows' cumulative probabilities; any shape."""
+        """Child states drawn by one search in the `_levels` of all rows; see `Transition.draw`."""
         level = parent + rng.random(parent.shape)
         entry = np.searchsorted(self._levels, level, side="right")
         own = self.matrix

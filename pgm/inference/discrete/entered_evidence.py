@@ -2,7 +2,8 @@
 
 An observed state makes the entries of all other states zero; soft evidence w multiplies the entries
 of each state x by w(x). The *home* of a variable is the smallest cluster that holds it. All arrays
-of tables hold the entries of a semiring: numbers or logarithms.
+of tables hold the entries of a semiring: numbers or logarithms. In shapes, [runs] is an axis that a
+single run lacks.
 """
 
 from __future__ import annotations

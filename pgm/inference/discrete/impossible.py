@@ -1,4 +1,7 @@
-"""Errors for evidence of probability zero, which tell where it contradicts the tables."""
+"""Errors for evidence of probability zero, which tell where it contradicts the tables.
+
+In shapes, [runs] is an axis that a single run lacks.
+"""
 
 import math
 from collections.abc import Iterable
@@ -83,8 +86,8 @@ def _contradiction(
 def contradicted(empty: Mask, clusters: Iterable[Cluster], lead: tuple[int, ...]) -> EvidenceError:
     """The error for a message or belief of a graph with loops that is zero throughout.
 
-    empty: (rows, runs): where it is, one row for each message or belief; at least one entry is
-        true.
+    empty: (rows, runs): whether the message or belief of a row is zero throughout in a run; at
+        least one entry is true.
     clusters: Of each row, the cluster that it is of.
     lead: The user's axes of runs.
     """

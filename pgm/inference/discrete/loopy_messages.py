@@ -30,7 +30,7 @@ class TableMessages:
 
     A message is the product of the sender's potential and all messages to it but the receiver's,
     summed over the variables outside the sepset. The product is made without dividing by the
-    receiver's message, which may have zeros.
+    receiver's message, which may have zeros. The class implements `pgm.inference.loopy.Messages`.
 
     potentials: (entries, runs): logarithms of potentials times evidence, in the order of `storage`.
     logs: (columns, runs): logarithms of the messages; `plan` says where each one stands.
@@ -52,11 +52,11 @@ class TableMessages:
 
     @property
     def bounded(self) -> bool:
-        """True: a message is of probabilities, which change by one at the most."""
+        """Whether no change can exceed one, for `loopy.Messages`: true of probabilities."""
         return True
 
     def round(self, messages: Sequence[int]) -> Sequence[Group]:
-        """Lay out the computation of the messages of these numbers, in groups of like clusters."""
+        """Lay out the computation of messages, given by number, in groups of like clusters."""
         if messages == range(len(self.directed)):
             return self.plan.everything(self.runs)
         return self.plan.lay_out(messages, self.runs)
@@ -129,7 +129,7 @@ class TableMessages:
                 self.logs[outlet.columns] = np.where(active, new, old)
 
     def relinearise(self, active: Mask) -> None:
-        """Do nothing: tables have nothing to linearise."""
+        """Return None, for `loopy.Messages`: no CPD of a discrete network is nonlinear."""
         return
 
     def beliefs(self) -> tuple[Array, Array]:

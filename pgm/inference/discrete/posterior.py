@@ -155,7 +155,8 @@ class DiscretePosterior(Posterior):
     def _table(self, scope: States, values: Array, log_scale: Array | None = None) -> Table:
         """A table of values (sizes..., [runs]), with the user's axes of runs first.
 
-        `log_scale`, (runs,), is that of an unnormalised table; None where it is zero.
+        A single run may lack its axis. `log_scale`, ([runs]), is that of an unnormalised table;
+        None where it is zero.
         """
         lead = self._beliefs.evidence.lead
         if values.ndim > len(scope):

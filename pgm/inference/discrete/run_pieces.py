@@ -105,7 +105,7 @@ class Distinct:
     def spread(self, values: Array) -> Array:
         """Copy values of distinct runs to all runs that share them.
 
-        Shape (..., [distinct]) becomes (..., [runs]).
+        Shape (..., [distinct]) becomes (..., [runs]); a single run has no axis.
         """
         if self.which is None:
             return values

@@ -175,8 +175,8 @@ def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
     """The probabilities p(cluster | sepset to its parent) without evidence, (entries,).
 
     They serve as potentials, for their product is that of all CPDs; but their messages to the roots
-    are one where no evidence enters, so that none has to be sent there. Those of a root sum to what
-    the product of its tree's CPDs sums to. None if an entry underflows.
+    are one where no evidence enters, so that none has to be sent there. The table of a root sums to
+    what the product of its tree's CPDs sums to. None if an entry underflows.
     """
     try:
         with np.errstate(all="raise"):

@@ -350,7 +350,8 @@ class _Planner:
 
         In a large table the variables of each child's sepset stand together, where that can be, and
         those of the largest sepset last: products with its message, and sums to it, then have few
-        axes, the last of them long. Others keep their order.
+        axes, the last of them long. In other tables variables keep the order of `scope`. `sepsets`
+        are those of all clusters with their parents.
         """
         if not self._large(cluster):
             return scope
