@@ -3,6 +3,7 @@
 A *free* component has noise given its parents; the others follow from these. The *pair* is the
 vector of the states of the step before, then the slice. Where a sensor without noise was read, or
 the posterior has no density, densities are *relative*: those of CPDs over those of linearised ones.
+S is the number of draws of a run, n that of the components of a slice.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class ChainDraws:
     modes : Modes
         Gaussians at other modes, for defensive draws.
     prior, transition, sensors : list
-        The CPDs in their places, with their densities.
+        Pairs of a CPD's `Link`, or a `Sensor`, and its density.
     reference : ndarray
         (runs,): added to all log-densities: ln p(z) of the linearised model where they are
         `relative`, else zero.
@@ -290,7 +291,8 @@ class _Law:
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
     """The mask of components that have noise given their parents, of `shape` (rows, runs, n).
 
-    `start` is where the slice begins in the vector in which the links' children stand.
+    n is the number of components of the slice, or of the states at step 0. `start` is where it
+    begins in the vector in which the links' children stand.
     """
     free = np.zeros(shape, dtype=bool)
     for link, term in links:

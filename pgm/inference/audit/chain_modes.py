@@ -1,7 +1,7 @@
 """Other modes of a chain, found by smoothers that begin elsewhere.
 
 There are C starts for each run, and copy c of run r is run c · runs + r of one call, N = C · runs
-in all (`repeated`).
+in all (`repeated`). n is the number of components of a slice.
 """
 
 from __future__ import annotations
@@ -131,7 +131,10 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
 
 
 def _joined(found: list[Found], make: MakePath) -> Modes:
-    """The modes of all runs, from parts of the runs; where one has no mode its answer stands."""
+    """The modes of all runs, from those found in parts of the runs, in their order.
+
+    A part with fewer modes than another has its answer, at a share of zero, for those it lacks.
+    """
     missed = np.concatenate([each.missed for each in found])
     laws = []
     for k in range(max(len(each.beliefs) for each in found)):

@@ -31,10 +31,11 @@ from pgm.variables import Variable
 class Compared:
     """Exact moments of a belief, estimated, beside the Gaussian answer's.
 
-    `mean` (steps, runs, n) and `cov` are the exact ones, `divergence` (steps, runs) is KL(N(mean,
-    cov) ‖ the Gaussian's) in nats, infinite where draws left no covariance. `steps` are the steps
-    of a chain, None in a network without time. `judged` (steps,) marks beliefs that know all
-    measurements, as q does.
+    `mean` (steps, runs, n) and `cov` are the exact ones, of the n components of `scope`.
+    `divergence` (steps, runs) is KL(N(mean, cov) ‖ the Gaussian's) in nats, infinite where draws
+    left no covariance. `steps` are the steps of a chain, None in a network without time, whose
+    arrays have a single step. `judged` (steps,) marks beliefs that know all measurements, as q
+    does.
     """
 
     scope: tuple[Variable, ...]
@@ -47,10 +48,11 @@ class Compared:
     def excess(self, draws: Array) -> Array:
         """The largest divergence of a judged belief, less what chance explains, (runs,), in nats.
 
-        Moments estimated from n effective `draws` are about χ²_f / 2n nats off, with f = d (d +
-        3)/2 degrees of freedom, of d means and a covariance. The largest of m is bounded by
+        Moments estimated from N effective draws, `draws` (runs,), are about χ²_f / 2N nats off,
+        with f = n (n + 3)/2 degrees of freedom, of n means and a covariance. The largest of m is
+        bounded by
 
-            (f/2 + √(f ln m) + ln m) / n
+            (f/2 + √(f ln m) + ln m) / N
 
         (Laurent & Massart, 2000, lemma 1).
         """
@@ -108,7 +110,8 @@ class Sums:
     first : int
         The first step at which they are.
     mean, cov : ndarray
-        (steps, runs, n) and (steps, runs, n, n): the Gaussian answer's moments.
+        (steps, runs, n) and (steps, runs, n, n): the Gaussian answer's moments, of the n components
+        of `scope`.
     judged : ndarray
         See `Compared`.
     timed : bool
@@ -130,10 +133,12 @@ class Sums:
         self._squares = np.zeros((2, *self.cov.shape))
 
     def add(self, values: list[Array], pair: Array, fading: Array) -> None:
-        """Take in draws, a list by step of (runs, S, n), weighed by y and v, (2, runs, S).
+        """Take in S draws for each run, a list by step of `values`, weighed by y and v.
 
-        The weights y are over e^peak; `fading` (runs,) is e^(peak before − peak now), by which the
-        sums before shrink. Offsets of angles are wrapped.
+        The values, (runs, S, ...), are whole vectors, from which `places` takes the components of
+        `scope`. `pair` (2, runs, S) are the weights y, over e^peak, and v; `fading` (runs,) is
+        e^(peak before − peak now), by which the sums of the weights y before shrink. Offsets of
+        angles are wrapped.
         """
         self._offsets[0] *= fading[:, None]
         self._squares[0] *= fading[:, None, None]

@@ -3,7 +3,8 @@
 They are drawn from the Gaussian answer q, or from a defensive density d: most follow q but for an
 excursion (`Excursions`), the others are of Gaussians at other modes (`Modes`). A slice is a step of
 a chain, or all variables of a network without time. *White noise* s gives a slice, F x + b + L s,
-from the states x before (`Proposal`).
+from the states x before (`Proposal`). S is the number of draws of a run, n that of the components
+of a slice, m that of the states before, 0 for the first slice.
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ from pgm.kernels.arrays import Array, Integers
 
 
 class Draws(NamedTuple):
-    """The log-densities of draws, (runs, S), and their variables by step, (runs, S, n).
+    """The log-densities of draws, (runs, S), and their values by step, a list of (runs, S, ...).
 
-    `target` is ln p(x, z) of the model, NaN where a function was not finite at a defensive draw;
-    `gaussian` is ln q and `defensive` ln d.
+    `values` are, of a chain, vectors of the states before and the slice; of a network without time
+    one of all variables. `target` is ln p(x, z) of the model, NaN where a function was not finite
+    at a defensive draw; `gaussian` is ln q and `defensive` ln d.
     """
 
     target: Array

@@ -1,6 +1,7 @@
 """Drives from which smoothers of a chain look for other modes.
 
-A *drive* is a trajectory that the model's own CPDs make of white noise, measurements left aside.
+A *drive* is a trajectory that the model's own CPDs make of white noise, measurements left aside. n
+is the number of components of a slice, n₀ that of its states.
 """
 
 from __future__ import annotations

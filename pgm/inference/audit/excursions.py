@@ -27,7 +27,8 @@ class Excursions:
     conditional (stage TAILS), with Student's t for the noise. The first slice begins it with a
     probability of ½, all others alike; each of its slices is the last one with a probability of ⅛.
     The density of a draw, over all excursions that may have led to it, is summed up slice by slice,
-    over the four stages.
+    over the four stages, in the order BEFORE, PREDICTION, TAILS, AFTER. S is the number of draws of
+    a run.
 
     slices : int
         The number of slices of a draw, 1 or more.
@@ -45,7 +46,7 @@ class Excursions:
         return 1.0 / (self.slices - index)
 
     def start(self, runs: int, count: int) -> Integers:
-        """The stage before the first slice, (runs, S)."""
+        """The stage of all draws before the first slice, BEFORE, (runs, S) with S = `count`."""
         return np.full((runs, count), BEFORE)
 
     def advance(self, index: int, stage: Integers, rng: np.random.Generator) -> Integers:
@@ -59,7 +60,7 @@ class Excursions:
         )
 
     def begin(self, shape: tuple[int, int]) -> Density:
-        """The density before the first slice."""
+        """The density of no slice yet, for draws of a `shape` (runs, S)."""
         shares = np.zeros((4, *shape))
         shares[BEFORE] = 1.0
         return Density(np.zeros(shape), shares)

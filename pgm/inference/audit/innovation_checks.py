@@ -20,10 +20,10 @@ BAND = 2.576
 class InnovationCheck(Shown):
     """Whether one sensor's innovations are as white and as large as a correct model's.
 
-    nis: (...): the normalised innovation squared for each component read, its mean over the steps
-        of a run; 1 is right, more where measurements are further off than the model says: outliers,
-        too small a noise, a wrong motion. NaN where nothing was read.
-    overall: The same of all runs.
+    nis: (*runs): the normalised innovation squared a component, its mean over all components that
+        were read in a run; 1 is right, more where measurements are further off than the model says:
+        outliers, too small a noise, a wrong motion. NaN where nothing was read.
+    overall: The same of all runs together.
     autocorrelation: Of whitened innovations one measurement apart; 0 is right. NaN without two
         measurements of a run.
     band, autocorrelation_band: If the model is right, `overall` is within `band` of 1 with a

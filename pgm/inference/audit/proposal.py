@@ -1,7 +1,8 @@
 """Proposals: draws of the free components of slices, from conditional Gaussians.
 
 A component is *free* if it has noise given its parents in the model; the others follow from these,
-and are not proposed.
+and are not proposed. S is the number of draws of a run, n that of the components of a slice, m that
+of the states before.
 """
 
 from __future__ import annotations
@@ -115,7 +116,7 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """The Gaussian law of all variables: of the first slice, and of each later one given the last.
+    """The Gaussian law of all variables: of the first slice, and of later ones given those before.
 
     first : Proposal
         One row, of the states at step 0; in a network without time of all variables.

@@ -1,7 +1,8 @@
 """The log-density of a network without time at values of all its hidden variables.
 
 A component is *free* if it has noise given its parents. A *relative* density is that of the CPDs
-over that of the linearised ones.
+over that of the linearised ones. S or C is the number of draws of a run, n that of the components
+of all hidden variables.
 """
 
 from __future__ import annotations

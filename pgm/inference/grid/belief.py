@@ -269,7 +269,11 @@ class GridBelief(PointMassBelief):
         return self._centres(drawn)
 
     def _at(self, index: Any, chosen: Integers) -> GridBelief:
-        """The belief at an index of the leading axes; without steps if runs differ in them."""
+        """The belief at an index of the leading axes, as of the base class.
+
+        Its `steps` are those along its last axis; None of one belief, or where rows along that axis
+        differ in them.
+        """
         places = *(index if isinstance(index, tuple) else (index,)), ...
         values = self.values[(*places, *(slice(None),) * len(self._parts))]
         steps = self.steps

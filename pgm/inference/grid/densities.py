@@ -96,7 +96,7 @@ class Dense:
         return self._whole(np.broadcast_to(lines, (*lines.shape[:2], count)), self.source)
 
     def added(self, array: Array) -> dict[int, float]:
-        """No axis: what variance the lattice adds to that of a density is not known."""
+        """An empty mapping: the variance that the lattice adds is not known; see `Operator`."""
         return {}
 
     @property

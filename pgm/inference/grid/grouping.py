@@ -47,7 +47,10 @@ def groups(
         return found.union(*(needed(controls[v]) for v in found))
 
     def made(cpd: CPD, place: tuple[int, ...]) -> Members:
-        """The group of one CPD; of a part of a mixture, at its `place` there."""
+        """The group of one CPD.
+
+        place: Of a part of a mixture, its index there, one a level; otherwise ().
+        """
         own = tuple(control for control in controls.values() if control.child in needed(cpd))
         family = {each.child: values[each.child] for each in own}
         family[cpd.child] = {v: a for v, a in values[cpd.child].items() if v in cpd.parents}

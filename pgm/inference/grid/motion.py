@@ -278,8 +278,9 @@ class _Maker:
         return None
 
     def _values(self, cells: Sequence[Integers], before: set[int], after: set[int]) -> Array:
-        """The displacements (nodes, n, axes) at n cells, given by places (n,) along each axis.
+        """The displacements (nodes, n, axes of the group) at n cells of the lattice.
 
+        cells: Their places (n,) along each axis of the lattice.
         before, after: The axes of the step before, and of its own, on which they depend; along the
             others cells are moved to the middle.
         """

@@ -180,8 +180,8 @@ def _moved(lattice: Lattice, shift: Array) -> Lattice:
 def _drawn(level: Array, shift: Array, turns: Mask) -> Array:
     """A belief at centres shifted by shares of a cell, interpolated through its logarithms.
 
-    level: The logarithms of the probabilities of a window's cells; those returned are no
-        logarithms.
+    level: The logarithms of the probabilities of a window's cells; the belief returned has the
+        probabilities themselves.
     shift: The shares, (axes,).
     turns: The mask of axes that go round a whole circle.
 

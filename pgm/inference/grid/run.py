@@ -151,7 +151,7 @@ class _Kept(StateChain):
         self._made: Array = made
 
     def room(self, like: Array) -> Array:
-        """The array (T+1, *cells) for the filtered beliefs."""
+        """The array that was given, (T+1, *cells), whatever `like` is; see `StateChain.room`."""
         return self._made
 
 

@@ -93,8 +93,9 @@ class Tested(NamedTuple):
 class GridModel:
     """A model with its evidence on a lattice: the groups of its prior and motion, and its sensors.
 
-    tested: What was found of the same model and lattice before; it is added to.
-    first: The step before the first of the evidence for the transition.
+    tested: What was found of the same model and lattice before, and is added to; None for nothing.
+    first: As an argument, the step before the first row of the transition's inputs; as an
+        attribute, the groups of the prior.
 
     A CPD without a density, or a parent that the grid does not cover, is refused by a ModelError.
     """
@@ -133,7 +134,7 @@ class GridModel:
 
 
 class GridSlices:
-    """The slices of one run on a grid; a belief is an array (*cells).
+    """The `Slices` of a `StateChain`, of one run on a grid; a belief is an array (*cells).
 
     keep: The type, float64 or float32, of the weights that are kept for the way back; None where
         there is no way back.
@@ -209,7 +210,9 @@ class GridSlices:
         return window
 
     def surprised(self, step: int, log_density: float) -> None:
-        """Compare a step's evidence with its density at the best of all cells, if it is doubtful.
+        """Note for the status how much of a belief may be cut off, if its evidence is doubtful.
+
+        That is bounded by the density of the measurements at the best of all cells.
 
         log_density: ln p(measurements of the step | those before).
         """

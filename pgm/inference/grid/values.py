@@ -127,9 +127,9 @@ def require_noise(cpd: ConditionalGaussian, lower: Array, step: int) -> None:
 def settled(cpd: CPD, known: Known, step: int, run: int) -> CPD:
     """A CPD with its noise evaluated for a step and a run, ready to be asked for many densities.
 
-    A covariance that is a function of observed parents becomes its value at `known`, a
-    `GaussianCPD` with axes of runs that of its run, and a mixture consists of such parts. Other
-    CPDs are returned as they are.
+    A covariance that is a function of observed parents is replaced by its value at `known`, a
+    `GaussianCPD` with axes of runs by the one of the run, and the parts of a mixture likewise.
+    Other CPDs are returned as they are.
     """
     if isinstance(cpd, MixtureCPD):
         return cpd._with(tuple(settled(part, known, step, run) for part in cpd.parts))

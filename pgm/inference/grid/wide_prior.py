@@ -28,9 +28,10 @@ _WIDE = 1.3
 def wide(group: Group, run: int, window: Window) -> Dense | None:
     """The weights of a prior's normal density at the centres, where it is wide; otherwise None.
 
-    They are (1, 1, cells of its axes); `window`, the source, has one cell along these. It is of a
-    single `GaussianCPD` with a finite, regular and correlated covariance, whose components have
-    standard deviations, given the others, of 1.3 cells or more.
+    The weights are (1, 1, cells of the group's axes); `window`, the source, has one cell along
+    these. A prior is wide if it is a single `GaussianCPD` of a finite, regular and correlated
+    covariance, each of whose components has a standard deviation, given its others, of 1.3 cells
+    or more.
     """
     cpd, lattice = group.states[0], group.lattice
     if len(group.states) > 1 or not isinstance(cpd, GaussianCPD):

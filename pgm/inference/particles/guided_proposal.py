@@ -159,7 +159,7 @@ class Steered(Drawing):
         self._left = white
 
     def white(self, components: int, count: int, dtype: Any) -> States:
-        """The next components of the noise, (components, m)."""
+        """The next components of the noise, (components, m), whatever `count` and `dtype` are."""
         del count, dtype
         found, self._left = self._left[:components].copy(), self._left[components:]
         return found

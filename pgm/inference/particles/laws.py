@@ -336,7 +336,7 @@ class GaussianLaw(Law):
         return self.cpd.offset.reshape(-1, self.cpd.child.dimension).T.astype(self.dtype)
 
     def _runs_of(self, some: Some) -> Integers | slice:
-        """The index of the offsets of the particles' runs."""
+        """The index by which `_offset` has a column for each particle, or one for all."""
         return slice(None) if self._offset.shape[1] == 1 or some.owner is None else some.owner
 
     @cached_property

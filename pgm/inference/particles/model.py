@@ -32,7 +32,7 @@ class ParticleModel:
     """A network with its evidence, as the laws of its CPDs.
 
     dtype: The type of the states, float64 or float32.
-    first: The step before the first of the evidence for the transition.
+    first: The step before the first row of the transition's inputs.
 
     places: By state and hidden control, the rows of its components.
     size: The number of components of the slice, d.

@@ -32,7 +32,8 @@ class Record:
     def keep(self, step: int, predicted: Cloud, known: Cloud, log_density: Array | float) -> None:
         """Keep a step's cloud given its measurements, and their log-density, (runs,).
 
-        `known` is that cloud; `predicted`, the one before the measurements, is not kept.
+        `known` is that cloud; `predicted`, the one before the measurements, which `sweep.Record`
+        asks for, is not kept.
         """
         del predicted
         self.clouds.append(known)
