@@ -60,7 +60,7 @@ class Joint:
 
     @classmethod
     def empty(cls, stacked: int, size: int, columns: int, nothing: Decimal) -> Joint:
-        """A joint without components yet, of V `stacked` runs: its rows are zero."""
+        """A joint without components yet, V `stacked` and N `columns`: its rows are zero."""
         zeros = decimals.zeros
         return cls(
             zeros(stacked, size, columns),
