@@ -94,7 +94,8 @@ class Places:
     def families(self) -> list[tuple[Integers, Integers]]:
         """For each group of CPDs, flat indices of its hidden parents' moments, as `of` gives them.
 
-        They are (rows, n) and (rows, n, n), in the clusters that the CPDs are assigned to.
+        They are (CPDs, n) and (CPDs, n, n), of n components of parents, in the clusters that the
+        CPDs are assigned to.
         """
         return [self.of(group.clusters, group.parents) for group in self.layout.groups]
 
@@ -155,7 +156,8 @@ class Beliefs:
 class TreePoint(NamedTuple):
     """Beliefs as a point of linearisation.
 
-    Means are (1, runs, size) and standard deviations (1, V, size) of all hidden components.
+    Means are (1, runs, size) and standard deviations (1, V, size) of all hidden components; the
+    first axis is that of steps, as chains have them.
     """
 
     mean: Array
@@ -207,7 +209,10 @@ class Flat(NamedTuple):
 
     @classmethod
     def of(cls, matrices: list[Array], rights: list[Array]) -> Flat:
-        """Join matrices (V, B, k, n) and right sides (V, B, k, N) of several stacks end to end."""
+        """Join matrices (V, B, k, n) and right sides (V, B, k, N) of several stacks end to end.
+
+        A stack has B factors of k rows each, over n components.
+        """
         return cls(
             np.concatenate([part.reshape(part.shape[0], -1) for part in matrices], axis=1),
             np.concatenate(

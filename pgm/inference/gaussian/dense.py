@@ -60,7 +60,7 @@ class Joint:
 
     @classmethod
     def empty(cls, stacked: int, size: int, columns: int, nothing: Decimal) -> Joint:
-        """A joint without components yet, of V `stacked` runs: its rows are zero."""
+        """A joint without components yet, V `stacked` and N `columns`: its rows are zero."""
         zeros = decimals.zeros
         return cls(
             zeros(stacked, size, columns),
@@ -101,7 +101,9 @@ class Joint:
         self.edge[:, places] = decimals.sqrt(prior * prior + variance)
 
     def read(self, place: int, value: Decimals, allowed: Decimals) -> Read:
-        """Condition on values z (V, N') of the component at `place`; N' columns are its means.
+        """Condition on the component at `place`: its values in the first N' columns are z (V, N').
+
+        In the other columns, of errors, they are zero.
 
         `allowed` (V, N') is by how much z may miss a value that is determined without contradicting
         it.

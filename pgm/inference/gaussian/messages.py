@@ -31,7 +31,7 @@ class RowRound(NamedTuple):
 
 @dataclass(eq=False)
 class RowMessages:
-    """The messages of a graph with loops, as rows in a buffer.
+    """The messages of a graph with loops, as rows in a buffer: the `Messages` of `run_loopy`.
 
     Each starts as the factor exp(−½ |ξ|²): from any positive start the information matrices
     converge to the same fixed point, and with a proper one every message exists. `damping` is the
@@ -65,7 +65,7 @@ class RowMessages:
 
     @property
     def bounded(self) -> bool:
-        """False: a mean may move any number of standard deviations, and messages diverge."""
+        """False, for `run_loopy`: a change, in standard deviations, has no bound."""
         return False
 
     def round(self, messages: Sequence[int]) -> RowRound:
@@ -140,15 +140,18 @@ class RowMessages:
         return row_messages.first(one), log_scale
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
-        """The product of a cluster's CPDs and all messages to it, (V, k, n); log-scale (V, N)."""
+        """The product of a cluster's CPDs and all messages to it, (V, k, n); log-scale (V, N).
+
+        Its k rows are over the n hidden components of the cluster, in the order of its scope.
+        """
         return self._product(*self.buffer.rounds.beliefs([cluster]))
 
     def potential(self, cluster: int) -> tuple[Rows, Array]:
-        """The product of a cluster's CPDs alone, (V, k, n); log-scale (V, N)."""
+        """The product of a cluster's CPDs alone, (V, k, n) as `belief`; log-scale (V, N)."""
         return self._product(*self.buffer.rounds.potentials([cluster]))
 
     def _product(self, stack: Stack) -> tuple[Rows, Array]:
-        """The rows and the log-scale of the factor that a stack of one cluster gathers."""
+        """The rows (V, k, n) and the log-scale (V, N) that a stack of one cluster gathers."""
         factor = self.buffer.factor(stack)
         # Columns of the stack are in the order of elimination: here, all, in the scope's.
         return row_messages.first(factor), self.buffer.log_scale[:, stack.logs].sum(axis=2)[:, 0]

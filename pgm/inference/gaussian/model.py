@@ -64,8 +64,9 @@ class Model:
     ) -> Model:
         """Bind evidence, and linearise at the prior predictive moments or a start, (runs, size).
 
-        Without a start `predictive` finds these moments and linearises on the way. A flat prior is
-        a ModelError.
+        Without a start `predictive` finds these moments and linearises on the way. `judge` compares
+        the answers of traces after the call; without one each is compared at once (`Family.trace`).
+        A flat prior is a ModelError.
         """
         for group in layout.groups:
             for cpd in group.cpds:

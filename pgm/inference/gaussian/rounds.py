@@ -27,8 +27,8 @@ class Stack:
     `members` (B,) are the numbers of messages or clusters; `clusters` (B,) those whose factors are
     gathered, and of whose n columns the first `drop` are integrated out. `components` (B, n) are
     the places of these columns, `columns` (B, n) their indices in the cluster's scope. In the
-    buffer the matrices are at `entries` (B, k, n), the right sides at `rows` (B, k), and the
-    log-scales at `logs` (B, 1 + inputs): the cluster's and those of the messages to it.
+    buffer the matrices, of k rows, are at `entries` (B, k, n), the right sides at `rows` (B, k),
+    and the log-scales at `logs` (B, 1 + inputs): the cluster's and those of the messages to it.
     """
 
     members: Integers
@@ -91,7 +91,11 @@ class Rounds:
 
     @cached_property
     def _factors(self) -> list[list[tuple[Integers, Integers]]]:
-        """For each cluster, indices of its CPDs' entries (rows, n) and right sides (rows,)."""
+        """For each cluster, indices of its CPDs' entries (rows, n) and right sides (rows,).
+
+        It has a pair for each CPD, the rows being those of its factor. n are the columns of the
+        cluster: entries of those that the CPD lacks point at the zero.
+        """
         found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
         starts = self.own_entries.tolist(), self.own_rows.tolist()
         for group, entry, first in zip(self.layout.groups, *starts, strict=False):
@@ -104,7 +108,10 @@ class Rounds:
 
     @cached_property
     def _arriving(self) -> list[tuple[Integers, Integers]]:
-        """For each message, indices of its entries (s, n), in the target's columns, and sides."""
+        """For each message, indices of its entries (s, n) and right sides (s,).
+
+        n are the columns of the target cluster: entries outside the sepset point at the zero.
+        """
         found = []
         for message, target in enumerate(self.layout.directed.target.tolist()):
             size = int(self.sizes[message])
@@ -116,8 +123,8 @@ class Rounds:
     def _block(self, cluster: int, places: Integers, first: int, height: int) -> Integers:
         """Indices of entries (height, n) in a cluster's n columns.
 
-        The rows stand from `first` on, over the components at `places` only; other columns are
-        zero.
+        In the buffer the rows stand from `first` on, over the components at `places` only; entries
+        of other columns point at the zero.
         """
         columns = self.layout.columns[cluster]
         block = np.full((height, len(columns)), self.entry_starts[-1])

@@ -112,7 +112,7 @@ class Buffer:
     def require_finite(self, done: Array, clusters: Iterable[int]) -> None:
         """Raise a NumericalError that names the first cluster with a value that is not finite.
 
-        `done` (V, clusters, N) are the log-scales of the beliefs.
+        `done` (V, B, N) are the log-scales of eliminations, `clusters` (B,) the clusters of these.
         """
         if np.isfinite(done).all():
             return

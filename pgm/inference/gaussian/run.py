@@ -81,7 +81,7 @@ def _solved(
 
     Only if `again` is it calculated in decimals, as small networks are; else a failure is raised,
     and for too few digits the status has their number, and warns. `at` are the means of a start,
-    (runs, size), or None.
+    (runs, size), or None; `judge` is as for `Model.make`.
     """
     loopy = isinstance(schedule, Loopy)
     try:
@@ -139,6 +139,11 @@ def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
 
 @dataclass(frozen=True, eq=False)
 class _Tree:
+    """A tree as a `Problem` of `pgm.inference.iteration`, without anchors or robust losses.
+
+    `solver` solves it with the CPDs of `model` as they are linearised now.
+    """
+
     model: Model
     solver: Callable[[], Calibrated]
 
@@ -147,7 +152,7 @@ class _Tree:
         relinearise(at.beliefs, self.model, active)
 
     def settled(self) -> bool:
-        """Whether the model is the one asked for: always, only its linearisation changes."""
+        """Whether the model of each run is the one asked for: True, since it has no stages."""
         return True
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:

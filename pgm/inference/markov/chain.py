@@ -148,6 +148,8 @@ class BackwardChain:
 class StateChain(BackwardChain):
     """The messages of a hidden Markov chain, step by step, with a record of the forward ones.
 
+    For `sweep.forward` it is both the family (`Onwards`) and the `Record`.
+
     dtype: Of the beliefs that are kept, float64 or float32.
     log_density: ln p(z_t | z_0..t−1) by step, (steps + 1, *runs).
     """

@@ -171,9 +171,10 @@ class Contraction(NamedTuple):
 
 
 def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool) -> Array:
-    """An array with one axis transformed by a matrix, that of all runs or that of each run.
+    """An array with one axis transformed by a `Transition`, that of all runs or that of each run.
 
-    `back` applies the transposes; runs are the last axis.
+    An axis of the parent becomes one of the child, or with `back` one of the child becomes the
+    parent's; runs are the last axis.
     """
     if move.maps[0][1] is None:
         return _mapped(move.maps[0][0], array, axis, semiring, back)
@@ -187,7 +188,7 @@ def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool
 
 
 def _mapped(each: Transition, array: Array, axis: int, semiring: Semiring, back: bool) -> Array:
-    """A matrix applied along one axis of an array, of probabilities or of logarithms."""
+    """A transition applied along one axis, `back` or forward, to probabilities or logarithms."""
     if not semiring.linear:
         return each.logs(array, axis, semiring, back=back)
     return each.backward(array, axis) if back else each.forward(array, axis)

@@ -53,7 +53,10 @@ def _by_run(belief: Array, batch: int) -> Array:
 
 
 def _marginal(belief: Array, wanted: list[int]) -> Array:
-    """The marginal of a belief (runs, *states) over some axes, (runs, ...), in the order given."""
+    """The marginal of a belief (runs, *states) over some axes, (runs, ...), in the order given.
+
+    `wanted` are the axes, counted from the first one of states.
+    """
     others = tuple(1 + k for k in range(belief.ndim - 1) if k not in wanted)
     left = [k for k in range(belief.ndim - 1) if k in wanted]
     found: Array = belief.sum(axis=others)
@@ -68,10 +71,12 @@ def _states(rows: Any, row: int, runs: int) -> Integers:
 def _moved(
     counts: Array, cpd: Any, inputs: Any, row: int, belief: Array, axes: dict[Any, int]
 ) -> None:
-    """Add p(parents, child | all measurements) of a CPD at one row to its counts, in place.
+    """Add p(parents, child | all measurements) of a CPD at one step to its counts, in place.
 
+    inputs: Of each parent that evidence gives its states, (rows, runs or 1, 1).
+    row: The row of the step in `inputs`.
     belief: (runs, *states), over at least the hidden variables of the CPD.
-    axes: The axis of each hidden variable in a run's belief; the others' states are in `inputs`.
+    axes: The axis of each hidden variable, counted from the first one of states.
     """
     family = (*cpd.given, cpd.child)
     found = _marginal(belief, [axes[v] for v in family if v in axes])
@@ -86,9 +91,10 @@ def _moved(
 def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, int]) -> None:
     """Add p(parents, z | all measurements) of a sensor z at one measurement to its counts.
 
+    row: The place of the measurement in the reading.
     belief: (runs, *states), over at least the hidden parents.
-    axes: The axis of each hidden variable in a run's belief; others' states are the reading's
-        inputs.
+    axes: The axis of each hidden variable, counted from the first one of states; the states of
+        other parents are the reading's inputs.
 
     A state z that was measured gets p(parents). With soft evidence w of the sensor each state z
     gets the share p(z | parents) w(z) / Σ_z p(z | parents) w(z) of it.

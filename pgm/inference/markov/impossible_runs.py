@@ -70,7 +70,11 @@ def first_lost(slices: TableSlices) -> Integers:
 
 
 def blank(values: Array, lost: Integers | None, last: int) -> Array:
-    """Values (..., [runs]), NaN in runs that are lost by the step `last`, up to which they know."""
+    """Values (..., [runs]), NaN in runs that are lost by the step `last`, up to which they know.
+
+    `lost` is the step from which on each run is lost, ([runs]), T + 1 of one that is not; or None,
+    where none is.
+    """
     if lost is None:
         return values
     return np.where(lost <= last, np.nan, values)
@@ -79,7 +83,8 @@ def blank(values: Array, lost: Integers | None, last: int) -> Array:
 def blanked(beliefs: Beliefs, lost: Integers | None, kind: Kind, steps: int) -> Beliefs:
     """Beliefs of a kind by step, (*states, [runs]) each, with NaN where they know too much.
 
-    That is in runs that are lost by the last step whose measurements a belief knows.
+    That is in runs that are lost by the last step whose measurements a belief knows. `lost` is as
+    for `blank`, `steps` the last step T.
     """
     if lost is None:
         return beliefs

@@ -104,9 +104,9 @@ def _behind(values: Array, axes: int, passed: int) -> Array:
 
 
 def _kept(array: Array, axis: int, place: int, chain: StateChain) -> Array:
-    """An array with a copy of one axis at a place: zero where the two differ in state.
+    """An array with a copy of one axis as the new axis `place`: zero where their states differ.
 
-    The axis itself may then be summed out by the transition, while the copy stays.
+    `place` is behind `axis`, which may then be summed out by the transition, while the copy stays.
     """
     semiring, size = chain.semiring, array.shape[axis]
     same = np.where(np.eye(size, dtype=bool), semiring.one, semiring.zero)

@@ -21,7 +21,7 @@ def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
     column, looked for on the way back.
 
     Returns: Of each variable of the slice its states, (runs, T+1); of a control those at step 0 are
-    0. (runs,): ln p(path, measurements), of measurements not taken summed over.
+    0. (runs,): ln p(path, measurements), with sensors summed over where they were not read.
 
     Source: Viterbi, Error bounds for convolutional codes, 1967; Koller & Friedman, section 13.3.
     """
@@ -43,7 +43,7 @@ def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
 
 
 def _axes(controls: tuple[int, ...]) -> tuple[int, ...]:
-    """The axes of controls in a belief whose first axis is of runs."""
+    """The axes of controls in a belief (runs, *slice), from those in a belief (*slice)."""
     return tuple(k + 1 for k in controls)
 
 
@@ -63,10 +63,11 @@ def _best(scores: Array) -> Integers:
 
 
 def _with_controls(plan: SlicePlan, before: Array, states: Integers) -> Integers:
-    """The states of the whole slice, (variables, runs): the best controls beside those given.
+    """The states of the whole slice, (variables, runs): of controls the best at the given states.
 
     before: The log-belief over the slice, (runs, *slice).
-    states: Those of the state variables, (states, runs); they are all, where there are no controls.
+    states: Those of the state variables, (state variables, runs), which is the whole slice where
+        there are no controls.
     """
     if not plan.controls:
         return states

@@ -36,7 +36,7 @@ class OnlineTables(InCode, Immutable):
     Made by ``OnlineFilter(model)``, of a network of tables. It is immutable, and so are its
     beliefs.
 
-    lag: In steps, of ``belief.lagged``.
+    lag: In steps, of ``belief.lagged``; None in a filter without it.
     """
 
     model: DynamicBayesianNetwork
@@ -74,7 +74,8 @@ class OnlineTables(InCode, Immutable):
 
         belief: Of this filter; another filter's, or a smoothed one of `lagged`, raises
             `ModelError`.
-        inputs: Of the transition's inputs the name or index of a state, (...), or values (..., d).
+        inputs: Of the transition's inputs the name or index of a state, (...), or values (..., d);
+            None where it has no inputs.
         """
         self._check(belief)
         given = as_mapping(inputs, "the inputs of predict")

@@ -170,10 +170,10 @@ class OnlineStates(Shown, NoArray, Immutable):
 class _Window:
     """The last steps of an online filter with lag, for backward messages to the first of them.
 
-    Steps count from the first of the window.
+    For a `BackwardChain` it is a `Behind`, whose steps count from the first of the window.
 
-    held: Their filtered beliefs, all in one semiring.
-    ahead: Of each but the last, the slices with the transition out of it.
+    held: The filtered beliefs of the steps, all in one semiring.
+    ahead: Of each step but the last, the slices with the transition out of it.
     """
 
     def __init__(self, passed: Sequence[Passed], last: Held, lead: tuple[int, ...]) -> None:

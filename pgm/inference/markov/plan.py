@@ -403,8 +403,8 @@ class TableSlices:
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
         """Raise `ImpossibleEvidence` for measurements that a predicted belief makes impossible.
 
-        `run` counts the flattened runs. The error names the sensor of the first measurement that
-        leaves no state of it possible, and has all runs that are lost at this step.
+        `run` counts the flattened runs. The error names the sensor of the first measurement after
+        which no state is possible in this run, and has all runs that are lost at this step.
         """
         left, culprit = belief, None
         for weights in self.weights:

@@ -181,8 +181,9 @@ class StatePosterior(Posterior):
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
         Its log-scale carries the evidence that went into it. A backward one, which smoothing alone
-        sends, has zeros for states that are impossible given the steps before, where later
-        measurements speak for these so much that the others would be too small for numbers.
+        sends, may have zeros for states that are impossible given the measurements up to its step:
+        where later ones speak for impossible states so much that entries of the possible states
+        would be too small for numbers.
         """
         source, target = self.graph.index(source), self.graph.index(target)
         scope = discrete(self.graph.sepsets[source, target])

@@ -79,7 +79,7 @@ def _in_numbers(slices: TableSlices) -> StateChain | None:
 def _without_impossible(slices: TableSlices) -> StateChain:
     """The chain whose lost runs go without the measurements from the first impossible ones on.
 
-    The log-density of these is −∞; `chain.slices.lost` has their steps.
+    At that step the log-density of the run is −∞; `chain.slices.lost` has the step of each run.
     """
     lost = first_lost(slices)
     chain = solved(slices.until(lost))

@@ -24,8 +24,9 @@ def require_chain(graph: DynamicGraph, beliefs: str) -> None:
 def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
     """The kind of beliefs that a schedule gives; smoothed without a schedule.
 
-    A schedule of another kind, or one with a gate, iterations or damping, raises a `ModelError`,
-    which calls the beliefs `beliefs`.
+    `Calibration` counts as `Smoothing`, which is taken beside `Filtering` and `FixedLag`. Any other
+    schedule, or one with a gate, iterations or damping, raises a `ModelError`, which calls the
+    beliefs `beliefs`.
     """
     if schedule is None or type(schedule) is Calibration:
         schedule = Smoothing() if schedule is None else Smoothing(schedule.iterations)

@@ -110,15 +110,16 @@ class DirectChain(StateChain):
         return self._latest[1]
 
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
-        """For each step of a part, the product by the transition into it, or by its transpose."""
+        """For each step of a part, in its order, the product by the transition; see `_apply`."""
         if self.slices.constant is not None:
             return repeat(self._apply(part[0], back), len(part))
         return (self._apply(step, back) for step in part)
 
     def _apply(self, step: int, back: bool) -> markov.Apply:
-        """The product of a vector with the transition into a step, or with its transpose.
+        """The product of a vector v with the transition into a step: Σ_x' p(x | x') v(x').
 
-        It is a function of the vector, (states, [runs]), and of the array that gets the product.
+        With `back` it is Σ_x p(x | x') v(x). It is a function of the vector,
+        (states, [runs]), and of the array that gets the product.
         """
         transition = self._map(step)
         if not isinstance(transition, Dense):

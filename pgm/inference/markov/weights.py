@@ -131,9 +131,11 @@ class Weights:
 
     @cached_property
     def _scaled_columns(self) -> tuple[Array, Array]:
-        """The columns divided by their largest entries, and the logarithms of these.
+        """The weights p(z | x) by state z of a sensor, (k + 1, *slice), and log-scales, (k + 1,).
 
-        The last column is that of no measurement.
+        The largest weight of each of the k states z is made one; log-scales are the logarithms of
+        the divisors. The last entry is that of no measurement: ones, and 0. For sensors none of
+        whose parents is observed.
         """
         top = self._columns.max(axis=tuple(range(1, self._columns.ndim)), keepdims=True)
         top = np.where(top > 0.0, top, 1.0)
@@ -148,7 +150,7 @@ class Weights:
     def multiply(self, found: Array, scales: Array, part: range) -> None:
         """Multiply the weights of some steps, (steps, *slice, [runs]), by this sensor's, in place.
 
-        The log-scales of this sensor's are added to `scales`, (steps, [runs]).
+        This sensor's log-scales are added to `scales`, (steps, [runs]).
         """
         picked = self.picked(part)
         if picked is not None:
