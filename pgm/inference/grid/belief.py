@@ -271,15 +271,17 @@ class GridBelief(PointMassBelief):
     def _at(self, index: Any, chosen: Integers) -> GridBelief:
         """The belief at an index of the leading axes, as of the base class.
 
-        Its `steps` are those along its last axis; None of one belief, or where rows along that axis
+        Its `steps` are those along its last axis; None where that is of runs, or rows along it
         differ in them.
         """
-        places = *(index if isinstance(index, tuple) else (index,)), ...
-        values = self.values[(*places, *(slice(None),) * len(self._parts))]
+        each = index if isinstance(index, tuple) else (index,)
+        values = self.values.reshape(-1, *self.values.shape[len(self.lead) :])[chosen]
         steps = self.steps
         if steps is not None:
+            whole = len(each) == len(self.lead) or any(part is ... for part in each)
+            of_runs = whole and is_whole(each[-1])
             wide = np.broadcast_to(steps, self.lead)[index]
-            steps = wide.reshape(-1, wide.shape[-1])[0].copy() if chosen.ndim else None
+            steps = None if of_runs else wide.reshape(-1, wide.shape[-1])[0].copy()
             if steps is not None and not (wide == steps).all():
                 steps = None
         return GridBelief(self._parts, values, steps)

@@ -29,3 +29,27 @@ def test_names_that_are_none():
             found[x].marginal(*names)
     with pytest.raises(EvidenceError, match="joint takes states"):
         found.joint()
+
+
+def test_a_step_of_several_runs_is_of_runs():
+    place, read = pgm.variables("place read")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, 0.0, 1.0)],
+        [pgm.LinearGaussianCPD(place, {place.previous: 1.0}, cov=0.1)],
+        [pgm.LinearGaussianCPD(read, {place: 1.0}, cov=0.5)],
+    )
+    grid = pgm.Grid({"place": (-4, 4, 80)})
+    readings = np.array([[[0.1], [0.2], [0.3]], [[-0.4], [0.5], [0.6]]])
+    belief = pgm.filter(model, {read: readings}, belief=grid)[place]
+    for index, lead, steps in (
+        (np.s_[:, 2], (2,), None),
+        (np.s_[..., 2], (2,), None),
+        (np.s_[0:1, 2], (1,), None),
+        (np.s_[0], (4,), [0, 1, 2, 3]),
+        (np.s_[:, 1:3], (2, 2), [1, 2]),
+        (np.s_[0, 1], (), None),
+    ):
+        found = belief[index]
+        assert found.lead == lead
+        assert (None if found.steps is None else found.steps.tolist()) == steps
+        np.testing.assert_allclose(found.mean, belief.mean[index], rtol=1e-12)
