@@ -68,6 +68,7 @@ def learnt_target(steps, **settings):
     return pgm.fit(start, evidence, learn=learn, **settings)
 
 
+@pytest.mark.slow
 @unfinished
 def test_everything_of_a_target_is_learnt_in_a_fifth_of_the_smoothers():
     plain = learnt_target(60, iterations=400, tolerance=0.0, accelerate=False)

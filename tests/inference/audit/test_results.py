@@ -90,6 +90,7 @@ def bent(curvature):
     return pgm.smooth(model, {z: np.full((3, 1), 1.5)})
 
 
+@pytest.mark.slow
 def test_the_standard_error_is_that_of_many_audits():
     given = bent(0.1)
     found = [pgm.audit(given, samples=200, rng=seed) for seed in range(300)]

@@ -14,7 +14,6 @@ POSITION = pgm.Variable("fix", components=("east", "north"))
 RULES = {
     "taylor": pgm.Taylor(),
     "unscented": pgm.Unscented(),
-    "cubature": pgm.Cubature(),
     "monte carlo": pgm.MonteCarlo(12, seed=5),
 }
 rules = pytest.mark.parametrize("rule", RULES.values(), ids=RULES.keys())

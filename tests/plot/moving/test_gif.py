@@ -29,6 +29,7 @@ def test_few_colours_are_kept_as_they_are():
     assert shown(palette, first).tolist() == first.tolist()
 
 
+@pytest.mark.slow
 def test_more_colours_than_there_are_places_take_the_nearest():
     rng = np.random.default_rng(0)
     first, later = (rng.integers(0, 256, (3000, 3)) for _ in range(2))
