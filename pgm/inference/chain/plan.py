@@ -158,7 +158,7 @@ class ChainPlan:
         )
 
     def put(self, first: int, part: ChainPlan) -> None:
-        """Copy into this plan how the CPDs of a window were linearised, its gates and its weights.
+        """Copy into this plan a window's linearisations, gate decisions and robust weights.
 
         `first` is the step of this plan where the window `part` begins.
         """
@@ -175,7 +175,8 @@ class ChainPlan:
     def put_runs(self, runs: slice, part: ChainPlan) -> None:
         """Copy into this plan how the CPDs were linearised in `part`, the plan of some of its runs.
 
-        No sensor may be robust, or have a gate.
+        `runs` are those with which `part` was cut out by `of`. No sensor may be robust, or have a
+        gate.
         """
         where = slice(None), runs
         for family, own in zip(self.families, part.families, strict=True):
