@@ -67,7 +67,10 @@ def joint_moments(
 
 
 def _gain(reverse: Reverse, step: int) -> Array:
-    """The gain A_t, (runs, n, n): the regression of the slice at step t on the slice at t + 1."""
+    """The gain A_t, (runs, n, n): the regression of the slice at step t on the slice at t + 1.
+
+    Its rows are of the slice at t, its columns of that at t + 1.
+    """
     gain: Array = reverse.states.matrix[step]
     return gain if reverse.slices is None else reverse.slices.matrix[step] @ gain
 

@@ -95,7 +95,8 @@ class Readings:
         It adds up, to (T+1, runs), ln N(z − h(x⁺); 0, R) of whitened measurements at the means x⁺
         given them, the surplus of robust ones, and the log-density of each of the `stacks` under
         the predictions. `known` are the x⁺ and `predicted` the moments before a step's
-        measurements, both counted from the reference. The plan has to be linearised as it was.
+        measurements, both counted from the reference. The plan has to be linearised as it was when
+        these readings were made.
         """
         total = np.zeros(known.shape[:2])
         for each in self._whitened:
@@ -124,9 +125,10 @@ class Known(NamedTuple):
 def know(before: Belief, likelihood: Likelihood) -> Known:
     """Condition beliefs N(x⁻, P), (..., n) and (..., n, n), on whitened measurements v = W x + n.
 
-    With x⁺ the mean given the measurements and P⁺ the pseudo-inverse, the log-density
-    ln N(v; W x⁻, I + W P Wᵀ) is, but for −½ d ln 2π, −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) −
-    ½ ln |I + P WᵀW|: no term is above zero, so that nothing cancels. `evidence` is the last two.
+    They are given by their `likelihood`, of K = WᵀW and h = Wᵀv. With x⁺ the mean given the
+    measurements and P⁺ the pseudo-inverse of P, the log-density ln N(v; W x⁻, I + W P Wᵀ) is, but
+    for −½ d ln 2π, −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) − ½ ln |I + P WᵀW|: no term is
+    above zero, so that nothing cancels. `evidence` is the last two.
     """
     after = condition(before, likelihood)
     evidence = -0.5 * (inner(after.moved, after.moved) + solving.log_determinant(after.U))

@@ -199,10 +199,11 @@ class ChainPlan:
     ) -> ChainPlan:
         """Lay out the families of a graph with evidence, and probe their functions.
 
-        `first` is the number of the first step, and without `prior` the plan has none: both are for
-        a plan of later steps. With `probe` each function is called once on trial, if the graph has
-        not done so before. The answers of traces, which stand in for functions, are judged by the
-        `judge` after the call; without one, each is compared with its function at once.
+        The `lineariser` serves nonlinear CPDs that have none of their own. `first` is the number of
+        the first step, and without `prior` the plan has none: both are for a plan of later steps.
+        With `probe` each function is called once on trial, if the graph has not done so before. The
+        answers of traces, which stand in for functions, are judged by the `judge` after the call;
+        without one, each is compared with its function at once.
         """
         layout, lead = graph.layout, bound.lead
 

@@ -289,7 +289,10 @@ class Reading:
 
     @property
     def surplus(self) -> Array | float:
-        """The sightings' robust log-density less that of their N(0, R / w), (*batch); else zero."""
+        """The robust log-density of all sightings less that of their N(0, R / w), (*batch).
+
+        It is zero for a sensor of Gaussian noise.
+        """
         if not self.sensor.robust:
             return 0.0
         if self.weights is None:
@@ -353,7 +356,8 @@ def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
 def stored(plan: ChainPlan, step: int, mean: Array) -> Vector | None:
     """The measurements of a step, with stored linearisations, as one vector, or None without any.
 
-    `mean` (runs, n) is that of the slice; the result has its runs first, too.
+    `mean` (runs, n) is that of the slice, at which residuals are taken; the `Vector` has its runs
+    first, too: H (runs, D, n), residual (runs, D), noise (runs, D, D).
     """
     at = components_first(mean, 1) if plan.batch else mean[0]
     nothing = np.zeros((len(at), len(at), *plan.batch))

@@ -233,12 +233,12 @@ def _newton(
 def _compiled(
     plan: ChainPlan, schedule: Smoothing, first: Smoothed | Point
 ) -> tuple[Smoothed, Status] | None:
-    """Smooth by Gauss–Newton steps in machine code, from a solution or a point of linearisation.
+    """Smooth by Gauss–Newton steps in machine code, from `first`, a solution or where to linearise.
 
-    At the end the last linearisation is swept, too. None where machine code does not know a part of
-    the plan, where its equations have no solution, and where the last step and the sweep differ in
-    a mean by more than 10⁻⁷ standard deviations, or in a standard deviation by more than 3·10⁻⁹ of
-    it. The plan's account says so.
+    At the end the last linearisation is swept, too. The result is None where machine code does not
+    know a part of the plan, where its equations have no solution, and where the last step and the
+    sweep differ in a mean by more than 10⁻⁷ standard deviations, or in a standard deviation by more
+    than 3·10⁻⁹ of it. The plan's account says so.
     """
     from pgm.inference.chain.compiled.newton import Newton
 
@@ -460,7 +460,8 @@ def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
 def _start(plan: ChainPlan, start: Array) -> Point:
     """A start (T+1, runs, n) as a point of zero covariance, angles of states unwrapped.
 
-    They begin within half a turn of the prior's, and no step turns by more than half a turn.
+    These angles begin within half a turn of the prior's means, and none turns by more than half a
+    turn from one step to the next.
     """
     layout = plan.layout
     angles = angle_mask(layout.slice)

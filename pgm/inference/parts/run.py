@@ -239,9 +239,9 @@ def _gaussians(
 class Share:
     """What a worker sends back of its part's posterior.
 
-    It is the marginals of the variables `kept`; or, with `beliefs`, the filtered moments and
-    log-densities of all steps, and the `smoothed` moments of a smoother; or else the posterior
-    itself.
+    If `kept` is not None it is the marginals of these variables, and the log-evidence. Otherwise
+    it is with `beliefs` the filtered moments and log-densities of all steps, with `smoothed` the
+    smoothed moments, too; and without `beliefs` the posterior itself.
     """
 
     kept: Scope | None
