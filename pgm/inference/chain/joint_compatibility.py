@@ -159,7 +159,8 @@ class _Search:
 
         Branch and bound (Neira & Tardós, 2001): a branch is left where it cannot pair as many
         sightings as the best hypothesis so far, or not so well, or where νᵀS⁻¹ν is beyond the gate
-        for the components of all sightings. At the last depth a better hypothesis becomes `best`.
+        for the components paired and all those ahead. After the last depth a better hypothesis
+        within its gate becomes `best`.
 
         `chosen` has for each depth before this one the sighting's candidate, or `NOTHING`;
         N(shift, cov) is the belief given these pairings, counted from the predicted mean, and
