@@ -77,8 +77,8 @@ class IteratedUpdate(Generic[U]):
 class UpdateProblem(ABC, Generic[U]):
     """The update of a predicted belief with the measurements of its step, for `iterate`.
 
-    `parts` are the sightings of each sensor, `step` is the step's number for errors; `mean`
-    (n, *batch) and `cov` (n, n, *batch) are the predicted moments.
+    `parts` has the step's sightings, one `Reading` for each sensor that has any; `step` is the
+    step's number for errors; `mean` (n, *batch) and `cov` (n, n, *batch) are the predicted moments.
     """
 
     def __init__(self, parts: Sequence[Reading], step: int, mean: Array, cov: Array) -> None:
@@ -93,7 +93,7 @@ class UpdateProblem(ABC, Generic[U]):
 
     @property
     def measured(self) -> list[Measured]:
-        """The measurements as they were linearised last."""
+        """The sightings of each of `parts`, in their order, as they were linearised last."""
         return [part.seen for part in self.parts]
 
     def keep(self) -> None:
@@ -168,10 +168,10 @@ class UpdateProblem(ABC, Generic[U]):
 
     @abstractmethod
     def taken_in(self, anchor: Anchor | None) -> U:
-        """The belief given the measurements as linearised, and the anchor's; weights stay.
+        """The belief given the measurements as linearised, and the anchor's, if it is not None.
 
-        Raises NumericalError if the predictive covariance is indefinite or not finite, or if a
-        measurement contradicts an exact model.
+        Weights of robust sightings stay as they are. Raises NumericalError if the predictive
+        covariance is indefinite or not finite, or if a measurement contradicts an exact model.
         """
 
     @abstractmethod
@@ -211,10 +211,10 @@ class UpdateProblem(ABC, Generic[U]):
         return total
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means (1, runs, n) conditioned on the exact measurements alone: their cost is finite.
+        """Means (1, runs, n) moved to where the exact measurements hold: their cost is finite.
 
-        Exact measurements are those of singular noise; the covariance is the predicted one. The
-        moments of `found` are not read.
+        The result is the mean of N(`mean`, P), with the predicted covariance P, given the sightings
+        of those sensors alone whose noise is singular. The moments of `found` are not read.
         """
         exact = [seen for seen in self.measured if seen.sensor.exact]
         first = self._moments(found._replace(mean=mean))[0]
@@ -248,7 +248,7 @@ def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
 
 
 def iterated(reading: UpdateProblem[U], schedule: Filtering) -> IteratedUpdate[U]:
-    """The predicted belief given the measurements of its step, relinearised until it settles.
+    """The solution of the update `reading`, its sensors relinearised until it settles.
 
     The first linearisation is at the prediction, each further one at the solution before, or where
     the schedule's damping puts the next point; all start from the predicted belief, so that no

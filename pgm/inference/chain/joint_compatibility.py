@@ -69,8 +69,8 @@ def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
 def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Integers) -> Mask:
     """Whether the hypotheses of some runs lie within the gate, (len(runs),).
 
-    `chosen` (k, all runs) are candidates or `NOTHING`, `runs` the numbers of the runs; limits[j] is
-    the χ² quantile of j degrees of freedom.
+    `chosen` (k, all runs) are the sightings' candidates or `NOTHING`, `cov` P (all runs, n, n),
+    `runs` the numbers of the runs to look at; limits[j] is the χ² quantile of j degrees of freedom.
     """
     spread, shift = cov[runs], np.zeros((runs.size, cov.shape[-1]))
     square, dof = np.zeros(runs.size), np.zeros(runs.size, dtype=np.intp)
@@ -118,9 +118,11 @@ def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Arr
 class _Search:
     """The search for the best hypothesis of one run, by branch and bound; `best` (k,) is it.
 
-    `cov` is P (n, n) of the run; limits[j] is the χ² quantile of j degrees of freedom. Depth i of
-    the search decides about sighting order[i]: choices[i] are its compatible candidates, ahead[i]
-    counts the components from there on, and most[i] bounds the score that they can still add.
+    `pairs` are those of all runs, `run` is the number of this one, and `cov` its P (n, n);
+    limits[j] is the χ² quantile of j degrees of freedom. Depth i of the search decides about
+    sighting order[i]: choices[i] are its compatible candidates; ahead[i] counts the components of
+    the sightings from depth i on, and most[i] bounds the score Σ ln w + ln N(ν; 0, S) that these
+    sightings can still add. `found` has the number of pairings in `best`, and its score.
     """
 
     def __init__(self, pairs: Pairs, cov: Array, limits: Array, run: int) -> None:
@@ -156,12 +158,13 @@ class _Search:
         """Pair the sighting at this depth with each candidate left, likeliest first, or with none.
 
         Branch and bound (Neira & Tardós, 2001): a branch is left where it cannot pair as many
-        sightings, or as well, as the best hypothesis, or where its squared length is beyond the
-        gate of all that may follow.
+        sightings as the best hypothesis so far, or not so well, or where νᵀS⁻¹ν is beyond the gate
+        for the components paired and all those ahead. After the last depth a better hypothesis
+        within its gate becomes `best`.
 
-        `chosen` are the candidates of the sightings before, or `NOTHING`; N(shift, cov) is the
-        belief given them, counted from the predicted mean, and `square`, `dof`, `score` are their
-        νᵀS⁻¹ν, components measured, and Σ ln w + ln N(ν; 0, S).
+        `chosen` has for each depth before this one the sighting's candidate, or `NOTHING`;
+        N(shift, cov) is the belief given these pairings, counted from the predicted mean, and
+        `square`, `dof`, `score` are their νᵀS⁻¹ν, components measured, and Σ ln w + ln N(ν; 0, S).
         """
         self.nodes += 1
         if self.nodes > NODES:

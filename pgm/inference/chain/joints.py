@@ -21,10 +21,11 @@ def joint_moments(
 ) -> tuple[Array, Array]:
     r"""Mean (runs, n) and covariance (runs, n, n) of variables at steps, in the order given.
 
-    `beliefs` are the slices' moments given all measurements, or after a filter those up to their
-    step; only those at the latest step wanted are read. With the gain A_t of the slice at t given
-    the one at t + 1, the covariance of the slice at s with those of all later steps is that of its
-    successor, moved back once:
+    `variables` are hidden ones, each with a step, no two the same (`require_at_steps`); n counts
+    their components. `beliefs` are the slices' moments given all measurements, or after a filter
+    those up to their step; only those at the latest step wanted are read. With the gain A_t of the
+    slice at t given the one at t + 1, the covariance of the slice at s with those of all later
+    steps is that of its successor, moved back once:
 
         cov(x_s, x_t) = A_s cov(x_{s+1}, x_t),    t > s,
 
@@ -66,13 +67,16 @@ def joint_moments(
 
 
 def _gain(reverse: Reverse, step: int) -> Array:
-    """The gain A_t, (runs, n, n): the regression of the slice at step t on the slice at t + 1."""
+    """The gain A_t, (runs, n, n): the regression of the slice at step t on the slice at t + 1.
+
+    Its rows are of the slice at t, its columns of that at t + 1.
+    """
     gain: Array = reverse.states.matrix[step]
     return gain if reverse.slices is None else reverse.slices.matrix[step] @ gain
 
 
 def _mirror(cov: Array) -> None:
-    """Copy the upper triangle of large matrices onto the lower one, in place, block by block."""
+    """Copy upper triangles of matrices (runs, n, n) onto the lower ones, in place, by blocks."""
     size = cov.shape[-1]
     for start in range(0, size, _ROWS):
         rows = slice(start, start + _ROWS)

@@ -27,7 +27,7 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KeptPosterior(Posterior):
-    """The marginals of some hidden variables at all their steps, and nothing else.
+    """A posterior of which only the marginals of some hidden variables, at all steps, are kept.
 
     What `filter`, `smooth` and `infer` return with ``keep=[x]``: ``posterior[x]``, with means
     (..., T+1, d) of a state and (..., T, d) of a hidden control, and ``posterior[x.at(3)]`` are
@@ -50,7 +50,7 @@ class KeptPosterior(Posterior):
     Raises
     ------
     EvidenceError, GraphError
-        If what was not kept is asked for.
+        If what was not kept is asked for: GraphError by `message`, `belief` and `potential`.
 
     Examples
     --------
@@ -76,7 +76,7 @@ class KeptPosterior(Posterior):
         Raises
         ------
         EvidenceError
-            If it was not kept, or is not hidden.
+            If it was not kept, is not hidden, or has no such step.
         """
         template, first = located(self.graph.layout, variable, self.graph.steps)
         if template not in self._kept:
@@ -148,7 +148,7 @@ class KeptPosterior(Posterior):
         raise GraphError(self._missing("potentials of clusters"))
 
     def _missing(self, what: str) -> str:
-        """The words of an error: `what` was not kept, and how to have it."""
+        """The text of an error: `what`, such as "joints", was not kept, and how to have it."""
         return (
             f"{what}: not kept, since keep= keeps {self.kind} marginals, log-evidence and status "
             "alone; leave keep= out to have everything"

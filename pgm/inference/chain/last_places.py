@@ -50,13 +50,14 @@ def error(
     ----------
     plan : ChainPlan
     swept : Forward or Filtered
-        The forward pass, of which another one is made where not all of it is known.
+        The forward pass; one that is `Filtered` is made again, whole, where more of it is needed.
     smoothed : Beliefs or None
-        The means and covariances of a smoother.
+        The means and covariances of a smoother; None of a filter.
     careful : bool
-        Whether all of it was found in twice the digits, and rounded at the end.
+        Whether the passes were made in twice the digits, and their means rounded at the end.
     measured : bool
-        Whether digits are told anyhow; else the answer is None where last places leave six.
+        Whether the status has digits already, so that there is always an answer; else it is None
+        where last places leave six digits.
     """
     every = [] if smoothed is None else [(smoothed.mean, smoothed.cov)]
     if measured or swept.far:
@@ -85,7 +86,10 @@ def error(
 
 
 def of_step(moments: Moments) -> Array | float:
-    """The largest e/σ after a step of an online filter, (runs,); 0 if no ½ u(m)/σ exceeds 10⁻⁶."""
+    """The largest e/σ after a step of an online filter, (runs,); 0 if no ½ u(m)/σ exceeds 10⁻⁶.
+
+    `moments` are those of the slice after the step's measurements.
+    """
     mean, cov = moments.mean, moments.cov
     variance = np.einsum("ii...->i...", cov)
     if not (mean * mean > _NEAR * variance).any():
@@ -95,7 +99,7 @@ def of_step(moments: Moments) -> Array | float:
 
 
 def of_each_step(moments: Moments) -> Array:
-    """The largest e/σ after a step of an online filter, (runs,), however small."""
+    """`of_step` without its threshold: the largest e/σ, (runs,), however small."""
     return np.asarray(_FORWARD * of_beliefs(*moments.by_run, np.zeros(1)))
 
 
@@ -110,13 +114,14 @@ def _counts(mean: Array, cov: Array) -> bool:
 def of_beliefs(mean: Array, cov: Array, largest: Array) -> Array:
     """The largest ½ u(m) / σ of the components of beliefs (..., n) and (..., n, n), as (...).
 
-    `largest` (..., n) are the largest variances that the components had.
+    `largest` (..., n) are the largest variances that the components had, which bound σ from below
+    (see the module); zeros set no bound.
     """
     return last_place.rounding(mean, deviation(cov), np.sqrt(largest))
 
 
 def _old(plan: ChainPlan, ahead: Forward) -> Array:
-    """The largest part of a predicted variance that is not the transition's noise, (T, runs)."""
+    """The largest share of a predicted variance that is not the transition's noise, (T, runs)."""
     front, spread = plan.layout.state_size, variances(ahead.predicted_cov)[1:]
     new = np.zeros(spread.shape)
     for link in plan.transition if plan.steps else ():

@@ -2,10 +2,10 @@
 
 The *reference* is a trajectory (T+1, runs, n) near the beliefs, for T steps and slices of n
 components; slices are counted from it, x being x − reference, so that large coordinates cost no
-digits. A measurement z = H x + b + n, n ~ N(0, R), R = L Lᵀ, of d components is *whitened* by L⁻¹:
-v = W x + n, n ~ N(0, I), with W = L⁻¹H. The measurements of a step together are the likelihood
-exp(−½ xᵀK x + hᵀx) with K = Σ WᵀW and h = Σ Wᵀv. Arrays of measurements have M rows, sorted by
-step.
+digits. A measurement z = H x + b + n, n ~ N(0, R), of d components is *whitened* by L⁻¹, L being
+the lower root of R = L Lᵀ: v = W x + n, n ~ N(0, I), with W = L⁻¹H. The measurements of a step
+together are the likelihood exp(−½ xᵀK x + hᵀx) with K = Σ WᵀW and h = Σ Wᵀv. Arrays of
+measurements have M rows, sorted by step.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from pgm.kernels.segment_maps import Moments
 class Readings:
     """The plan's linearised measurements as likelihoods of x − reference, (T+1, runs, n).
 
-    Sensors of regular noise are `_whitened`, and add up to the `likelihood` of each step. The
-    measurements of the others are `stacks`: of singular noise, or with correlated errors of the
-    sightings of a step. `_robust` are the sensors of robust noise.
+    The measurements of sensors of regular noise are `_whitened`, and add up to the `likelihood` of
+    each step. Sensors with some singular noise, or with correlated errors of the sightings of a
+    step, have theirs in `stacks` instead. `_robust` are the sensors of robust noise.
     """
 
     reference: Array
@@ -77,8 +77,8 @@ class Readings:
     def held(self, anchor: Anchor | None) -> Likelihood:
         """The likelihood times that of an anchor, x = anchor.mean + n, n ~ N(0, diag(std² / λ)).
 
-        λ is its weight. A component whose std or weight is zero is not held; without an anchor it
-        is `likelihood` itself.
+        `std` and λ, the `weight`, are the anchor's; where one of them is zero a component is not
+        held. The result is `likelihood` itself for an anchor of None.
         """
         if anchor is None:
             return self.likelihood
@@ -95,7 +95,8 @@ class Readings:
         It adds up, to (T+1, runs), ln N(z − h(x⁺); 0, R) of whitened measurements at the means x⁺
         given them, the surplus of robust ones, and the log-density of each of the `stacks` under
         the predictions. `known` are the x⁺ and `predicted` the moments before a step's
-        measurements, both counted from the reference. The plan has to be linearised as it was.
+        measurements, both counted from the reference. The plan has to be linearised as it was when
+        these readings were made.
         """
         total = np.zeros(known.shape[:2])
         for each in self._whitened:
@@ -124,9 +125,10 @@ class Known(NamedTuple):
 def know(before: Belief, likelihood: Likelihood) -> Known:
     """Condition beliefs N(x⁻, P), (..., n) and (..., n, n), on whitened measurements v = W x + n.
 
-    With x⁺ the mean given the measurements and P⁺ the pseudo-inverse, the log-density
-    ln N(v; W x⁻, I + W P Wᵀ) is, but for −½ d ln 2π, −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) −
-    ½ ln |I + P WᵀW|: no term is above zero, so that nothing cancels. `evidence` is the last two.
+    They are given by their `likelihood`, of K = WᵀW and h = Wᵀv. With x⁺ the mean given the
+    measurements and P⁺ the pseudo-inverse of P, the log-density ln N(v; W x⁻, I + W P Wᵀ) is, but
+    for −½ d ln 2π, −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) − ½ ln |I + P WᵀW|: no term is
+    above zero, so that nothing cancels. `evidence` is the last two.
     """
     after = condition(before, likelihood)
     evidence = -0.5 * (inner(after.moved, after.moved) + solving.log_determinant(after.U))
@@ -147,7 +149,7 @@ class Whitened:
     """A sensor's measurements about a reference, in units of their noise: v = W x + n, n ~ N(0, I).
 
     `white` (M or 1, runs or 1, d, d) is L⁻¹ and `scale` (M or 1, runs or 1) is ln N(0; 0, L Lᵀ) of
-    each noise L Lᵀ. Where a measurement lacks components, the scale is that of the others.
+    each noise L Lᵀ. Missing components of a measurement do not count in its scale.
     """
 
     sensor: Sensor
@@ -157,7 +159,11 @@ class Whitened:
 
     @classmethod
     def of(cls, sensor: Sensor, reference: Array) -> Whitened | None:
-        """The whitened measurements; None if an R is not regular or errors are correlated."""
+        """The whitened measurements of a sensor about the reference (T+1, runs, n).
+
+        None if some R is singular or indefinite, or errors of the sightings of a step are
+        correlated.
+        """
         if sensor.exact or sensor.cross:
             return None
         noise, taken = shortened(sensor.family.noise), sensor.taken
@@ -173,7 +179,10 @@ class Whitened:
         )
 
     def likelihood(self) -> Likelihood:
-        """The likelihood of each step's measurements over the parents, (T+1, runs, ...)."""
+        """The likelihood of each step's measurements over the parents less their reference.
+
+        Its arrays are K (T+1, runs, m, m) and h (T+1, runs, m), for parents of m components.
+        """
 
         def said(rows: slice, counts: Integers) -> tuple[Array, Array]:
             """HᵀR⁻¹H and HᵀR⁻¹ν of each step, summed over its measurements: (steps, runs, ...).

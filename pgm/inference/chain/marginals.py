@@ -37,7 +37,9 @@ class Marginals(Shown, NoArray):
     kind: Kind
 
     def __getitem__(self, variable: Variable) -> Gaussian:
-        """The marginal of ``x`` at all its steps, stacked; of ``x.at(3)`` at one, (*runs, d).
+        """The marginal of ``x`` at all its steps, stacked; of ``x.at(3)`` at one step.
+
+        Means are (*runs, steps, d) of ``x``, and (*runs, d) of ``x.at(3)``.
 
         Raises
         ------

@@ -27,7 +27,7 @@ from pgm.kernels.prefixes import levels, prefixes, take
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
-    """p(measurements after t | states at t), t = 0..T, (T+1, runs, ...); NaN if there is none.
+    """p(measurements after t | states at t), t = 0..T, (T+1, runs, ...); NaN where none exists.
 
     Messages are carried about the filtered mean, so that large coordinates cost no digits, and
     moved to the origin at the end: by a scan, or step by step where that is faster.
@@ -66,7 +66,7 @@ def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonica
 def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | None:
     """`_stepwise` by a scan of 2 log₂ T rounds; None where a root or inverse does not exist.
 
-    `last` is its `message`.
+    `last` is the message of step T, which is `message` there.
     """
     segments = take(absorbed_at_once(plan, forward), slice(None, None, -1))
     tree = levels(segments, lambda later, sooner: elements.compose(sooner, later))
@@ -86,7 +86,7 @@ class _Message(NamedTuple):
 
 
 def _passed(message: _Message, segment: Element) -> _Message:
-    """The message to the left end of a segment, from that to its right end."""
+    """The message at the first step of a segment, carried back from that at its last step."""
     K, h, g = canonical.backward(*segment[:3], *message)
     assert segment.g is not None
     return _Message(K + segment.K, h + segment.h, g + segment.g)
@@ -180,9 +180,10 @@ def absorb_readings(
 
 
 def likelihoods(plan: ChainPlan, reference: Array) -> Canonical:
-    """The likelihood of each step's measurements, over the slice less its reference (T+1, runs, n).
+    """The likelihood (K, h, g) of each step's measurements, over the slice less its reference.
 
-    (T+1, runs, ...), as the plan was linearised; NaN where the noise of a measurement is singular.
+    Its arrays are (T+1, runs, ...), with the plan's linearisations; NaN where the noise of a
+    measurement is singular. `reference` is (T+1, runs, n).
     """
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
     K, h, g = np.zeros((*shape, size, size)), np.zeros((*shape, size)), np.zeros(shape)
@@ -212,8 +213,9 @@ def first_potential(plan: ChainPlan, forward: Ahead) -> Canonical:
 def potentials(plan: ChainPlan, forward: Ahead) -> Canonical:
     """The potentials of clusters 1..T, over the states of the step before and the slice.
 
-    (T, runs, ...), as the plan was linearised; NaN where a noise is singular. They are computed
-    about the means of `forward`, so that large coordinates cost no digits, and moved to the origin.
+    Their arrays (K, h, g) are (T, runs, ...), with the plan's linearisations; NaN where a noise is
+    singular. They are computed about the means of `forward`, so that large coordinates cost no
+    digits, and moved to the origin.
     """
     layout, reference = plan.layout, forward.mean
     front, size = layout.state_size, layout.slice_size

@@ -28,15 +28,17 @@ _HALF_TURN = 0.5 * TURN
 
 
 class MomentChain:
-    """The Gaussian family forward: predicts a slice, and takes in the measurements of its step.
+    """A forward pass in moment form: predicts a slice, and takes in the measurements of its step.
 
     With a `schedule` each CPD is linearised at its incoming belief, and the sensors of a step again
-    as it says; without one all stay as they were linearised, and `gated` are the gates. With `keep`
-    linearisations are stored in the plan. An `anchor` is a further measurement of all components at
-    each step, no evidence, which holds beliefs near a point. `room(step)` gives the arrays that the
-    update of a step may write into; `check` refuses what is not finite. `residuals` has for each
-    relinearisation of a step's sensors the largest distance, over all steps, of a mean from where
-    it was linearised, in standard deviations, (runs,).
+    as the schedule says, with its gate; new linearisations are stored in the plan if `keep` is set.
+    With None the stored linearisations are used, and `gated` gives gates, None for none. An
+    `anchor` is a further measurement of all components at each step, no evidence, which holds
+    beliefs near a point. `room(step)` gives the mean and the covariance that the update of a step
+    may write into. `check` linearises once at each step, and refuses what is not finite:
+    linearisations with LinearisationError, predictions with NumericalError. `residuals` has for
+    each relinearisation of a step's sensors the largest distance, over all steps, of a mean from
+    where it was linearised, in standard deviations, (runs,).
     """
 
     def __init__(
@@ -62,15 +64,15 @@ class MomentChain:
 
     @property
     def converged(self) -> Mask:
-        """Whether each step's update has settled, or had nothing to iterate, (runs,)."""
+        """Whether the updates of all steps so far settled, or had nothing to iterate, (runs,)."""
         if self._settled is not None:
             return self._settled
         return np.full(self.plan.runs, self.plan.linear)
 
     def start(self) -> Moments:
-        """The belief over the slice at step 0 before its measurements, with controls of zero.
+        """The belief over the slice at the plan's step 0 before its measurements, controls zero.
 
-        Where a belief `plan.begin` takes the prior's place, it is that.
+        Where `plan.begin` takes the prior's place it is that belief, given these measurements.
         """
         plan = self.plan
         if plan.begin is not None:
@@ -89,11 +91,17 @@ class MomentChain:
         return Moments(whole, spread)
 
     def predict(self, step: int, belief: Moments) -> Moments:
-        """Moments of a step's slice, from those of the one before: m ← F m + b, P ← F P Fᵀ + Q."""
+        """Moments of a step's slice, from those of the one before: m ← F m + b, P ← F P Fᵀ + Q.
+
+        `step`, 1..T, is counted from the plan's first one, as in `take`, `motion` and `readings`.
+        """
         return self.predicted(self.motion(step), self.plan.first + step, belief)
 
     def take(self, step: int, belief: Moments) -> tuple[Moments, Array | float]:
-        """The belief given the measurements of its step, and their log-density (*batch)."""
+        """The belief given the measurements of a step, 0..T, and their log-density (*batch).
+
+        `belief` is the predicted one. An anchor is taken in, too, but is not in the log-density.
+        """
         parts = self.readings(step)
         if not parts and self.anchor is None:
             return belief, 0.0
@@ -140,7 +148,11 @@ class MomentChain:
     def taken(
         self, parts: Sequence[Reading], step: int, belief: Moments
     ) -> tuple[Moments, Array | float]:
-        """The belief given some measurements of its step, and their log-density (*batch)."""
+        """The belief given some measurements of its step, and their log-density (*batch).
+
+        `parts` are the sightings by sensor, as of `readings`; `step` is the step's number in
+        errors, plan.first + t, and `belief` the predicted one.
+        """
         mean, cov, _ = belief
         schedule = self.schedule
         robust = self.plan.robust
@@ -172,8 +184,9 @@ class MomentChain:
     ) -> tuple[Moments, Array | float]:
         """The belief given sightings of which some are robust, and their log-density (*batch).
 
-        At each linearisation they are weighed until the weights settle. Linearisations are as many
-        as the schedule says, or one with `check`, which refuses what is not finite first.
+        At each linearisation the robust ones are weighed until their weights settle. Linearisations
+        are as many as the schedule says, or one with `check`, which first refuses one that is not
+        finite. N(mean, cov) is the predicted belief.
         """
         if self.check:
             for part in parts:
@@ -201,7 +214,10 @@ class MomentChain:
         return Moments(shown, last.known.cov, False), last.log_density
 
     def _at(self, link: Link, row: int) -> At:
-        """A CPD with a row's evidence, to be linearised or with its stored linearisation."""
+        """A CPD with the evidence of a row of its family, to be linearised if there is a schedule.
+
+        Without one it has its stored linearisation.
+        """
         if self.linearises:
             return link.family.at(row, row + 1)
         return link.family.stored_at(row, row + 1)
@@ -270,9 +286,9 @@ def turns_far(link: Link, before: Array, value: Array) -> bool:
 def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
     """The value (d, *batch) of a CPD without the whole turns by which its function wraps angles.
 
-    `before` is the vector with the places `link.before`. A function wraps an angle if its value
-    stays the same when the angles there are a turn further. Such an angle is moved to within half a
-    turn of the one before; others stay.
+    `before` is the vector with the places `link.before`, where the same angles stand as they were a
+    step before. A function wraps an angle if its value stays the same when those are moved by a
+    turn. Such an angle is moved to within half a turn of itself a step before; others stay.
     """
     assert at.function is not None
     turned = value[link.angles] - before[link.before]
@@ -290,7 +306,8 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
 def largest(record: list[Array], residuals: Iterable[Array]) -> list[Array]:
     """The larger residuals of two records, each a list of (runs,) by relinearisation.
 
-    A step that settled earlier has a shorter record, and keeps its last residual.
+    A record that is shorter, since its step settled earlier, is continued with its last residual;
+    an empty one does not count.
     """
     residuals = list(residuals)
     if not record or not residuals:

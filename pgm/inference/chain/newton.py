@@ -28,10 +28,10 @@ from pgm.kernels.tridiagonal import Tridiagonal
 class Means:
     """Means (T+1, runs, n), and the `variance` (T+1, runs, n) of each component given all others.
 
-    That is one over the diagonal of the information matrix, at most the marginal variance.
-    `readings` are the measurements about the reference. Machine code finds marginal variances
-    instead, and has no `readings`. `pair` counts the components of a pair: the states of the step
-    before, and the slice.
+    That is one over the diagonal of the information matrix, at most the marginal variance. Where
+    machine code or a smoother has found the means, it is the marginal variance. `readings` are the
+    measurements about the reference, None of machine code. `pair` counts the components of a pair:
+    the states of the step before, and the slice.
     """
 
     means: Array
@@ -72,8 +72,8 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
 def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
     """The normal equations A ξ = r of the means, as moves ξ from the reference of `readings`.
 
-    With x_t = F x_{t−1} + b + n, n ~ N(0, Q), diagonal blocks are Q⁻¹ + Fᵀ Q⁻¹ F + HᵀR⁻¹H, the
-    blocks beside them −Fᵀ Q⁻¹. None where the prior's covariance or some Q is singular.
+    With x_t = F x_{t−1} + b + n, n ~ N(0, Q), diagonal blocks are Q⁻¹ + Fᵀ Q⁻¹ F + HᵀR⁻¹H, and the
+    blocks to the right of them −Fᵀ Q⁻¹. None where the prior's covariance or some Q is singular.
     """
     layout = plan.layout
     states = layout.state_places
@@ -104,7 +104,7 @@ def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
 
 
 class _Move(NamedTuple):
-    """Linearised transitions x[t] = F x[t − 1] + b + noise: F (steps, runs, n, n), b."""
+    """Linearised transitions x[t] = F x[t − 1] + b + noise: F (steps, runs, n, n), b (..., n)."""
 
     matrix: Array
     offset: Array

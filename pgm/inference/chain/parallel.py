@@ -50,7 +50,8 @@ _BEYOND = 1e30
 class Scanned:
     """The forward pass of a scan: a `Forward` whose log-densities are computed when asked for.
 
-    They have to be asked for before the plan is linearised again. `agrees` says whether each belief
+    They have to be asked for before the plan is linearised again. Moments are (T+1, runs, ...), not
+    counted from the reference. `agrees` says whether each belief
     follows from the one before it to 10⁻⁷ standard deviations, and each variance keeps a share of
     1 / `certificate.GENTLE` given the components before it, and through measurements. Then
     composing segments loses no digits, in the backward pass either.
@@ -117,7 +118,7 @@ def run(plan: ChainPlan) -> Ahead:
 
 
 def _guess(plan: ChainPlan, moves: Conditional) -> Array:
-    """Means (T+1, runs, n) near the beliefs, for a reference.
+    """Means (T+1, runs, n) near the beliefs of an affine model, for a reference.
 
     They are the smoothed means by the normal equations, which an affine model has at once. Where
     angles are measured, or there are no such equations, they are the prior's means propagated by
@@ -221,7 +222,10 @@ def _solve(
 
 
 def _read(predicted: Moments, readings: Readings) -> Moments:
-    """Predictions about the reference, (T+1, runs, ...), given the measurements of their steps."""
+    """The beliefs given the measurements of their steps, from those before them, `predicted`.
+
+    Both are about the reference of `readings`, (T+1, runs, ...).
+    """
     mean, cov, _ = in_chunks(
         know, Belief(*predicted, np.zeros(predicted.mean.shape[:2])), readings.likelihood
     )
@@ -233,10 +237,11 @@ def _read(predicted: Moments, readings: Readings) -> Moments:
 
 
 def _agree(found: Moments, due: Moments) -> bool:
-    """Whether means and standard deviations are within 10⁻⁷ standard deviations of those `due`.
+    """Whether the moments `found` are within 10⁻⁷ standard deviations of those `due`.
 
-    A mean without a variance is compared with its own size, a standard deviation that is due to be
-    zero with the largest of its component.
+    That is of means and of standard deviations, for all steps and runs. Where the variance due is
+    zero, the unit of a mean is its own size, and that of a standard deviation the largest due for
+    this component at any step.
     """
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)
@@ -247,9 +252,9 @@ def _agree(found: Moments, due: Moments) -> bool:
 
 
 def _from(belief: Belief, reference: Array, steps: int) -> Moments:
-    """Room for moments (steps + 1, runs, ...) about a reference, with a belief in row 0.
+    """Moments (steps + 1, runs, ...) about a reference: a belief in row 0, then uninitialised rows.
 
-    `reference` (runs, n) is that of step 0, and `belief` is not counted from it.
+    `reference` (runs, n) is that of step 0, and `belief` (runs, ...) is not counted from it.
     """
     runs, size = belief.mean.shape
     out = Moments(room((steps + 1, runs), (size,)), room((steps + 1, runs), (size, size)))
@@ -292,10 +297,10 @@ def _refuse(known: Moments) -> None:
 def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[Stack]) -> Element:
     """The element of each step 1..T about a reference, (T, runs, ...).
 
-    It begins with the measurements at the step before, and ends before those of its own step,
-    except the `stacks`, of singular or correlated noise: these are absorbed by the transition that
-    leads to them. The measurements of step 0 are in the belief from which all begins. `moves` are
-    the transitions, as of `about`.
+    The element of step t has the `likelihood` (T+1, runs, ...) of step t − 1 and the transition to
+    t, but not the likelihood of t. The `stacks`, measurements of singular or correlated noise, are
+    in the element of their own step. The measurements of step 0 are left out: they are in the
+    belief from which all begins. `moves` are the transitions, as of `about`.
     """
     precision = room(moves.matrix.shape[:2], moves.matrix.shape[2:])
     h = room(moves.offset.shape[:2], moves.offset.shape[2:])
@@ -313,8 +318,9 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
 def _absorb_exact(moves: Element, stack: Stack) -> None:
     """Condition the transitions to a stack's steps on its measurements, in place.
 
-    NumericalError where an exact measurement is of what the transition makes certain: then the
-    covariance of the measurements given the states before is singular.
+    `moves` are the elements of steps 1..T; measurements at step 0 are left out. NumericalError
+    where an exact measurement is of what the transition makes certain: then the covariance of the
+    measurements given the states before is singular.
     """
     later = np.flatnonzero(stack.steps)
     if not later.size:

@@ -158,7 +158,7 @@ class ChainPlan:
         )
 
     def put(self, first: int, part: ChainPlan) -> None:
-        """Copy into this plan how the CPDs of a window were linearised, its gates and its weights.
+        """Copy into this plan a window's linearisations, gate decisions and robust weights.
 
         `first` is the step of this plan where the window `part` begins.
         """
@@ -175,7 +175,8 @@ class ChainPlan:
     def put_runs(self, runs: slice, part: ChainPlan) -> None:
         """Copy into this plan how the CPDs were linearised in `part`, the plan of some of its runs.
 
-        No sensor may be robust, or have a gate.
+        `runs` are those with which `part` was cut out by `of`. No sensor may be robust, or have a
+        gate.
         """
         where = slice(None), runs
         for family, own in zip(self.families, part.families, strict=True):
@@ -198,10 +199,11 @@ class ChainPlan:
     ) -> ChainPlan:
         """Lay out the families of a graph with evidence, and probe their functions.
 
-        `first` is the number of the first step, and without `prior` the plan has none: both are for
-        a plan of later steps. With `probe` each function is called once on trial, if the graph has
-        not done so before. The answers of traces, which stand in for functions, are judged by the
-        `judge` after the call; without one, each is compared with its function at once.
+        The `lineariser` serves nonlinear CPDs that have none of their own. `first` is the number of
+        the first step, and without `prior` the plan has none: both are for a plan of later steps.
+        With `probe` each function is called once on trial, if the graph has not done so before. The
+        answers of traces, which stand in for functions, are judged by the `judge` after the call;
+        without one, each is compared with its function at once.
         """
         layout, lead = graph.layout, bound.lead
 

@@ -92,7 +92,7 @@ class ChainPosterior(Innovated, Posterior):
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a hidden variable, at one step or at all.
 
-        Any other variable raises EvidenceError.
+        Any other variable, or a step where it does not stand, raises EvidenceError.
         """
         return self._marginals(self._beliefs, self.kind)[variable]
 
@@ -168,9 +168,10 @@ class ChainPosterior(Innovated, Posterior):
 
     @quiet()
     def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
-        """The joint of hidden variables at any steps, given the measurements that the latest knows.
+        """The joint of hidden variables at any steps, given what the latest one's belief knows.
 
-        After filtering these are those up to its step, after smoothing all, as `kind` says.
+        After filtering that is the measurements up to the latest of the steps, after smoothing all
+        of them, as `kind` says.
 
         Parameters
         ----------
@@ -187,7 +188,7 @@ class ChainPosterior(Innovated, Posterior):
         EvidenceError, ModelError
             If one is not hidden, has no such step or stands twice, or none is given.
         GraphError
-            If the covariance of all runs would not fit.
+            If the covariance, of all runs together, would not fit in memory.
         NumericalError
             If windows of an iterated fixed lag were solved in twice the digits.
         """
@@ -221,9 +222,10 @@ class ChainPosterior(Innovated, Posterior):
         return adjoint.smoothed(self._careful, self.graph.steps)
 
     def _careful_joint(self, careful: Careful, variables: Scope) -> Gaussian:
-        """The joint of variables at several steps, from slices in pairs of float64.
+        """The joint of hidden variables, each with a step, from slices in pairs of float64.
 
-        The slices' joint is (runs, S n) for S steps; the variables' rows are cut out of it.
+        The joint of the S distinct steps' slices has means (runs, S n); the variables' components
+        are cut out of it, in the order given.
         """
         steps = [variable.step for variable in variables if variable.step is not None]
         distinct = sorted(set(steps))
@@ -295,7 +297,10 @@ class ChainPosterior(Innovated, Posterior):
         return weight if self._windows is None else self._windows.log_evidence[last]
 
     def _past(self, step: int) -> canonical.Canonical:
-        """The forward message of a step: p(x[t], measurements up to t) in canonical form."""
+        """The forward message of a step: p(states at t, measurements up to t) as (K, h, g).
+
+        Its arrays are (runs, ...).
+        """
         places = self.graph.layout.state_places
         weight = self._forward.log_density[: step + 1].sum(axis=0)
         mean = self._forward.mean[step][:, places]
@@ -384,7 +389,7 @@ class ChainPosterior(Innovated, Posterior):
         """A canonical form for a user, with the leading axes of runs, from (K, h, g), (runs, ...).
 
         Where its g is NaN, a covariance was singular, and the form does not exist: NumericalError
-        tells `what` of which cluster it would be.
+        says so of `what`, such as "the belief of cluster 3", and has the number `cluster`.
         """
         if np.isnan(parts[2]).any():
             raise NumericalError(

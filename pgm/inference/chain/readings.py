@@ -62,7 +62,7 @@ class Moments(NamedTuple):
         return cls(components_first(mean, 1), components_first(cov, 2))
 
     def held(self, anchor: Anchor, step: int) -> Moments:
-        """The belief given an anchor's measurement of all components at a row `step` of it."""
+        """The belief given the anchor's measurement of all components in its row `step`."""
         mean, cov = anchor.hold(step, *self.by_run)
         if self.mean.ndim == 1:
             return Moments(mean[0], cov[0], False)
@@ -81,10 +81,12 @@ def update(
 ) -> tuple[Moments, Array | float]:
     """The belief given linearised sightings of a step, and their log-density (*batch).
 
-    The moments may be written into `room`. Where the joint predictive covariance is nearly
-    singular, as with sharp measurements of a wide belief, exact sensors are taken in together and
-    the other sightings one by one, which is equal but for rounding. NumericalError where that
-    covariance is indefinite or not finite, or an exact model is contradicted.
+    `step` is the step's number in errors, and `belief` the predicted one. The moments may be
+    written into the mean and covariance `room`; None makes new ones. Where the joint predictive
+    covariance is nearly singular, as with sharp measurements of a wide belief, exact sensors are
+    taken in together and the other sightings one by one, which is equal but for rounding.
+    NumericalError where that covariance is indefinite or not finite, or an exact model is
+    contradicted.
     """
     if not parts:
         return belief, 0.0
@@ -247,7 +249,8 @@ class Reading:
         """Weigh robust sightings at a belief over the slice; returns how far weights move, (runs,).
 
         That is the largest change of a weight, infinite while a graduated loss is not yet the one
-        asked for, and zero in runs that are not active. `seen` has the new noise then.
+        asked for, and zero in runs that are not `active` (runs,). `seen` gets the new noise; there
+        have to be `weights`. The belief is (n, *batch) and (n, n, *batch).
         """
         weights, sensor, seen = self.weights, self.sensor, self.seen
         assert weights is not None
@@ -286,7 +289,10 @@ class Reading:
 
     @property
     def surplus(self) -> Array | float:
-        """The sightings' robust log-density less that of their N(0, R / w), (*batch); else zero."""
+        """The robust log-density of all sightings less that of their N(0, R / w), (*batch).
+
+        It is zero for a sensor of Gaussian noise.
+        """
         if not self.sensor.robust:
             return 0.0
         if self.weights is None:
@@ -297,7 +303,10 @@ class Reading:
         return total if self.sensor.family.batch else total.item()
 
     def expected(self, mean: Array, cov: Array) -> Array:
-        """E[h(x)] at a belief over the slice, by the lineariser, (D, *batch); NaN where h is."""
+        """E[h(x)] at a belief over the slice, by the lineariser, (D, *batch); NaN where h is NaN.
+
+        The belief is (n, *batch) and (n, n, *batch); `seen` stays as it is.
+        """
         sensor = self.sensor
         if not sensor.whole:
             mean, cov = mean[sensor.parents], within(cov, sensor.parents)
@@ -347,7 +356,8 @@ def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
 def stored(plan: ChainPlan, step: int, mean: Array) -> Vector | None:
     """The measurements of a step, with stored linearisations, as one vector, or None without any.
 
-    `mean` (runs, n) is that of the slice; the result has its runs first, too.
+    `mean` (runs, n) is that of the slice, at which residuals are taken; the `Vector` has its runs
+    first, too: H (runs, D, n), residual (runs, D), noise (runs, D, D).
     """
     at = components_first(mean, 1) if plan.batch else mean[0]
     nothing = np.zeros((len(at), len(at), *plan.batch))

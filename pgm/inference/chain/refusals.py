@@ -88,7 +88,8 @@ def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
     """Raise NumericalError if a covariance (d, d, *batch) predicted by a CPD is indefinite.
 
     Whether it is indefinite is looked at only where the covariance of the linearisation's error may
-    be. With `finite` a covariance that is not finite is refused, too.
+    be indefinite. With `finite` one that is not finite is refused, too. `step` is the step's number
+    in the error.
     """
     family, whole = link.family, bool(np.isfinite(cov).all())
     proper = family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2)))
@@ -132,7 +133,7 @@ def belief(plan: ChainPlan, step: int, *beliefs: tuple[Twofold, Twofold]) -> Non
 
 
 def infinite(what: str, step: int) -> NoReturn:
-    """Raise the NumericalError for a belief, named by `what`, that is not finite at a step."""
+    """Raise the NumericalError for `what`, such as "the belief", that is not finite at a step."""
     raise NumericalError(
         f"{what} at step {step} is not finite; are its inputs, measurements and noises of a size "
         "that float64 can hold?",

@@ -103,8 +103,9 @@ def _swept(
     """The largest share of a smoothed variance that the bound E comes to, by a sweep back.
 
     It is over the runs that are `doubtful` (T, runs) at some step. The sweep begins at the last
-    doubtful step, with the share of P that has `accumulated` behind it, `added` (T, runs); it ends
-    with infinity where a share is beyond `TOLD`. `moves` are the transitions between slices.
+    doubtful step; what the steps after it add is bounded by shares of P, `added` (T, runs), as of
+    `accumulated`. It ends with infinity where a share is beyond `TOLD`. `moves` are the transitions
+    between slices, and covariances are those of `keeps_digits`.
     """
     runs, size = np.flatnonzero(doubtful.any(axis=0)), predicted.shape[-1]
     end = int(np.flatnonzero(doubtful.any(axis=1))[-1]) + 1
@@ -133,7 +134,7 @@ def _swept(
 
 
 def _some(part: Array, rows: slice, runs: Integers) -> Array:
-    """Some steps and runs of an array (steps or 1, runs or 1, ...), one standing for all."""
+    """Some steps and runs of an array (steps or 1, runs or 1, ...); an axis of one is for all."""
     part = part[rows] if len(part) > 1 else part
     return part[:, runs] if part.shape[1] > 1 else part
 
@@ -141,8 +142,9 @@ def _some(part: Array, rows: slice, runs: Integers) -> Array:
 def injected(
     matrix: Array, noise: Array, predicted: Array, known: Array, later: Array
 ) -> tuple[Array, Array]:
-    """The gains G (..., n, n) on the slice after, and what they add to E, ε diag(...), (..., n).
+    """The gains G (..., n, n) of slices given the ones after, and what they add to E, (..., n).
 
+    That is the diagonal of ε diag(...), with the τ at which its terms count equally.
     `matrix` and `noise` are A and Q (..., n, n); `known`, `predicted` and `later` are P of the
     slice, P_y of the one after, and P_y′.
     """

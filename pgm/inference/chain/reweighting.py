@@ -45,7 +45,7 @@ def squares(
 
     With a rule that takes expectations they are expected under the beliefs, and Ω, `error` (M,
     runs, d, d), is the covariance of its approximation error, None for zero. `mean` (T+1, runs, n)
-    and `cov` are of the slices, the first of which is at step `first`.
+    and `cov` (T+1, runs, n, n) are the beliefs over the slices, the first of them at step `first`.
     """
     family, parents, places = sensor.family, sensor.parents, sensor.family.step - first
     residual = sensor.moved - family.value(slice(None), gather(mean, places)[..., parents])

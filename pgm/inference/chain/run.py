@@ -52,10 +52,10 @@ from pgm.tracing import Judge, judged
 
 
 class Solver(ABC):
-    """The solution of a chain by one kind of schedule.
+    """A solver of chains by one kind of schedule.
 
-    `starts` says whether a user may give means at which everything is linearised first. A gate on
-    a balanced tree is refused with a GraphError.
+    `starts` says whether a user may give means at which everything is linearised first. Making a
+    solver for a balanced tree with a schedule that has a gate raises GraphError.
     """
 
     starts: ClassVar[bool] = False
@@ -73,15 +73,15 @@ class Solver(ABC):
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
         """The posterior computed in float64.
 
-        `start` (T+1, runs, n) are means of the slices for the first linearisation, or None; `room`
-        are arrays (T+1, runs, ...) in which a filter may leave its means and covariances.
+        `start` (T+1, runs, n) are means of the slices for the first linearisation, or None; `room`,
+        or None, are two arrays (T+1, runs, ...) in which a filter may leave means and covariances.
         """
 
     @abstractmethod
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
         """The posterior computed in pairs of float64; for `start` see `solve`.
 
-        Sliding windows of a fixed lag choose between both for themselves, in either method.
+        Sliding windows of a fixed lag choose float64 or pairs each for itself, in `solve` as here.
         """
 
     def _posterior(
@@ -96,9 +96,10 @@ class Solver(ABC):
         windows: Windows | None = None,
         error: Array | None = None,
     ) -> ChainPosterior:
-        """The posterior of a sweep, its status with the digits left and the compiled sweeps.
+        """The posterior with these parts, its status completed by digits and compiled sweeps.
 
-        `error` (runs,) is that of the means, in standard deviations; None where it is not measured.
+        `error` (runs,) is the rounding error of means, in standard deviations, which costs digits;
+        None where it is not measured.
         """
         status = status.with_compilation(plan.account.words(plan.runs))
         if error is not None:
@@ -110,7 +111,7 @@ class Solver(ABC):
 
 
 class FilterSolver(Solver):
-    """Filtering: forward messages only."""
+    """The solver for filtering: forward messages only."""
 
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
         """The filtered posterior: step by step, or by a parallel scan on a balanced tree."""
@@ -148,11 +149,11 @@ class FilterSolver(Solver):
 
 
 class LagSolver(Solver):
-    """Fixed-lag smoothing: backward messages over a lag.
+    """The solver for fixed-lag smoothing: backward messages over a lag.
 
     Where CPDs are linearised again, a window, the last lag + 1 steps, slides along the chain, and
-    each window is solved in float64 or in pairs of it, as it needs. A GraphError refuses a balanced
-    tree.
+    each window is solved in float64 or in pairs of float64, as it needs. Making a solver for a
+    balanced tree raises GraphError.
     """
 
     def __init__(self, graph: DynamicGraph, schedule: FixedLag) -> None:
@@ -194,7 +195,7 @@ class LagSolver(Solver):
 
 
 class SmootherSolver(Solver):
-    """Smoothing: messages forward and back, iterated."""
+    """The solver for smoothing: messages forward and back, iterated."""
 
     starts = True
 
@@ -260,8 +261,8 @@ def run(
     """The posterior of a chain given its evidence, by a schedule, smoothing if that is None.
 
     `start` maps hidden variables to means for the first linearisation; an EvidenceError refuses it
-    unless the schedule smooths all at once. `room` has arrays for the moments of a filter. A fixed
-    lag of 0 is a filter. Numbers that are too large are refused where they end up, so that NumPy
+    unless the schedule smooths all at once. `room` is as of `Solver.solve`. A fixed lag of 0 is a
+    filter. Numbers that are too large are refused where they end up, so that NumPy
     need not warn; of lost digits the status tells, and the caller warns. Traces stand in for users'
     functions; where one proves wrong, all is done again.
     """

@@ -85,7 +85,7 @@ class GateRecord:
         return cls(parts[0].gate, given, rejected, square)
 
     def put(self, row: int, part: GateRecord) -> None:
-        """Copy a window's gate decisions into the rows from `row` on."""
+        """Copy the gate decisions of a window, `part`, into the rows from `row` on."""
         rows = slice(row, row + len(part.rejected))
         self.rejected[rows], self.square[rows] = part.rejected, part.square
 
@@ -93,9 +93,10 @@ class GateRecord:
 class Seen(NamedTuple):
     """Some linearised sightings z = F x + b + n of a sensor, (k, runs, ...).
 
-    `value` is z, its angles on the branch nearest the CPD's value; x are the sensor's parents. A
+    `matrix` is F (k, runs, d, m) over the m components x of the sensor's parents, `offset` b,
+    `noise` the covariance of n, and `value` z, its angles on the branch nearest the CPD's value. A
     missing component is one of unit variance that says nothing: zero in F, b and z. `taken` (k,
-    runs or 1, d) marks the others, None if none is missing.
+    runs or 1, d) marks the components measured, None if none is missing.
     """
 
     matrix: Array
@@ -113,7 +114,7 @@ class Seen(NamedTuple):
 
 @dataclass(eq=False)
 class Sensor:
-    """A sensor's family in place, with its measurements (M, runs or 1, d) sorted by step.
+    """A sensor: its family in place, with its measured `values` (M, runs or 1, d) sorted by step.
 
     `parents` are the places of the CPD's hidden parents in the slice; `whole` says whether they are
     all of it. Row k is row order[k] of the user's evidence; rows bounds[t] to bounds[t + 1] are of
@@ -166,11 +167,11 @@ class Sensor:
 
     @cached_property
     def exact(self) -> bool:
-        """Whether the noise of some measurement is singular."""
+        """Whether the noise covariance R of some sighting is singular."""
         return bool(roots.determined(roots.root(self.family.own_noise)).any())
 
     def rows(self, step: int) -> slice:
-        """The rows of a step's sightings."""
+        """The rows of a step's sightings; steps are counted from the plan's first one."""
         return slice(self.bounds[step], self.bounds[step + 1])
 
     @cached_property
@@ -248,8 +249,8 @@ class Sensor:
     def keep(self, at: At, reading: Array, noise: Array | None) -> None:
         """Store where angles were moved to, and the covariances between sightings' errors.
 
-        `at` is the CPD at a step's sightings, `reading` (D, *batch) their values, `noise` (D, D,
-        *batch) their covariance with the approximation error; None where there is no error.
+        `at` is the CPD at a step's sightings, `reading` (D, *batch) their values with angles moved,
+        `noise` (D, D, *batch) their noise with the approximation error; None without an error.
         """
         count, height = at.last - at.first, self.height
         if self._angles and count == 1 and not self.family.batch:
@@ -286,9 +287,9 @@ class Sensor:
         return part
 
     def put(self, first: int, part: Sensor, *, after: bool) -> None:
-        """Copy how a window linearised its measurements, with its weights and gate decisions.
+        """Copy how a window, `part`, linearised its measurements, its weights and gate decisions.
 
-        `first` and `after` are those with which the window was made.
+        `first` and `after` are those with which `window` has made it.
         """
         row = self.bounds[first + after]
         self.family.put(slice(row, row + part.family.step.size), part.family)
@@ -303,10 +304,10 @@ class Sensor:
         self.cross.update({first + k: between for k, between in part.cross.items()})
 
     def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:
-        """Move the measured angles of some rows to the branch nearest to `predicted`.
+        """Move the measured angles of some rows, in `moved`, to the branch nearest to `predicted`.
 
-        These are the CPD's values (rows, runs, d) at the point of linearisation. Runs that are not
-        `active` (runs,) keep their branches; None means all.
+        `predicted` (rows, runs, d) are the CPD's values at the point of linearisation. Runs that
+        are not `active` (runs,) keep their branches; None means all are active.
         """
         if not self.variable.angles:
             return
@@ -338,7 +339,8 @@ class Sensor:
     def between(self, step: int) -> Array | None:
         """The covariances between the errors of a step's sightings, (runs, D, D); None without any.
 
-        They are zero within a sighting, and of missing components.
+        They are of different sightings alone: zero in each sighting's own block (d, d). Those of
+        missing components are zero, too.
         """
         cross, taken = self.cross.get(step), self._taken(self.rows(step))
         if cross is None or taken is None:

@@ -53,7 +53,7 @@ from pgm.progress import counted
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A forward pass, the reversed chain, and the smoothed beliefs.
+    """A chain smoothed in float64: a forward pass, the reversed chain, and the smoothed beliefs.
 
     `paired` says whether a CPD is linearised at a pair, so that `point` needs its covariances.
     """
@@ -65,14 +65,14 @@ class Smoothed:
 
     @classmethod
     def of(cls, plan: ChainPlan, ahead: Ahead) -> Smoothed:
-        """The smoothed chain, by the backward pass from a forward one."""
+        """The smoothed chain, by a backward pass from the forward one, `ahead`, of the plan."""
         reverse = Reverse.make(plan, ahead, smooth=True)
         paired = not plan.layout.single
         return cls(ahead, reverse, backward.smoothed(ahead, reverse), paired)
 
     @property
     def means(self) -> Array:
-        """The means of the slices."""
+        """The smoothed means of the slices, (T+1, runs, n)."""
         return self.beliefs.mean
 
     @cached_property
@@ -100,17 +100,18 @@ _CLOSE, _ALIKE = 1e-7, 3e-9
 
 
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
-    """Run a smoothing schedule, first of all going forward step by step.
+    """Run a smoothing schedule; without a `start` it begins with a filter, step by step.
 
-    Later linearisations are of all steps at once. What solves them is machine code, where it can, a
-    parallel scan, where there are many steps of few numbers, or a sweep there and back.
+    Linearisations but the filter's are of all steps at once. What solves them is machine code,
+    where it can, a parallel scan, where there are many steps of few numbers, or a sweep forward and
+    back.
 
     Parameters
     ----------
     plan : ChainPlan
     schedule : Smoothing
     start : ndarray or None
-        (T+1, runs, n): means of the slices for the first linearisation; without, it is that of the
+        (T+1, runs, n): means of the slices for the first linearisation; None leaves that to the
         filter.
     """
     cost.require_cost(schedule, plan.families, first=start is None)
@@ -232,12 +233,12 @@ def _newton(
 def _compiled(
     plan: ChainPlan, schedule: Smoothing, first: Smoothed | Point
 ) -> tuple[Smoothed, Status] | None:
-    """Smooth by Gauss–Newton steps in machine code, from a solution or a point of linearisation.
+    """Smooth by Gauss–Newton steps in machine code, from `first`, a solution or where to linearise.
 
-    At the end the last linearisation is swept, too. None where machine code does not know a part of
-    the plan, where its equations have no solution, and where the last step and the sweep differ in
-    a mean by more than 10⁻⁷ standard deviations, or in a standard deviation by more than 3·10⁻⁹ of
-    it. The plan's account says so.
+    At the end the last linearisation is swept, too. The result is None where machine code does not
+    know a part of the plan, where its equations have no solution, and where the last step and the
+    sweep differ in a mean by more than 10⁻⁷ standard deviations, or in a standard deviation by more
+    than 3·10⁻⁹ of it. The plan's account says so.
     """
     from pgm.inference.chain.compiled.newton import Newton
 
@@ -268,12 +269,15 @@ def _compiled(
 
 
 def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """A `Chain.solver`: smooth step by step as all is linearised, without use of `reference`."""
+    """A `Chain.solver`: smooth step by step, with the linearisations that the plan has.
+
+    `reference` is not used.
+    """
     return Smoothed.of(plan, forward.stored(plan, anchor))
 
 
 def _scanned(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """A `Chain.solver`: smooth by a parallel scan over the steps, as everything is linearised.
+    """A `Chain.solver`: smooth by a parallel scan, with the linearisations that the plan has.
 
     Slices are counted from `reference` (T+1, runs, n), a trajectory near the beliefs.
     """
@@ -281,7 +285,10 @@ def _scanned(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smooth
 
 
 def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> CarefulSmoothed:
-    """A `Chain.solver`: smooth in pairs of float64 as all is linearised, `reference` unused."""
+    """A `Chain.solver`: smooth in pairs of float64, with the linearisations that the plan has.
+
+    `reference` is not used.
+    """
     return CarefulSmoothed.of(plan, careful.sweep(plan, None, anchor)[0])
 
 
@@ -294,10 +301,10 @@ def _is_long(plan: ChainPlan) -> bool:
 
 
 def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """`_scanned`, or a sweep where a scan does not serve.
+    """A `Chain.solver`: `_scanned`, or `swept` where a scan does not serve.
 
-    That is where measurements have singular or correlated noise, and where a step has no element: a
-    covariance is indefinite or not finite.
+    It does not where measurements have singular or correlated noise, and where a step has no
+    element, since a covariance is indefinite or not finite.
     """
     readings = Readings.of(plan, reference)
     if readings.stacks:
@@ -314,8 +321,10 @@ def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoo
 class Chain(Generic[Either]):
     """A chain as a problem for `iterate`: linearised at any point, and solved.
 
-    `solver(plan, reference, anchor)` smooths the plan as it is linearised; `reference` (T+1, runs,
-    n), which is `at`, are the means where that was, and the anchor may be None.
+    `at` (T+1, runs, n) are the means of the slices at which the plan was linearised last, which
+    `linearise` and `begin` set. `solver(plan, reference, anchor)` smooths the plan with the
+    linearisations that it has: `solve` hands it `at` as the reference, a trajectory near the
+    beliefs, and an anchor or None.
     """
 
     plan: ChainPlan
@@ -333,7 +342,7 @@ class Chain(Generic[Either]):
         self.at = at.mean
 
     def begin(self, at: Point, *, reckoned: bool) -> None:
-        """Linearise every CPD for the first time.
+        """Linearise every CPD for the first time, in all runs, at a point.
 
         With `reckoned` the point is that of dead reckoning, too far from the measurements to weigh
         robust sightings there: all have the weight one.
@@ -352,7 +361,10 @@ class Chain(Generic[Either]):
         return settled(self.plan)
 
     def solve(self, anchor: Anchor | None = None) -> Either:
-        """The smoothed chain as everything is linearised, near an anchor if one is given."""
+        """The smoothed chain with the plan's linearisations, and an anchor's measurement, if any.
+
+        There has to be a linearisation, by `linearise` or `begin`.
+        """
         return self.solver(self.plan, self.at, anchor)
 
     def cost(self, at: Point) -> Array:
@@ -367,8 +379,8 @@ class Chain(Generic[Either]):
     def feasible(self, mean: Array, found: Point) -> Array:
         """Means (T+1, runs, n) projected onto the solutions of the exact CPDs.
 
-        These are linear, of singular noise. Where rounding leaves a run off their solutions, it has
-        the means of `found`.
+        Exact CPDs are the linear ones of singular noise. Where rounding leaves a run off their
+        solutions, it gets the means of `found`, whose standard deviations scale the projection.
         """
         nearest, obeyed = exact_relations.projected(self.plan, mean, found.std)
         return np.where(obeyed[:, None], nearest, found.mean)
@@ -394,7 +406,7 @@ class _Means:
     def solve(self, anchor: Anchor | None = None) -> Means:
         """The means of the linearised chain, by a smoother if its equations have no solution.
 
-        There is no anchor, since steps are not controlled.
+        `anchor` is not read: steps are not controlled.
         """
         plan, at = self.chain.plan, self.chain.at
         found = newton.step(plan, at)
@@ -417,8 +429,9 @@ class _Means:
 def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
     """Linearise every CPD at a point, all steps in one call each.
 
-    Measured angles are moved to the branch nearest their values there, and predicted ones to that
-    of the point. Runs that are not `active` (runs,) keep their linearisations; None means all.
+    Measured angles are moved to the branch nearest the sensors' expected values at the point, and
+    angles that CPDs predict to that of the point's means. Runs that are not `active` (runs,) keep
+    their linearisations; None means all are active.
     """
     everything = slice(None)
     for link, mean, cov, child in cost.linked(plan, at):
@@ -447,7 +460,8 @@ def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
 def _start(plan: ChainPlan, start: Array) -> Point:
     """A start (T+1, runs, n) as a point of zero covariance, angles of states unwrapped.
 
-    They begin within half a turn of the prior's, and no step turns by more than half a turn.
+    These angles begin within half a turn of the prior's means, and none turns by more than half a
+    turn from one step to the next.
     """
     layout = plan.layout
     angles = angle_mask(layout.slice)

@@ -38,7 +38,7 @@ class Measured(NamedTuple):
 
     @property
     def constant(self) -> Array:
-        """The b of E[z] = H x + b."""
+        """The b (D, *batch) of the linearisation E[z] = H x + b."""
         if self.offset is not None:
             return self.offset
         return self.value - times(self.matrix, self.point)
@@ -150,10 +150,10 @@ class Stack(NamedTuple):
 
 
 def stacks(plan: ChainPlan, sensors: list[Sensor], reference: Array) -> list[Stack]:
-    """The stored measurements of all steps: a `Stack` for those with equally many of each sensor.
+    """The sensors' measurements of all steps: a `Stack` for those with equally many of each sensor.
 
-    Residuals are at the slices' means `reference` (T+1, runs, n). Steps without measurements are
-    left out.
+    They have the linearisations that are stored in the plan, and their residuals are at the slices'
+    means `reference` (T+1, runs, n). Steps without measurements are left out.
     """
     if not sensors:
         return []

@@ -31,9 +31,9 @@ _HALF = 0.5
 class Weights:
     """The weights w of some sightings of a sensor, (k, runs), and the squares s that they are of.
 
-    `white` (k or 1, runs or 1, d, d) is L⁻¹ of the noise covariance L Lᵀ of components measured;
-    `taken` (k, runs or 1, d) marks these, None for all. `stage` (runs,) is the μ of a graduated
-    loss, infinite once it is the loss asked for, NaN before the first stage.
+    `white` (k or 1, runs or 1, d, d) is L⁻¹, L being the lower root of the noise covariance L Lᵀ of
+    the measured components, which `taken` (k, runs or 1, d) marks, None for all. `stage` (runs,) is
+    the μ of a graduated loss, infinite once it is the loss asked for, NaN before the first stage.
     """
 
     noise: RobustNoise
@@ -182,7 +182,7 @@ class Weights:
         return replace(self, white=white, taken=taken, weight=weight, square=square, stage=stage)
 
     def put(self, rows: slice, other: Weights) -> None:
-        """Copy the weights and squares of some of the sightings from `other`."""
+        """Copy the weights and squares of all sightings of `other` into the given rows of these."""
         self.weight[rows], self.square[rows] = other.weight, other.square
 
 

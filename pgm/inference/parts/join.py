@@ -30,9 +30,9 @@ def joined(
     status: Status,
     found: Sequence[ChainPosterior],
 ) -> ChainPosterior:
-    """The posterior of all runs from those of its parts, in the order of the runs.
+    """The posterior of all runs from `found`, those of its parts, in the order of the runs.
 
-    It equals that of one call for all runs. `bound` and `status` are of all runs.
+    It equals that of one call for all runs. `graph`, `bound` and `status` are of all runs.
     """
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     return type(found[0])(
@@ -55,7 +55,7 @@ def swept_once(
     status: Status,
     beliefs: Sequence[Array],
 ) -> ChainPosterior:
-    """The posterior of a schedule that linearised once, from its beliefs of all runs.
+    """The posterior of a filter or smoother that linearised once, from its beliefs of all runs.
 
     `beliefs` are the filtered mean, covariance and log-density of each step, (T+1, runs, ...), then
     of a smoother its mean and covariance. What else is asked of the posterior is found by another
@@ -142,17 +142,20 @@ def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
         some = next(part.cross[step] for part in parts if step in part.cross)
 
         def cross(part: Sensor, step: int = step, some: Array = some) -> Array:
-            """A part's cross-covariances of one step; zero in a part that has none."""
+            """A part's cross-covariances of one step, (runs, D, D); zeros if it has none there.
+
+            `some` is any part's array of this step, from which zeros have their shape.
+            """
             return part.cross.get(step, np.zeros((part.moved.shape[1], *some.shape[1:])))
 
         whole.cross[step] = np.concatenate([cross(part) for part in parts])
 
 
 def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
-    """Results of parts as one: arrays concatenated along their second axis, that of runs.
+    """Results of parts, all of the type `kind`, as one: arrays concatenated along the axis of runs.
 
-    Tuples and dataclasses, of which `kind` is the type, are joined field by field; of flags and
-    numbers the least is taken. None, in the first part, stays None.
+    That is their second axis. Named tuples and dataclasses are joined field by field; of bools and
+    floats the least is taken. The result is None if the first part's is.
     """
     if parts[0] is None:
         return None

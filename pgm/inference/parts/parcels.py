@@ -44,9 +44,9 @@ class _Place(NamedTuple):
 
 
 class Pickle(NamedTuple):
-    """A pickled value, and the large arrays that it is the first in its parcel to refer to.
+    """A pickled value, and the large arrays that no earlier pickle of its parcel has referred to.
 
-    Each has its offset in the parcel's block, in bytes.
+    `arrays` has pairs: the offset in the parcel's block, in bytes, and the array.
     """
 
     data: bytes
@@ -61,9 +61,10 @@ class Pickle(NamedTuple):
 class Parcel:
     """Pickles whose large arrays travel apart from them, in one block of memory.
 
-    With `apart` there is such a block; its `size` in bytes grows with each pickle. With `shared`
-    several processes read it, so that writeable arrays stay in the pickle. An array that already
-    lies in the `room`, a shared block, is pickled as its place.
+    With `apart` such a block is to be made, of `size` bytes, which grow with each pickle; without,
+    all arrays stay in the pickles. With `shared` several processes read the block, so that
+    writeable arrays stay in the pickles. An array that already lies in the block of the `room`, if
+    there is one, is pickled as its place.
     """
 
     def __init__(self, *, apart: bool, shared: bool = False, room: Room | None = None) -> None:
@@ -74,7 +75,7 @@ class Parcel:
         self._put: dict[Any, tuple[int, AnyArray]] = {}
 
     def dumps(self, value: Any) -> Pickle:
-        """Pickle a value, and place its large arrays in the parcel."""
+        """Pickle a value, and allot its large arrays their offsets in the parcel's block."""
         file = io.BytesIO()
         before = len(self._put)
         _Pickler(self, file).dump(value)
@@ -83,10 +84,10 @@ class Parcel:
     def place(self, array: AnyArray) -> _Place | None:
         """The place of an array; None if it is to be pickled as usual.
 
-        An array in the room keeps its place there. A large one is put in the parcel's block, once
-        however often it is pickled. Any other that is not contiguous in C order is its own memory,
-        in the order in which it lies. The rest, and arrays of objects and of subclasses, are
-        pickled as usual.
+        An array in the room keeps its place there. Arrays of objects and of subclasses are pickled
+        as usual. A large one is put in the parcel's block, if there is one, once however often it
+        is pickled. Any other that is not contiguous in C order has its numbers in the place itself,
+        in the order in which they lie in memory. The rest are pickled as usual.
         """
         seen = (array.dtype, array.strides, array.shape, array.flags.writeable)
         if self.room is not None and (offset := self.room.offset(array)) is not None:
@@ -152,9 +153,10 @@ def loads(data: bytes, own: mmap.mmap | None) -> Any:
 
 
 def refuse(named: Sequence[Any], error: Exception) -> ModelError:
-    """A `ModelError` that says which of some objects cannot be pickled, which part of it, and why.
+    """The `ModelError` to raise where pickling has raised `error`.
 
-    If all of them can, it has the words of `error`, which pickling has raised.
+    It says which of the `named` objects cannot be pickled, which part of it, and why; if all of
+    them can be, it has the words of `error`.
     """
     for each in named:
         fault = _fault(each)

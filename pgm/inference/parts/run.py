@@ -117,9 +117,9 @@ def _with_places(
 ) -> Status:
     """The status of all runs, with the digits that last places cost in parts that measured none.
 
-    Those parts count as having all digits if other parts have measured theirs (`one_status`). The
-    places are of the beliefs that they have sent, in the `room` or as a posterior. Where no part or
-    every part has measured digits, the status stays as it is.
+    In `status`, by `one_status`, such parts have all digits if others have measured theirs. Last
+    places are those of the means that a part has sent, in the `room` or as a posterior. Where no
+    part or every part has measured digits, the status stays as it is.
     """
     if status.digits is None or all(result.status.digits is not None for result in results):
         return status
@@ -141,10 +141,10 @@ def _results(
     share: Share,
     room: Sequence[Array],
 ) -> list[Result]:
-    """The results of all parts, in order, whose arrays have been written to the room.
+    """The results of all parts, in order; their arrays have been written to the `room`.
 
-    It stops after a part that needed twice the digits, unless variables are kept. An error of a
-    worker is looked for again in this process.
+    They end with a part that needed twice the digits, unless the share is of kept variables. After
+    a `PgmError` of a job this process solves again, and raises its own error (`_fail_alone`).
     """
     jobs = [
         Job(part, schedule, lineariser, share, _of(room, part) if workers.shares else None)
@@ -168,10 +168,11 @@ def _results(
 def _fail_alone(
     whole: Part, failed: Part, schedule: Schedule | None, lineariser: Lineariser, share: Share
 ) -> None:
-    """Raise a worker's error as one process would raise it, if it does.
+    """Solve again, in this process, what a worker has failed at, so that the error is raised here.
 
-    All runs are solved again here; or, if variables are kept, those parts, cut as for one worker,
-    that have runs in common with the `failed` one. The first error may be of other runs.
+    All runs are solved; or, if variables are kept, those parts, cut as for one worker, that have
+    runs in common with the `failed` one. The first error may be of other runs than the worker's. It
+    returns if there is none.
     """
     for part in [whole] if share.kept is None else split(whole, lineariser, 1):
         if part.runs.stop > failed.runs.start and part.runs.start < failed.runs.stop:
@@ -238,9 +239,9 @@ def _gaussians(
 class Share:
     """What a worker sends back of its part's posterior.
 
-    It is the marginals of the variables `kept`; or, with `beliefs`, the filtered moments and
-    log-densities of all steps, and the `smoothed` moments of a smoother; or else the posterior
-    itself.
+    If `kept` is not None it is the marginals of these variables, and the log-evidence. Otherwise
+    it is with `beliefs` the filtered moments and log-densities of all steps, with `smoothed` the
+    smoothed moments, too; and without `beliefs` the posterior itself.
     """
 
     kept: Scope | None
@@ -269,7 +270,9 @@ class Share:
     def shapes(self, graph: DynamicGraph, bound: BoundEvidence) -> list[Shape]:
         """The shapes of the arrays sent back, for all runs: pairs of leading and own axes.
 
-        Leading axes are steps and runs.
+        Leading axes are steps and runs. The arrays are the mean and covariance of each kept
+        variable, then the log-evidence, of one step; or the mean, covariance and log-density of the
+        filter, then the mean and covariance of a smoother; none of a posterior that is sent whole.
         """
         layout, everywhere = graph.layout, (bound.steps + 1, bound.runs)
         found: list[Shape] = []
@@ -321,7 +324,8 @@ class Share:
 class Job:
     """The work on a part of the runs.
 
-    Its arrays go into `room`, the part's views of the room, or if that is None into the result.
+    The arrays of its share go into `room`, the part's views of the arrays of all runs, or, if that
+    is None, into the result.
     """
 
     part: Part
@@ -348,7 +352,7 @@ class Result(NamedTuple):
 
 
 def run_job(job: Job) -> Result:
-    """Do a job: send the messages of a part's runs, and return its share."""
+    """Do a job: solve its part of the runs, and return the share of the posterior."""
     part, share = job.part, job.share
     slice_, room = part.graph.layout.slice, None
     if job.room and (share.kept is None or share.kept == slice_):
@@ -368,7 +372,7 @@ def run_job(job: Job) -> Result:
 
 
 def write(room: Sequence[Array], arrays: Sequence[Array]) -> None:
-    """Copy arrays to those of a room, but for arrays that were made there."""
+    """Copy arrays, one by one, to those of a room, but for arrays that already lie there."""
     for place, array in zip(room, arrays, strict=True):
         if address(place) != address(array):  # it has not been made there
             np.copyto(place, array)

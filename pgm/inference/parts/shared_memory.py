@@ -83,9 +83,9 @@ class Block:
         return Name(os.getpid(), self.number, self.file, self.size)
 
     def hold(self, size: int, *, anew: bool = False) -> mmap.mmap:
-        """The block mapped, first enlarged to `size` bytes if it has fewer.
+        """The block mapped into this process, first enlarged to `size` bytes if it has fewer.
 
-        With `anew` in a mapping of its own.
+        With `anew` the mapping is new; without, one that the block keeps for all such calls.
         """
         if size > self.size or not self.size:
             self.size, self._memory = max(size, 1), None
@@ -101,8 +101,8 @@ class Block:
 class Room:
     """Uninitialised arrays in one shared block, which workers fill in.
 
-    `arrays` has one for each of `shapes`: leading axes, the last of them runs, and own axes; in
-    memory runs are fastest. The block is one of `idle`, or new.
+    `arrays` has one of float64 for each of `shapes`, a pair of leading axes, the last of them runs,
+    and own axes; in memory runs are fastest. The block is taken from the list `idle`, or new.
     """
 
     def __init__(self, idle: list[Block], shapes: Sequence[Shape]) -> None:
@@ -141,7 +141,10 @@ def idle_blocks(executor: Executor) -> list[Block] | None:
 
 
 def borrow(idle: list[Block], size: int) -> Block:
-    """Take the idle block that fits a size best, the least that is large enough; or make one."""
+    """Take the block that fits a size best out of the list `idle`; make one if that is empty.
+
+    It is the smallest of at least `size` bytes, or else the largest, which `hold` enlarges.
+    """
     fitting = sorted(idle, key=lambda block: (block.size < size, abs(block.size - size)))
     for block in fitting:
         try:
@@ -153,7 +156,7 @@ def borrow(idle: list[Block], size: int) -> Block:
 
 
 def keep(idle: list[Block], block: Block) -> None:
-    """Give a block back to be used again, unless three wait already."""
+    """Put a block into the list `idle`, to be used again, unless three wait there already."""
     if len(idle) < _IDLE:
         idle.append(block)
 

@@ -56,9 +56,9 @@ def here(work: Callable[[Any], Any], job: Any) -> Done:
 def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
     """Do some work in another process: the `Done` pickled, and the bytes of its large arrays.
 
-    `data` is the pickle of a function and its argument; `own` names the block of its parcel, if it
-    has one. Large arrays of the answer go to the block `answer`; without one they stay in the
-    pickle.
+    `data` is the pickle of a function and its argument; `own` names the block of its parcel, None
+    if it has none. Large arrays of the `Done` go to the block named `answer`; if that is None they
+    stay in the pickle, and the bytes are zero.
     """
     try:
         work, job = loads(data, None if own is None else seen(own))
@@ -87,7 +87,7 @@ def _watched(work: Callable[[Any], Any], job: Any) -> Done:
 
 
 def _packed(done: Done, answer: Name | None) -> tuple[bytes, int]:
-    """A result pickled, and the bytes of its arrays in the block `answer`, if there is one."""
+    """A `Done` pickled, and the bytes of its large arrays in the block named `answer`, or zero."""
     parcel = Parcel(apart=answer is not None)
     pickle = parcel.dumps(done)
     if answer is not None and parcel.size:

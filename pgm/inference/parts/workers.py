@@ -64,10 +64,10 @@ class Task:
 
 
 class Workers:
-    """The workers of an executor, `count` of them; without one the caller alone.
+    """The workers of an executor, `count` of them; with None for one the caller alone.
 
     `shares` says whether they see the memory of the caller's `room`: threads do, and processes that
-    can map a shared block.
+    can map a shared block. A ModelError refuses what is no executor of `concurrent.futures`.
     """
 
     def __init__(self, executor: Any) -> None:
@@ -108,10 +108,10 @@ class Workers:
     ) -> Iterator[Done]:
         """The answers of all jobs, in their order, as they come.
 
-        `work` is a function of a job that stands in a module; `runs` are the jobs' runs, for
-        errors. Arrays of answers travel in blocks if they are `large`. Without an executor a job's
-        error is raised; with one the answer has it. If jobs cannot be pickled, a `ModelError` says
-        which of the `named` objects is why.
+        `work` is a function of one job, to be found in a module by name; `runs` has each job's
+        runs, for errors. With `large` the large arrays of answers travel in shared blocks, if there
+        can be any. Without an executor a job's error is raised; with one the answer has it. If jobs
+        cannot be pickled, a `ModelError` says which of the `named` objects is why.
         """
         if self._executor is None:
             yield from (Done(work(job)) for job in jobs)
@@ -148,9 +148,10 @@ class Workers:
     ) -> Iterator[Done]:
         """Submit all calls, and yield their answers in the order of the runs.
 
-        Each of `calls` is a function with its arguments, and of `answers` the block for the large
-        arrays of its answer, or None. If a worker dies, an `ExecutorError` names the runs that were
-        lost; what waits is then cancelled.
+        Each of `calls` is a tuple of a function and its arguments; `answers` has for each the block
+        for the large arrays of its answer, or None; `runs` are those of each call. If the executor
+        fails, as when a worker dies, an `ExecutorError` names the runs that were lost; calls that
+        still wait are then cancelled.
         """
         assert self._executor is not None
         waiting: deque[Task] = deque()
@@ -174,7 +175,10 @@ class Workers:
                 task.future.cancel()
 
     def _lost(self, runs: Sequence[slice], error: Exception) -> ExecutorError:
-        """The error for runs whose worker has died, adjacent parts as one range."""
+        """The error for parts of the runs whose worker has died, adjacent parts as one range.
+
+        `error` is what the executor has raised.
+        """
         rows: list[tuple[int, int]] = []
         for part in runs:
             if rows and rows[-1][1] == part.start:
