@@ -88,15 +88,19 @@ def one_hot(states: Integers, size: int) -> Array:
 
 
 def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
-    """The index into a table over `scope` at the states that are observed alike in all runs.
+    """The index into a table over `scope` that puts in states observed alike in all runs.
 
-    The axes of these variables are dropped. Those of all others are kept, even where each run
-    observes a state of its own.
+    It drops the axes of the variables that have one state for all runs in the evidence. The axes of
+    all other variables are kept, even where each run observes a state of its own.
     """
     states = evidence.states
     return tuple(s if isinstance(s := states.get(v), int) else slice(None) for v in scope)
 
 
 def axes_left(evidence: BoundStates, scope: States) -> States:
-    """The variables of `scope` whose axes `put_in` keeps, which messages and beliefs are over."""
+    """The variables of `scope` that are not observed alike in all runs, in its order.
+
+    The tables of messages and beliefs have an axis for each of them; the axes of the other
+    variables `put_in` drops.
+    """
     return tuple(v for v in scope if not isinstance(evidence.states.get(v), int))

@@ -140,9 +140,10 @@ class LoopyPlan:
     def _shape(self, cluster: int, message: int) -> tuple[Integers, Integers]:
         """How a cluster's entries are summed to a message, and which column meets each entry.
 
-        The first is a matrix of entries (rows, columns), whose sum over rows is the message over
-        the sepset; the second the column of each entry, (entries,), counted from the message's
-        first. Both depend on shapes alone and are cached by these.
+        The first is a matrix of the indices of the cluster's entries, from 0, (rows, columns); the
+        sum of these entries over the rows is the message. The second is the column of each entry,
+        (entries,), counted from the message's first. Both depend on shapes alone and are cached by
+        these.
         """
         scope, sepset = self.storage.scopes[cluster], self.sepsets[message]
         kept = tuple(v in sepset for v in scope)

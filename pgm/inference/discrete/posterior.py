@@ -137,7 +137,7 @@ class DiscretePosterior(Posterior):
         return self._table(scope, values, self._beliefs.log_total(index))
 
     def potential(self, cluster: int | Cluster) -> Table:
-        """The potential of a cluster: the product of its CPDs, with their evidence put in.
+        """The potential of a cluster: the product of its CPDs, with the evidence put in.
 
         Its axes are as of a message. A state that is observed enters all clusters that hold its
         variable; soft evidence enters the smallest of them.

@@ -50,9 +50,10 @@ class TreeBeliefs:
 
     @classmethod
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> TreeBeliefs:
-        """Calibrate a graph without loops, some runs at a time.
+        """Calibrate a graph without loops, as many runs at a time as `room` allows.
 
-        Evidence of probability zero in some run raises `ImpossibleEvidence`.
+        Evidence of probability zero in some run raises `ImpossibleEvidence`; tables, or marginals
+        of all runs, that are too large raise `GraphError`.
         """
         distinct = Distinct.of(evidence)
         runs = distinct.evidence.runs
