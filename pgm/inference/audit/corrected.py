@@ -68,9 +68,10 @@ class Compared:
         return np.where(known, self.divergence, 0.0)
 
     def furthest(self, lead: tuple[int, ...]) -> tuple[float, str]:
-        """The largest divergence of a judged belief, and its variables and run in words.
+        """The largest divergence of a judged belief, and this belief's variables and run in words.
 
-        `lead` is the shape of the runs. Without any it is zero, and the words are empty.
+        `lead` is the shape of the runs. The words list the variables, and end in " of run 2" if
+        there is a `lead`. With no run, or no step, the divergence is zero and the words are empty.
         """
         found = self._known
         if not found.size:
@@ -113,7 +114,7 @@ class Sums:
         (steps, runs, n) and (steps, runs, n, n): the Gaussian answer's moments, of the n components
         of `scope`.
     judged : ndarray
-        See `Compared`.
+        (steps,): see `Compared`.
     timed : bool
         Whether there are steps.
     """
