@@ -52,7 +52,7 @@ class ChainDraws:
     beliefs : Beliefs
         The smoothed moments of all slices.
     judged : ndarray
-        (T+1,): whether the belief of a step that the posterior gives knows all measurements.
+        (T+1,): for each step, whether the posterior's own belief of it knows all measurements.
     onward : Conditional
         (T, runs, ...): each slice given the states before and all measurements.
     """
@@ -73,8 +73,8 @@ class ChainDraws:
     def make(cls, posterior: ChainPosterior) -> ChainDraws:
         """Prepare to draw from the smoothed joint of a posterior's last linearisation.
 
-        A NumericalError are a nonlinear sensor that was read and has singular noise, covariances
-        that are indefinite, and, where densities are relative, grouped sensors, robust noise, and
+        Refused with a NumericalError are a nonlinear sensor that was read and has singular noise,
+        indefinite covariances, and, where densities are relative, grouped sensors, robust noise and
         nonlinear CPDs with singular noise.
         """
         plan = posterior._plan
@@ -109,8 +109,7 @@ class ChainDraws:
         beliefs: The smoothed moments of all slices.
         reverse: The conditionals of the states given the slice after them.
         reference: (runs,): ln p(z) of the linearised model; None unless densities are relative.
-        judged: (T+1,): whether the belief of a step that the posterior gives knows all
-            measurements.
+        judged: As of the class.
         """
         relative = reference is not None
         prior, transition = (

@@ -31,7 +31,8 @@ from pgm.variables import Variable
 class Compared:
     """Exact moments of a belief, estimated, beside the Gaussian answer's.
 
-    `mean` (steps, runs, n) and `cov` are the exact ones, of the n components of `scope`.
+    `mean` (steps, runs, n) and `cov` (steps, runs, n, n) are the exact ones, of the n components of
+    `scope`.
     `divergence` (steps, runs) is KL(N(mean, cov) ‖ the Gaussian's) in nats, infinite where draws
     left no covariance. `steps` are the steps of a chain, None in a network without time, whose
     arrays have a single step. `judged` (steps,) marks beliefs that know all measurements, as q

@@ -95,7 +95,7 @@ class Estimate(NamedTuple):
 class Mixture:
     """Estimates by importance sampling from the mixture r = (q + d)/2, in strata of equal size.
 
-    Where p is a multiple of q, no variance is left. Sources are those of an `Audit`.
+    Where p is a multiple of q, no variance is left. References are in `Audit`.
 
     weighed : Weighed
     evidence : Evidence

@@ -56,9 +56,9 @@ class TreeDraws:
     def make(cls, posterior: GaussianPosterior) -> TreeDraws:
         """Prepare to draw from the joint of a posterior; a GraphError if its graph has loops.
 
-        A NumericalError are a nonlinear sensor that was read and has singular noise, covariances
-        that are indefinite, and, where densities are relative, robust noise and nonlinear CPDs with
-        singular noise.
+        Refused with a NumericalError are a nonlinear sensor that was read and has singular noise,
+        indefinite covariances, and, where densities are relative, robust noise and nonlinear CPDs
+        with singular noise.
         """
         if posterior.log_evidence_kind == "bethe":
             raise GraphError(

@@ -98,7 +98,7 @@ def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
 
 
 def axes_left(evidence: BoundStates, scope: States) -> States:
-    """The variables of `scope` that are not observed alike in all runs, in its order.
+    """The variables of `scope`, in its order, that are not observed alike in all runs.
 
     The tables of messages and beliefs have an axis for each of them; the axes of the other
     variables `put_in` drops.

@@ -78,7 +78,10 @@ class FirstBeliefs:
         return self._planned.log_total(cluster)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
-        """The message from one cluster to a neighbour, (sizes..., 1), and its log-scale, (1,)."""
+        """The message from one cluster to a neighbour: its values, and their log-scale, (1,).
+
+        The message is the values, (sizes of the sepset..., 1), times exp(log-scale).
+        """
         return self._planned.message(source, target)
 
 

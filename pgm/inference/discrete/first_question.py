@@ -112,7 +112,7 @@ class _Tree:
                 self.factors[homes[place]].append(self._of_weights(place, weights[0]))
 
     def _hang(self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]) -> None:
-        """Root each tree at its first cluster, and rank variables so that deep ones come first.
+        """Root each tree at its cluster of least number, and rank variables, the deepest first.
 
         `joined` are the neighbours of each cluster, by number, `members` its variables. Sets
         `order`, `parent`, `scopes`, `shared` and `rank`.

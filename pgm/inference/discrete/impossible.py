@@ -60,11 +60,11 @@ def require_possible(
 def _contradiction(
     plan: TreePlan, evidence: BoundStates, root: int
 ) -> tuple[Cluster, list[Discrete]]:
-    """The cluster of a tree at which evidence contradicts itself, and the variables of the latter.
+    """The cluster of a tree at which evidence contradicts itself, and this evidence's variables.
 
     `evidence` is that of one run, `root` the tree's root. The cluster is the deepest whose message
-    to its parent is zero throughout, else the root. The variables are those of it and all clusters
-    below that were observed, then those whose soft evidence enters these clusters.
+    to its parent is zero throughout, else the root. Of the variables in it and in all clusters
+    below it, those observed come first, then those whose soft evidence enters these clusters.
     """
     forest, scopes = plan.forest, plan.storage.scopes
     messages = TreeMessages(plan.storage, evidence)

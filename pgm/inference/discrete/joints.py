@@ -54,12 +54,12 @@ def joint(storage: Storage, tables: Array, scope: States) -> Array:
 def _of_tree(
     storage: Storage, forest: Forest, tables: Array, scope: States, homes: set[int]
 ) -> Factor:
-    """The joint of the variables `scope` of one tree, whose axes may be in another order.
+    """The joint of the variables `scope` of one tree, as a factor over them in any order.
 
     `homes` are clusters of the tree that together hold these variables. On the part of the tree
-    that joins these clusters, each table is divided by its sepset with the
-    parent, so that it is conditional, and is multiplied into the parent, of which only the wanted
-    variables and that sepset are kept: p(scope) = Σ p(top) Π p(cluster | sepset).
+    that joins these clusters, each table is divided by its sepset with the parent, so that it is
+    conditional, and is multiplied into the parent, of which only the wanted variables and the
+    sepset with its own parent are kept: p(scope) = Σ p(top) Π p(cluster | sepset).
     """
     parent = forest.parent
     below: dict[int, int] = {}

@@ -82,8 +82,8 @@ class TableMessages:
     def _products(self, group: Group) -> Array:
         """Logarithms of the products of a group's potentials and all messages to them but one.
 
-        (neighbours · entries of the group, runs): all entries without the message of the first
-        neighbour, then all without that of the second, and so on.
+        (neighbours · entries of the group, runs): the products of all entries without the message
+        of the first neighbour, then of all without that of the second, and so on.
         """
         incoming = self.logs.take(group.incoming, 0)
         products = np.empty_like(incoming)
@@ -238,9 +238,9 @@ class LoopyBeliefs:
         return total
 
     def message(self, source: int, target: int) -> tuple[Array, None]:
-        """The message from one cluster to a neighbour, (sizes..., runs), of sum one, and None.
+        """The message from one cluster to a neighbour, (sizes of the sepset..., runs), and None.
 
-        None stands for a log-scale, which it does not have.
+        The message sums to one in each run. None stands for a log-scale, which it does not have.
         """
         plan, graph = self.messages.plan, self.storage.graph
         edge = min(source, target), max(source, target)

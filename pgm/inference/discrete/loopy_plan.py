@@ -84,7 +84,7 @@ class LoopyPlan:
         """The groups of clusters that compute some messages, given by number.
 
         Their senders are grouped by their numbers of neighbours and of entries. A group has as many
-        clusters as keep its products, over all of `runs`, within a limit, or one.
+        clusters as keep its products, for so many `runs` together, within a limit, or one.
         """
         asked: dict[int, list[tuple[int, int]]] = {}
         for order, message in enumerate(messages):

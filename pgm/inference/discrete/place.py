@@ -39,7 +39,10 @@ class Place:
 
     @classmethod
     def of(cls, scope: States, start: int, least: int) -> Place:
-        """The place of a contiguous table in C order of a scope; large from `least` entries on."""
+        """The place of a contiguous table in C order of a scope, whose first entry is at `start`.
+
+        The table is `large` if it has `least` entries or more.
+        """
         return cls(scope, start, steps(scope, 1), math.prod(sizes(scope)) >= least)
 
     @cached_property

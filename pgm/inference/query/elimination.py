@@ -71,6 +71,7 @@ class Tables:
     def do(self, step: Step) -> None:
         """Multiply the factors of a step and sum over its first axes: that makes one more factor.
 
+        Steps are to be done in the order of the plan, each once.
         Plain numbers are divided by their largest entry in each run, since only ratios matter.
         """
         product: Array | None = None

@@ -43,7 +43,7 @@ class Contradiction:
     """Evidence of probability zero in a part that a query leaves out.
 
     lost: (runs,): the runs that have it; one at least.
-    part: The elimination that found it; or the CPD whose variables are all observed.
+    part: The elimination that found it; or the CPD, with all variables known, whose table is zero.
     """
 
     lost: Mask
