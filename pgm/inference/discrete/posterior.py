@@ -105,9 +105,9 @@ class DiscretePosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> Table:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
-        A variable that is observed in the same state in all runs has no axis; one whose state
-        differs by run keeps it. Of a tree its scale carries the evidence that went into it; on a
-        graph with loops messages sum to one.
+        A variable whose evidence is one state for all runs has no axis; one whose evidence is an
+        array of states, one for each run, keeps it. Of a tree the message's scale carries the
+        evidence that went into it; on a graph with loops messages sum to one.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         if j not in self.graph.neighbours(i):
