@@ -42,10 +42,11 @@ class Drawing(Protocol):
 def estimate(
     drawing: Drawing, runs: int, samples: int, rng: np.random.Generator
 ) -> tuple[Mixture, list[Compared]]:
-    """Make S draws from q and S from d for each run, batch by batch, and the estimates from them.
+    """Make S = `samples` draws from q and S from d for each run, and the estimates from them.
 
-    Returns those of the evidence and of divergences, and for each of the drawing's sums the exact
-    moments beside the Gaussian's.
+    `runs` is the number of runs. Returns the estimates of the evidence and of divergences, and for
+    each of the drawing's sums the exact moments beside the Gaussian's. Runs in which no draw has a
+    density are a NumericalError.
     """
     size = max(
         1, min(BATCH // max(drawing.width, 1), ROOM // max(drawing.length, 1)) // max(runs, 1)
@@ -72,7 +73,10 @@ def estimate(
 
 
 def _parts(samples: int, size: int) -> Iterator[tuple[slice, bool]]:
-    """The places of batches of at most `size` draws among all 2S, and whether they are of d."""
+    """Slices of at most `size` draws of all 2S, S = `samples`, each with whether they are of d.
+
+    The draws of q come first.
+    """
     for defensive in (False, True):
         for first in range(0, samples, size):
             last = min(first + size, samples)

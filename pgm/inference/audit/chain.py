@@ -48,10 +48,11 @@ class ChainDraws:
         (runs,): added to all log-densities: ln p(z) of the linearised model where they are
         `relative`, else zero.
     relative : bool
+        Whether densities are relative.
     beliefs : Beliefs
         The smoothed moments of all slices.
     judged : ndarray
-        (T+1,): whether the belief that was asked for knows all measurements.
+        (T+1,): for each step, whether the posterior's own belief of it knows all measurements.
     onward : Conditional
         (T, runs, ...): each slice given the states before and all measurements.
     """
@@ -72,8 +73,9 @@ class ChainDraws:
     def make(cls, posterior: ChainPosterior) -> ChainDraws:
         """Prepare to draw from the smoothed joint of a posterior's last linearisation.
 
-        Grouped sensors where densities are relative, and covariances that are indefinite, are a
-        NumericalError.
+        Refused with a NumericalError are a nonlinear sensor that was read and has singular noise,
+        indefinite covariances, and, where densities are relative, grouped sensors, robust noise and
+        nonlinear CPDs with singular noise.
         """
         plan = posterior._plan
         exact = has_exact(s.family for s in plan.sensors if s.family.step.size)
@@ -107,7 +109,7 @@ class ChainDraws:
         beliefs: The smoothed moments of all slices.
         reverse: The conditionals of the states given the slice after them.
         reference: (runs,): ln p(z) of the linearised model; None unless densities are relative.
-        judged: (T+1,): whether the belief that was asked for knows all measurements.
+        judged: As of the class.
         """
         relative = reference is not None
         prior, transition = (
@@ -255,7 +257,10 @@ class ChainDraws:
 
 @dataclass(frozen=True, eq=False)
 class _Law:
-    """Makes the law of smoothed trajectories, by which they are drawn forward in time."""
+    """The maker of laws of smoothed trajectories, by which these are drawn forward in time.
+
+    prior, transition: Pairs of a CPD's `Link` and its density, as of `ChainDraws`.
+    """
 
     layout: SliceLayout
     prior: Links
@@ -265,7 +270,7 @@ class _Law:
         """The conditionals p(x[t+1] | x[t], z) of each slice given the states, z all measurements.
 
         Bayes' rule turns `states`, p(x[t] | x[t+1], measurements up to t), round, with the smoothed
-        moments.
+        moments of all slices, `beliefs`.
         """
         mean, cov, places = beliefs.mean, beliefs.cov, self.layout.state_places
         before = block(cov[:-1], places, places)

@@ -99,7 +99,10 @@ class Found(NamedTuple):
 
 
 def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> Found:
-    """The modes of some runs, whose smoothers from all starts are one call."""
+    """The modes of some runs, whose smoothers from all starts are one call.
+
+    `answer`, `own` and `most` are as of `find`, of the runs of `plan`.
+    """
     begun = starts(plan, answer.mean)
     steps, runs, count, size = begun.shape
     flat = np.ascontiguousarray(begun.swapaxes(1, 2)).reshape(steps, count * runs, size)
@@ -154,8 +157,8 @@ def _joined(found: list[Found], make: MakePath) -> Modes:
 def _arrived(plan: ChainPlan, begun: Array) -> Arrived:
     """Smooth from starts (T+1, N, n); a batch that fails is tried in halves.
 
-    Smoothers that fail, or whose result is not finite, have an evidence of −∞. Batches of 1/64 of
-    the runs, or less, are not halved.
+    `plan` is of all N smoothers. Those that fail, or whose result is not finite, have a
+    `log_evidence` of −∞. Batches of 1/64 of them, or less, are not halved.
     """
     size, front = plan.layout.slice_size, plan.layout.state_size
     runs = plan.runs

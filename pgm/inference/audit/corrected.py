@@ -31,7 +31,8 @@ from pgm.variables import Variable
 class Compared:
     """Exact moments of a belief, estimated, beside the Gaussian answer's.
 
-    `mean` (steps, runs, n) and `cov` are the exact ones, of the n components of `scope`.
+    `mean` (steps, runs, n) and `cov` (steps, runs, n, n) are the exact ones, of the n components of
+    `scope`.
     `divergence` (steps, runs) is KL(N(mean, cov) ‖ the Gaussian's) in nats, infinite where draws
     left no covariance. `steps` are the steps of a chain, None in a network without time, whose
     arrays have a single step. `judged` (steps,) marks beliefs that know all measurements, as q
@@ -68,9 +69,10 @@ class Compared:
         return np.where(known, self.divergence, 0.0)
 
     def furthest(self, lead: tuple[int, ...]) -> tuple[float, str]:
-        """The largest divergence of a judged belief, and its variables and run in words.
+        """The largest divergence of a judged belief, and this belief's variables and run in words.
 
-        `lead` is the shape of the runs. Without any it is zero, and the words are empty.
+        `lead` is the shape of the runs. The words list the variables, and end in " of run 2" if
+        there is a `lead`. With no run, or no step, the divergence is zero and the words are empty.
         """
         found = self._known
         if not found.size:
@@ -113,7 +115,7 @@ class Sums:
         (steps, runs, n) and (steps, runs, n, n): the Gaussian answer's moments, of the n components
         of `scope`.
     judged : ndarray
-        See `Compared`.
+        (steps,): see `Compared`.
     timed : bool
         Whether there are steps.
     """

@@ -53,10 +53,10 @@ class Term:
     """The density of a CPD at draws of its family.
 
     `own` (rows or 1, runs or 1, d, d) is the root L of its noise. If `relative`, densities are
-    divided by those of the linearised CPD, the root of whose noise is `linearised`; of an affine
-    one nothing is left, and that is None. `taken` (rows, runs or 1, d) marks the components of a
-    sensor's readings that were measured, None for all; the others are given unit variance, and
-    count for nothing.
+    divided by those of the linearised CPD, the root of whose noise is `linearised`. This is None if
+    densities are not relative, and of an affine CPD, of which nothing is left. `taken` (rows, runs
+    or 1, d) marks the components of a sensor's readings that were measured, None for all; the other
+    components are given unit variance, and count for nothing.
     """
 
     family: Family
@@ -67,7 +67,7 @@ class Term:
 
     @classmethod
     def make(cls, family: Family, *, relative: bool, taken: Mask | None = None) -> Term:
-        """The density of a CPD at its rows, from the roots of its noise.
+        """The density of a CPD at its rows, from the roots of its noise; see the class.
 
         Relative densities of robust noise, or of a nonlinear CPD with a singular noise, are a
         NumericalError.
@@ -116,9 +116,10 @@ class Term:
     ) -> Drawn:
         """The child (runs, S, d) of parents (runs, S, n), at one row, with its density.
 
-        Its free components are as `proposed`, or drawn from the CPD with Student's t where `afresh`
-        says so. The others follow from the parents and the noise that the free ones imply. If
-        `strict`, a function that is not finite is a LinearisationError.
+        Its free components are as `proposed`, (runs, S, d), or drawn from the CPD with Student's t
+        where `afresh` says so, None for nowhere. The other components follow from the parents and
+        the noise that the free ones imply. If `strict`, a function that is not finite is a
+        LinearisationError.
         """
         value, lost = self._value(row, parents, on_chart=True, strict=strict)
         own = _at(self.own, row)
@@ -149,9 +150,9 @@ class Term:
         return child
 
     def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
-        """The `proposed` children (runs, S, d), with f(parents) + L s, s Student t, where masked.
+        """The `proposed` children (runs, S, d), or where `afresh` says so f(parents) + L s.
 
-        `value` is f(parents), `own` the root L.
+        s is then Student t noise. `value` is f(parents), (runs, S, d), `own` the root L.
         """
         places = afresh.where
         white: Array = np.zeros(proposed.shape)
@@ -165,8 +166,8 @@ class Term:
         """The log-density of measurements, (runs, S), summed over k rows; NaN where one is lost.
 
         Parents are (k, runs, S, n). `values` (k, runs or 1, d) are the measurements; `moved` are
-        the same with angles on the linearisation's branch, for affine CPDs. If `strict`, a function
-        that is not finite is a LinearisationError.
+        the same with angles on the linearisation's branch, for affine CPDs and linearised ones. If
+        `strict`, a function that is not finite is a LinearisationError.
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
@@ -191,7 +192,7 @@ class Term:
     def _robust(self, noise: RobustNoise, rows: slice, residual: Array) -> Array:
         """The log-density (..., S) of residuals (..., S, d) of robust noise.
 
-        An improper one has the Gaussian's constant, −½ ln |2π R|.
+        An improper noise has the Gaussian's constant, −½ ln |2π R|, R the noise's covariance.
         """
         count: Integers = np.asarray(self.family.shape[2])
         if self.taken is not None:
@@ -221,9 +222,9 @@ class Term:
         return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
-        """The CPD's log-density `own`, less that of the linearised CPD if it is relative.
+        """The CPD's log-density `own` (..., S), less that of the linearised CPD if `self.relative`.
 
-        Of an affine CPD nothing is left.
+        `child` are the values (..., S, d) at which both are. Of an affine CPD zero is left.
         """
         if not self.relative:
             return own
@@ -292,7 +293,10 @@ Links = list[tuple[Link, Term]]
 
 
 def has_exact(read: Iterable[Family]) -> bool:
-    """Whether some measurement noise is singular; of a nonlinear sensor a NumericalError."""
+    """Whether the noise of a sensor is singular; that of a nonlinear one is a NumericalError.
+
+    `read` are the families of sensors that have measurements.
+    """
     found = [f for f in read if roots.determined(roots.root(f.own_noise)).any()]
     for family in found:
         if not family.exact:

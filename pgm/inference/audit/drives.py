@@ -21,7 +21,7 @@ STEADY, NOISY = 8, 4
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """The white noise of C drives.
+    """C drives to be made: their white noise, and how long each follows the answer's mean.
 
     first : ndarray
         (C, n₀): that of the states at step 0.
@@ -40,8 +40,8 @@ class Lanes:
 def starts(plan: ChainPlan, answer: Array) -> Array:
     """Trajectories (T+1, runs, C, n) from which smoothers start, the answer's means first.
 
-    With ρ the drive of the prior's mean without noise, and ρ_k that which leaves the answer's mean
-    μ after step k, they are
+    With ρ the drive of the prior's mean without noise, μ the answer's means, `answer` (T+1, runs,
+    n), and ρ_k the drive without noise that leaves μ after step k, they are
 
     - μ itself, and ρ;
     - mirror images 2ρ − μ, of all components together and of one after another; and 2ρ_k − μ for

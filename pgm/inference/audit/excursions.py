@@ -102,7 +102,10 @@ class Excursions:
 
 
 class Density(NamedTuple):
-    """The density of draws so far: shares of the stages (4, runs, S) times exp(scale), (runs, S).
+    """The density of draws up to a slice, by their stage there: `shares` times exp(`scale`).
+
+    scale: (runs, S).
+    shares: (4, runs, S): of the four stages of `Excursions`, in their order.
 
     A share that is too small for float64 beside another becomes zero and stays so, which changes
     little: what may follow one stage may follow the other.
@@ -112,6 +115,9 @@ class Density(NamedTuple):
     shares: Array
 
     def log(self) -> Array:
-        """The log-density of whole draws, whose excursion has begun."""
+        """The log-density of whole draws, (runs, S): that of all stages but BEFORE together.
+
+        The draws must have all their slices: by the last one the excursion of every draw has begun.
+        """
         total: Array = self.scale + np.log(self.shares[PREDICTION:].sum(axis=0))
         return total

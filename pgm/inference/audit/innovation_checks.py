@@ -55,7 +55,7 @@ class InnovationCheck(Shown):
 
     @property
     def fits(self) -> bool:
-        """Whether both numbers are within their bands."""
+        """Whether `overall` and `autocorrelation` are within their bands; NaN counts as within."""
         apart = abs(self.overall - 1.0) > self.band
         return not apart and not abs(self.autocorrelation) > self.autocorrelation_band
 

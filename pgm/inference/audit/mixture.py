@@ -95,7 +95,7 @@ class Estimate(NamedTuple):
 class Mixture:
     """Estimates by importance sampling from the mixture r = (q + d)/2, in strata of equal size.
 
-    Where p is a multiple of q, no variance is left. Sources are those of an `Audit`.
+    Where p is a multiple of q, no variance is left. References are in `Audit`.
 
     weighed : Weighed
     evidence : Evidence
@@ -163,7 +163,7 @@ def _require_draws(weighed: Weighed) -> None:
 
 
 def _evidence(weighed: Weighed) -> Evidence:
-    """Ẑ with its control variate; the plain mean of y, with β = 0, if that is not positive.
+    """The estimate Ẑ with its control variate; if it is not positive, the plain mean of y, β = 0.
 
     A regression through few weights may overshoot.
     """
@@ -220,13 +220,16 @@ def _slope(values: Array, control: Array) -> Array:
 
 
 def _error(values: Array) -> Array:
-    """The standard error of a mean over two strata of S draws, (runs,)."""
+    """The standard error of the mean of values (runs, 2S) of two strata of S draws, (runs,)."""
     halves = values.reshape(len(values), 2, -1)
     samples = halves.shape[-1]
     return np.asarray(np.sqrt(halves.var(axis=-1, ddof=1).sum(axis=-1) / (4.0 * samples)))
 
 
 def _effective(weights: Array) -> Array:
-    """The effective number of draws (Σ w)² / Σ w², (runs,); exactly S where all w are equal."""
+    """The effective number (Σ w)² / Σ w² of draws with weights w (runs, draws), (runs,).
+
+    It is the number of all draws at the most, and exactly that where all w are equal.
+    """
     size = weights.sum(axis=-1) ** 2 / (weights**2).sum(axis=-1)
     return np.asarray(np.minimum(size, weights.shape[-1]))

@@ -57,8 +57,8 @@ class Modes:
     def made(cls, laws: Iterable[tuple[Callable[[], Path], Array]], missed: Array) -> Modes:
         """The modes of some laws: pairs of a call that makes the law, and its shares (runs,).
 
-        A law that cannot be made, or has no density, is not drawn from. Its part of the shares is
-        added to `missed`.
+        A law that cannot be made, or has no density, is not drawn from. Its part of all modes'
+        shares is added to `missed`, (runs,), the part of the evidence of modes left out already.
         """
         paths, shares = [], []
         for make, share in laws:

@@ -46,9 +46,10 @@ def repeated(plan: ChainPlan, count: int) -> ChainPlan:
 
 
 def of_family(family: Family, count: int, runs: int) -> Family:
-    """A CPD's family in which all runs come `count` times, not linearised yet.
+    """A CPD's family of so many `runs` with all of them `count` times, not linearised yet.
 
-    Without a lineariser of its own a nonlinear CPD is expanded to first order.
+    Run r of copy c is c · runs + r. Without a lineariser of its own a nonlinear CPD is expanded to
+    first order.
     """
     rows, _, height, width = family.shape
     own = tiled(family.own_noise, count)

@@ -22,9 +22,10 @@ def white_points(count: int, dimension: int) -> Array:
 
 
 def images(answer: Array, about: Array) -> list[Array]:
-    """Mirror images 2ρ − μ of means μ (..., n) about ρ: of all components, then of one at a time.
+    """Mirror images 2ρ − μ of means μ, `answer`, about ρ, `about`, all arrays of shape (..., n).
 
-    The latter are of the first four components, and there are none if there is only one component.
+    First the image of all components, then, unless n is 1, those of one component at a time, for
+    each of the first four; the other components are μ there.
     """
     image, size = 2.0 * about - answer, answer.shape[-1]
     everywhere = np.arange(size)

@@ -39,6 +39,7 @@ class TreeDraws:
         (runs,): added to all log-densities: ln p(z) of the linearised network where they are
         `relative`, else zero.
     relative : bool
+        Whether densities are relative.
     mean, cov : ndarray
         (1, runs, n) and (1, runs, n, n): the moments of `answer`.
     """
@@ -53,7 +54,12 @@ class TreeDraws:
 
     @classmethod
     def make(cls, posterior: GaussianPosterior) -> TreeDraws:
-        """Prepare to draw from the joint of a posterior; a GraphError if its graph has loops."""
+        """Prepare to draw from the joint of a posterior; a GraphError if its graph has loops.
+
+        Refused with a NumericalError are a nonlinear sensor that was read and has singular noise,
+        indefinite covariances, and, where densities are relative, robust noise and nonlinear CPDs
+        with singular noise.
+        """
         if posterior.log_evidence_kind == "bethe":
             raise GraphError(
                 f"{posterior._title}: an audit draws from the joint of all variables, which only a "

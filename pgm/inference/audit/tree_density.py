@@ -59,8 +59,9 @@ class TreeDensity:
     def at(self, values: Array, afresh: Afresh | None = None, *, strict: bool) -> Weighed:
         """Weigh values (runs, S, n) of the hidden variables; those not free follow from the others.
 
-        CPDs draw the values of draws that `afresh` marks themselves, parents before children. If
-        `strict`, a function that is not finite is a LinearisationError.
+        For draws that `afresh` marks (None: no draws) the CPDs make new values, with Student's t,
+        parents before children; the array `values` is not changed. If `strict`, a function that is
+        not finite is a LinearisationError.
         """
         model, values = self.model, values.copy()
         total, tails = np.zeros(values.shape[:2]), np.zeros(values.shape[:2])

@@ -26,9 +26,9 @@ def beliefs_of(
 ) -> TreeBeliefs | AllowedBeliefs:
     """Calibrate a graph without loops: the beliefs of all clusters given the evidence.
 
-    Evidence of probability zero in some run raises `ImpossibleEvidence`. With `allow`, such runs
-    are calibrated without evidence instead, and `AllowedBeliefs` are returned, which give NaN for
-    them.
+    Where the evidence of some run has probability zero `ImpossibleEvidence` is raised; with
+    `allow`, such runs are calibrated without evidence and `AllowedBeliefs` returned. `room` limits
+    what is computed at once, and kept. Tables too large for memory raise `GraphError`.
     """
     try:
         return TreeBeliefs.of(graph, evidence, room)
@@ -40,9 +40,9 @@ def beliefs_of(
 
 
 def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
-    """The evidence of the other runs; the `lost` ones, a mask (runs,), have none.
+    """The evidence without that of `lost` runs, a mask (runs,).
 
-    Their states are −1, "not observed", and their soft weights one.
+    The states of lost runs become −1, "not observed", and their soft weights one.
     """
     if lost.all():
         return BoundStates(evidence.lead, {}, {})
@@ -55,7 +55,7 @@ def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
 class AllowedBeliefs:
     """The calibrated beliefs of a tree, where some runs have impossible evidence.
 
-    possible: The beliefs of all runs, for which lost runs were calibrated without evidence.
+    possible: The beliefs of all runs, of which those lost were calibrated without evidence.
     evidence: As it was given, that of lost runs included.
     lost: (runs,): which runs have evidence of probability zero.
     """
@@ -76,9 +76,9 @@ class AllowedBeliefs:
     def read(self, reader: Callable[[Array], Array]) -> Array:
         """The result of a function of the calibrated tables, NaN in lost runs.
 
-        `reader` takes flat tables in the layout of `storage`, (entries, [runs]), and returns an
-        array whose last axis is that of runs, if there is one; it may be called for some of the
-        runs at a time.
+        `reader` takes flat tables in the layout of `storage`, (entries or more, [runs]), and
+        returns an array whose last axis is that of runs, if there is one; it may be called for some
+        of the runs at a time.
         """
         return self._where_lost(np.nan, self.possible.read(reader))
 
@@ -94,14 +94,15 @@ class AllowedBeliefs:
         return self._where_lost(-np.inf, self.possible.log_total(cluster))
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
-        """The message from one cluster to a neighbour, (sizes..., runs), and log-scale, (runs,).
+        """The message from one cluster to a neighbour: its values, and their log-scale, (runs,).
 
-        The message is the values times exp(log-scale). In lost runs the values are NaN.
+        The message is the values, (sizes of the sepset..., runs), times exp(log-scale). In lost
+        runs the values are NaN.
         """
         values, log_scale = self.possible.message(source, target)
         return self._where_lost(np.nan, values), log_scale
 
     def _where_lost(self, value: float, found: Array) -> Array:
-        """An array (..., [runs]) with one value in place of what was `found` in lost runs."""
+        """The array `found`, (..., [runs]), but with `value` for all its entries in lost runs."""
         lost = self.lost if self.lost.size > 1 else self.lost[0]
         return np.where(lost, value, found)

@@ -88,15 +88,19 @@ def one_hot(states: Integers, size: int) -> Array:
 
 
 def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
-    """The index into a table over `scope` at the states that are observed alike in all runs.
+    """The index into a table over `scope` that puts in states given once for all runs.
 
-    The axes of these variables are dropped. Those of all others are kept, even where each run
-    observes a state of its own.
+    It drops the axes of the variables with such a state. The axes of all other variables are kept,
+    even of those for which the evidence has a state for each run.
     """
     states = evidence.states
     return tuple(s if isinstance(s := states.get(v), int) else slice(None) for v in scope)
 
 
 def axes_left(evidence: BoundStates, scope: States) -> States:
-    """The variables of `scope` whose axes `put_in` keeps, which messages and beliefs are over."""
+    """The variables of `scope`, in its order, but those with one state given for all runs.
+
+    The tables of messages and beliefs have an axis for each variable that is returned; the axes of
+    those left out `put_in` drops.
+    """
     return tuple(v for v in scope if not isinstance(evidence.states.get(v), int))

@@ -38,11 +38,12 @@ class FirstBeliefs:
 
     @classmethod
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> FirstBeliefs | None:
-        """Answer a graph's first question; the evidence has no axes of runs.
+        """The beliefs of a graph without loops, if nothing was asked of it before; else None.
 
-        None, if the graph was asked before, if a number underflows, or if the evidence is
-        impossible: a plan then calibrates with logarithms, or finds out which evidence contradicts
-        which. Tables that are too large raise `GraphError`.
+        The evidence must have no axes of runs. None too if a number underflows, or if the evidence
+        is impossible: a plan then calibrates with logarithms, or finds out which evidence
+        contradicts which. `room` is for the plan that computes later what the answer lacks. Tables
+        that are too large raise `GraphError`.
         """
         if not _first(graph):
             return None
@@ -77,7 +78,10 @@ class FirstBeliefs:
         return self._planned.log_total(cluster)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
-        """The message from one cluster to a neighbour, (sizes..., 1), and its log-scale, (1,)."""
+        """The message from one cluster to a neighbour: its values, and their log-scale, (1,).
+
+        The message is the values, (sizes of the sepset..., 1), times exp(log-scale).
+        """
         return self._planned.message(source, target)
 
 
@@ -90,5 +94,5 @@ def _first(graph: ClusterGraph) -> bool:
 
 
 def _asked(graph: ClusterGraph) -> bool:
-    """The mark that a graph was asked, which ``graph.derived`` keeps."""
+    """The mark that a graph was asked, True, for ``graph.derived`` to keep."""
     return True

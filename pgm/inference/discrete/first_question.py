@@ -112,10 +112,10 @@ class _Tree:
                 self.factors[homes[place]].append(self._of_weights(place, weights[0]))
 
     def _hang(self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]) -> None:
-        """Root each tree at its lowest cluster, and rank variables so that deep ones come first.
+        """Root each tree at its cluster of least number, and rank variables, the deepest first.
 
-        `joined` are each cluster's neighbours, `members` its variables. Sets `order`, `parent`,
-        `scopes`, `shared` and `rank`.
+        `joined` are the neighbours of each cluster, by number, `members` its variables. Sets
+        `order`, `parent`, `scopes`, `shared` and `rank`.
         """
         self.order = list[int]()
         self.parent = parent = [UNSEEN] * len(joined)
@@ -146,7 +146,8 @@ class _Tree:
     def _of_cpd(self, family: Sequence[int], table: Array) -> Factor:
         """A CPD as a factor, with its observed variables at their states, on axes of length one.
 
-        `family` is the child, then the parents; the table has the child's axis last.
+        `family` is the child, then the parents; the table has the parents' axes in that order, then
+        the child's.
         """
         given = [*family[1:], family[0]]
         if not self.shown.keys().isdisjoint(given):
@@ -159,7 +160,10 @@ class _Tree:
         return scope, table
 
     def _of_weights(self, place: int, weights: Array) -> Factor:
-        """Soft evidence of a variable, (states,), as a factor: one entry, if it is observed too."""
+        """The soft evidence of variable `place`, its weights (states,), as a factor.
+
+        If the variable is observed too, the factor has the weight of its state alone.
+        """
         state = self.shown.get(place)
         return [place], weights if state is None else weights[state : state + 1]
 
@@ -186,8 +190,9 @@ class _Tree:
 
         The table of a cluster is the product of its factors, the messages from its children among
         them, as a matrix (entries of own variables, entries of shared ones). The sum of its rows,
-        the message to the parent, is written to `columns`; ``shapes[k]`` is its shape with an axis
-        for each variable. A root's table keeps an axis for each variable and is divided by its sum.
+        the message to the parent, is written to `columns`; ``shapes[k]`` are the sizes of the
+        shared variables of cluster k, the message's axes where it is a factor. A root's table keeps
+        an axis for each variable and is divided by its sum.
         """
         tables: list[Array] = [NOTHING] * len(self.order)
         log_evidence = 0.0
@@ -205,7 +210,10 @@ class _Tree:
         return tables, log_evidence
 
     def _product(self, scope: Sequence[int], factors: Iterable[Factor]) -> Array:
-        """The product of some factors, with an axis for each variable of a scope."""
+        """The product of some factors, with an axis for each variable of a scope, in its order.
+
+        Each factor is over some of these variables, in the same order. The product may be a view.
+        """
         sizes = self.sizes
         table: Array | None = None
         for own, values in factors:
@@ -220,10 +228,10 @@ class _Tree:
     def _distribute(self, tables: list[Array]) -> dict[Discrete, Array]:
         """Send the messages back from the roots; returns the marginals of variables not observed.
 
-        From the roots down, a table is multiplied by the parent's joint of the shared variables
-        over the message that went up, and so becomes the joint of its variables given the evidence.
-        Each marginal is summed from the smallest table, of a cluster or of shared variables, that
-        has the variable.
+        `tables` are those that `_collect` returns. From the roots down, each is replaced by its
+        product with the parent's joint of the shared variables over the message that went up, and
+        so becomes the joint of its variables given the evidence. Each marginal is summed from the
+        smallest table, of a cluster or of shared variables, that has the variable.
         """
         sizes = self.sizes
         homes: list[Factor] = [((), NOTHING)] * len(sizes)

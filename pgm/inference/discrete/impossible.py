@@ -32,7 +32,8 @@ def require_possible(
 
     log_tops: (tops, [runs]): logarithms of the scales taken out of messages on the way to the
         roots, of which one is −∞ where the evidence is impossible; see `tree_passes`.
-    of_runs: Advice that is added where the evidence has axes of runs.
+    of_runs: The end of the error's text, from its semicolon on, where the evidence has axes of
+        runs.
     """
     # One sum finds out, whatever is infinite.
     if math.isfinite(np.add.reduce(log_tops, None)):
@@ -59,10 +60,11 @@ def require_possible(
 def _contradiction(
     plan: TreePlan, evidence: BoundStates, root: int
 ) -> tuple[Cluster, list[Discrete]]:
-    """The deepest cluster of a tree whose message to its parent is zero throughout, else the root.
+    """The cluster of a tree at which evidence contradicts itself, and this evidence's variables.
 
-    Also the variables with evidence among those of the clusters below it and its own, which
-    contradicts itself. The evidence is that of one run.
+    `evidence` is that of one run, `root` the tree's root. The cluster is the deepest whose message
+    to its parent is zero throughout, else the root. Of the variables in it and in all clusters
+    below it, those observed come first, then those whose soft evidence enters these clusters.
     """
     forest, scopes = plan.forest, plan.storage.scopes
     messages = TreeMessages(plan.storage, evidence)
@@ -84,12 +86,12 @@ def _contradiction(
 
 
 def contradicted(empty: Mask, clusters: Iterable[Cluster], lead: tuple[int, ...]) -> EvidenceError:
-    """The error for a message or belief of a graph with loops that is zero throughout.
+    """The error, not raised, for a message or belief of a graph with loops that is zero throughout.
 
     empty: (rows, runs): whether the message or belief of a row is zero throughout in a run; at
         least one entry is true.
-    clusters: Of each row, the cluster that it is of.
-    lead: The user's axes of runs.
+    clusters: Of each row, the sender of the message, or the cluster whose belief it is.
+    lead: The lengths of the user's axes of runs.
     """
     runs = empty.any(axis=0)
     row = int(empty[:, runs.argmax()].argmax())

@@ -33,9 +33,10 @@ def holder(storage: Storage, wanted: States) -> int | None:
 def joint(storage: Storage, tables: Array, scope: States) -> Array:
     """The joint probabilities of the variables of a scope, in its order, (sizes..., [runs]).
 
-    If no cluster holds them all, each cluster's belief given its sepset is multiplied into its
-    parent's, along the smallest subtree that holds them, and other variables are summed out as soon
-    as may be. Joints of several trees are multiplied.
+    If no cluster holds them all, the graph must have no loops: each cluster's belief given its
+    sepset is multiplied into its parent's, along the smallest subtree that holds them, and other
+    variables are summed out as soon as may be. Joints of several trees are multiplied. A product
+    that would be too large raises `GraphError`.
     """
     one = holder(storage, scope)
     if one is not None:
@@ -53,11 +54,12 @@ def joint(storage: Storage, tables: Array, scope: States) -> Array:
 def _of_tree(
     storage: Storage, forest: Forest, tables: Array, scope: States, homes: set[int]
 ) -> Factor:
-    """The joint of some variables of one tree, in any order; `homes` are clusters that hold them.
+    """The joint of the variables `scope` of one tree, as a factor over them in any order.
 
-    On the part of the tree that joins these clusters, each table is divided by its sepset with the
-    parent, so that it is conditional, and is multiplied into the parent, of which only the wanted
-    variables and that sepset are kept: p(scope) = Σ p(top) Π p(cluster | sepset).
+    `homes` are clusters of the tree that together hold these variables. On the part of the tree
+    that joins these clusters, each table is divided by its sepset with the parent, so that it is
+    conditional, and is multiplied into the parent, of which only the wanted variables and the
+    sepset with its own parent are kept: p(scope) = Σ p(top) Π p(cluster | sepset).
     """
     parent = forest.parent
     below: dict[int, int] = {}

@@ -82,8 +82,8 @@ class TableMessages:
     def _products(self, group: Group) -> Array:
         """Logarithms of the products of a group's potentials and all messages to them but one.
 
-        (neighbours · entries of the group, runs): the message of each neighbour in turn is left
-        out.
+        (neighbours · entries of the group, runs): the products of all entries without the message
+        of the first neighbour, then of all without that of the second, and so on.
         """
         incoming = self.logs.take(group.incoming, 0)
         products = np.empty_like(incoming)
@@ -95,9 +95,10 @@ class TableMessages:
         return products.reshape(-1, self.runs)
 
     def _normalised(self, messages: Array, outlet: Outlet) -> Array:
-        """Logarithms of messages, (messages, columns, runs), each divided by its sum.
+        """Messages of an outlet, each divided by its sum: logarithms, (messages, columns, runs).
 
-        A message of sum zero is refused with an `EvidenceError`, which names its sender.
+        The argument `messages` are such logarithms before the division. A message of sum zero is
+        refused with an `EvidenceError`, which names its sender.
         """
         total = log_sum(messages, 1)
         self._require_possible(total, outlet.senders)
@@ -107,7 +108,8 @@ class TableMessages:
     def _require_possible(self, totals: Array, clusters: Integers) -> None:
         """Raise `EvidenceError` if a logarithm of a sum, (rows, runs), is −∞.
 
-        The evidence is then impossible. `clusters`, (rows,), are those that the error names.
+        The evidence is then impossible. `clusters`, (rows,), are the numbers of the clusters that
+        the rows are of; the error names that of the first such row.
         """
         empty = totals == -np.inf
         if empty.any():
@@ -137,7 +139,7 @@ class TableMessages:
 
         A belief is the potential times all messages to the cluster. Its sum, by which it is
         divided, is Z_cluster; the logarithms are (clusters, runs). The beliefs stand as in the
-        storage.
+        storage. A belief that is zero throughout raises `EvidenceError`.
         """
         logs = self.potentials.copy()
         for group in self.plan.everything(self.runs):
@@ -151,7 +153,7 @@ class TableMessages:
         """The Bethe approximation of ln p(evidence), Σ ln Z_cluster − Σ ln Z_sepset, (runs,).
 
         `totals` are ln Z_cluster, (clusters, runs), of `beliefs`. Z_sepset is the sum of the
-        product of the two messages over a sepset.
+        product of the two messages over a sepset; if it is zero `EvidenceError` is raised.
         """
         value: Array = totals.sum(axis=0)
         widths = self.plan.widths
@@ -175,7 +177,10 @@ def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
 
 
 def _segments(logs: Array, lengths: Integers) -> Array:
-    """The values ln Σ exp over consecutive segments of rows, of these lengths, (segments, runs)."""
+    """The values ln Σ exp over segments of the rows of `logs`, (rows, runs): (segments, runs).
+
+    The segments are consecutive, and `lengths`, (segments,), are their numbers of rows.
+    """
     first = np.cumsum(lengths) - lengths
     top = np.maximum.reduceat(logs, first, 0)
     top = np.where(top == -np.inf, 0.0, top)
@@ -233,9 +238,9 @@ class LoopyBeliefs:
         return total
 
     def message(self, source: int, target: int) -> tuple[Array, None]:
-        """The message from one cluster to a neighbour, (sizes..., runs), of sum one, and None.
+        """The message from one cluster to a neighbour, (sizes of the sepset..., runs), and None.
 
-        None stands for a log-scale, which it does not have.
+        The message sums to one in each run. None stands for a log-scale, which it does not have.
         """
         plan, graph = self.messages.plan, self.storage.graph
         edge = min(source, target), max(source, target)

@@ -84,7 +84,7 @@ class LoopyPlan:
         """The groups of clusters that compute some messages, given by number.
 
         Their senders are grouped by their numbers of neighbours and of entries. A group has as many
-        clusters as keep its products, over all of `runs`, within a limit, or one.
+        clusters as keep its products, for so many `runs` together, within a limit, or one.
         """
         asked: dict[int, list[tuple[int, int]]] = {}
         for order, message in enumerate(messages):
@@ -140,9 +140,10 @@ class LoopyPlan:
     def _shape(self, cluster: int, message: int) -> tuple[Integers, Integers]:
         """How a cluster's entries are summed to a message, and which column meets each entry.
 
-        The first is a matrix of entries (rows, columns), whose sum over rows is the message over
-        the sepset; the second the column of each entry, (entries,), counted from the message's
-        first. Both depend on shapes alone and are cached by these.
+        The first is a matrix of the indices of the cluster's entries, from 0, (rows, columns); the
+        sum of these entries over the rows is the message. The second is the column of each entry,
+        (entries,), counted from the message's first. Both depend on shapes alone and are cached by
+        these.
         """
         scope, sepset = self.storage.scopes[cluster], self.sepsets[message]
         kept = tuple(v in sepset for v in scope)

@@ -124,7 +124,7 @@ class MostProbable(Shown, Immutable):
 
     @property
     def _over_time(self) -> bool:
-        """Whether states are arrays of indices: over steps, or over the user's axes of runs."""
+        """Whether any state is an array of indices: over steps, or over the user's axes of runs."""
         return any(not isinstance(state, str) for state in self.assignment.values())
 
     def _summary(self) -> Summary:

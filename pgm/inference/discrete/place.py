@@ -39,7 +39,10 @@ class Place:
 
     @classmethod
     def of(cls, scope: States, start: int, least: int) -> Place:
-        """The place of a contiguous table in C order of a scope; large from `least` entries on."""
+        """The place of a contiguous table in C order of a scope, whose first entry is at `start`.
+
+        The table is `large` if it has `least` entries or more.
+        """
         return cls(scope, start, steps(scope, 1), math.prod(sizes(scope)) >= least)
 
     @cached_property
@@ -66,13 +69,19 @@ class Place:
         return positions(self.start, self.steps, scope)
 
     def view(self, scope: States) -> View:
-        """The view of the table with an axis for each variable of a scope, its own in any order."""
+        """The view of the table with an axis for each variable of `scope`, in that order.
+
+        The variables are the table's own, all of them.
+        """
         entry = np.dtype(np.float64).itemsize
         strides = tuple(entry * self.steps[variable] for variable in scope)
         return View(sizes(scope), entry * self.start, strides)
 
     def merged(self, wanted: States) -> Merged:
-        """A contiguous table with neighbouring axes merged, where all are wanted or none is."""
+        """The table, a contiguous one, with neighbouring axes merged, if all are wanted or none is.
+
+        `wanted` are some of the table's variables, in the order that arrays over them have.
+        """
         stored = self.stored
         runs = [list(same) for _, same in groupby(stored, wanted.__contains__)]
         order = [v for v in stored if v in wanted]
@@ -138,7 +147,7 @@ class Merged:
     shape: Of the table with merged axes, without runs.
     others: The merged axes that are not of wanted variables.
     sizes: The numbers of states of the wanted variables, in the order in which they are stored.
-    order: Of each wanted variable, in the order asked for, its place among those stored.
+    order: Of each wanted variable, in the order asked for, its index in `sizes`.
     """
 
     shape: tuple[int, ...]

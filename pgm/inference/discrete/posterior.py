@@ -105,9 +105,9 @@ class DiscretePosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> Table:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
-        A variable that is observed in the same state in all runs has no axis; one whose state
-        differs by run keeps it. Of a tree its scale carries the evidence that went into it; on a
-        graph with loops messages sum to one.
+        A variable whose evidence is one state for all runs has no axis; one whose evidence is an
+        array of states, one for each run, keeps it. Of a tree the message's scale carries the
+        evidence that went into it; on a graph with loops messages sum to one.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         if j not in self.graph.neighbours(i):
@@ -137,7 +137,7 @@ class DiscretePosterior(Posterior):
         return self._table(scope, values, self._beliefs.log_total(index))
 
     def potential(self, cluster: int | Cluster) -> Table:
-        """The potential of a cluster: the product of its CPDs, with their evidence put in.
+        """The potential of a cluster: the product of its CPDs, with the evidence put in.
 
         Its axes are as of a message. A state that is observed enters all clusters that hold its
         variable; soft evidence enters the smallest of them.

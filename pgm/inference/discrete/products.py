@@ -62,7 +62,7 @@ class BlockProduct:
     place: Of the table.
     sepset: The variables of the message, in the order of its columns.
     view: The table with neighbouring axes merged, if all are of the sepset or none.
-    source: The columns of the message.
+    source: The slice of the message's columns in an array of all messages.
     wide: In a single run the message is copied out along the axes of `view` from this one on, so
         that products have no short loops.
     """
@@ -99,7 +99,10 @@ class BlockProduct:
         semiring.times(table, message, out.reshape((*self.view.shape, *out.shape[1:])))
 
     def columns(self, at: Integers) -> Integers:
-        """The column of the message, (1, 1, runs), at an entry of the table, (1, runs)."""
+        """The column of the message, (1, 1, runs), at an entry of the table in each run.
+
+        `at`, (1, runs), are the indices of these entries, counted from the table's first.
+        """
         stored = self.place.stored
         states = np.unravel_index(at, sizes(stored))
         own = tuple(states[stored.index(v)] for v in self.sepset)

@@ -55,7 +55,10 @@ def run(
 def of_tree(
     graph: ClusterGraph, bound: BoundStates, room: Room, *, allow: bool = False
 ) -> DiscretePosterior:
-    """The posterior of a graph without loops, of evidence that `bind_discrete` has made."""
+    """The posterior of a graph without loops, of evidence that `bind_discrete` has made.
+
+    `room` and `allow`, and what is refused, are as of `beliefs_of`.
+    """
     beliefs = beliefs_of(graph, bound, room, allow=allow)
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
 

@@ -38,10 +38,11 @@ class GatheredSum:
 
     @classmethod
     def of(cls, sources: Sequence[tuple[Place, States]], start: int) -> GatheredSum:
-        """Sum each of some tables to its wanted variables, with results from `start` on.
+        """The sums of some tables to wanted variables, whose results are written from `start` on.
 
-        sources: Of each table, its place and the wanted variables, whose C order the results have.
-            All have equally many entries for each joint state of these.
+        sources: Of each table, its place and the variables wanted of it. Results stand in the order
+            of the tables, each in C order of its wanted variables. All tables have equally many
+            entries for each joint state of these.
         """
         matrices = []
         for place, wanted in sources:
@@ -78,7 +79,7 @@ class BlockSum:
 
     @classmethod
     def of(cls, place: Place, wanted: States, start: int) -> BlockSum:
-        """Sum a large table to its wanted variables, with results from `start` on, in C order."""
+        """The sum of a large table, to be written from `start` on in C order of `wanted`."""
         target = slice(start, start + math.prod(sizes(wanted)))
         view = place.merged(wanted)
         return cls(place.entries, view, AxisSums.of(view.shape, view.others), target)
@@ -98,10 +99,11 @@ Sum = GatheredSum | BlockSum
 
 
 def summed(sources: Sequence[tuple[Place, States]], start: int) -> Sum:
-    """Sum each of some tables to its wanted variables, with results from `start` on.
+    """The sums of some tables to wanted variables, whose results are written from `start` on.
 
-    sources: Of each table, its place and the wanted variables. One large table, or several small
-        ones that have equally many entries for each joint state of the wanted variables.
+    sources: Of each table, its place and the variables wanted of it; results stand in their order.
+        One large table, or one or more small ones that have equally many entries for each joint
+        state of the wanted variables.
     """
     place, wanted = sources[0]
     return BlockSum.of(place, wanted, start) if place.large else GatheredSum.of(sources, start)
@@ -184,7 +186,7 @@ class AxisSums:
     """A sum over some axes of a table.
 
     shape: Of the table, without the axis of runs.
-    axes: Those that are summed.
+    axes: Those that are summed, in ascending order.
     last: A matrix of zeros and ones, (entries, sums), whose product with the table sums its last
         axes; None where these have many entries.
     front: The axes that are summed one by one before that product.
@@ -197,7 +199,7 @@ class AxisSums:
 
     @classmethod
     def of(cls, shape: tuple[int, ...], axes: tuple[int, ...]) -> AxisSums:
-        """The quickest way to sum a table of this shape over some axes."""
+        """The quickest way to sum a table of this shape over some axes, in ascending order."""
         for first in axes:
             block = shape[first:]
             kept = tuple(1 if k in axes else n for k, n in enumerate(block, first))
@@ -227,7 +229,7 @@ class AxisSums:
 
 
 def _one_by_one(table: Array, axes: Sequence[int], semiring: Semiring) -> Array:
-    """Sum a table over one axis at a time, first axis first, so that whole rows are added."""
+    """Sum a table over axes, which are in ascending order, one at a time: whole rows are added."""
     for gone, axis in enumerate(axes):
         table = semiring.total(table, axis - gone, None)
     return table

@@ -50,9 +50,10 @@ class TreeBeliefs:
 
     @classmethod
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> TreeBeliefs:
-        """Calibrate a graph without loops, some runs at a time.
+        """Calibrate a graph without loops, as many runs at a time as `room` allows.
 
-        Evidence of probability zero in some run raises `ImpossibleEvidence`.
+        Evidence of probability zero in some run raises `ImpossibleEvidence`; tables, or marginals
+        of all runs, that are too large raise `GraphError`.
         """
         distinct = Distinct.of(evidence)
         runs = distinct.evidence.runs
@@ -128,9 +129,10 @@ class TreeBeliefs:
         return TreeMessages(self.storage, self._distinct.evidence)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
-        """The message from one cluster to a neighbour, (sizes..., runs), and log-scale, (runs,).
+        """The message from one cluster to a neighbour: its values, and their log-scale, (runs,).
 
-        The message is the values, whose largest is one, times exp(log-scale).
+        The message is the values, (sizes of the sepset..., runs), times exp(log-scale). The largest
+        value of a run is one; all are zero where the message is.
         """
         evidence, parts = self._distinct.evidence, []
         for piece in pieces(evidence, self._room.batch // self.storage.entries):
@@ -148,7 +150,7 @@ class TreeBeliefs:
 class _Gathered:
     """The results of consecutive parts of the runs, (..., [runs]), gathered in one array, `whole`.
 
-    runs: How many there are in all.
+    runs: How many there are in all; `whole` is complete once so many are added.
     """
 
     whole: Array

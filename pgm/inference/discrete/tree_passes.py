@@ -48,7 +48,7 @@ class Collected:
     """The messages of the pass to the roots, and the scales taken out of them.
 
     messages: (columns, [runs]): each before it is divided by its top.
-    tops: (tops, [runs]): the scales, whose product over a tree is its p(evidence).
+    tops: (tops, [runs]): the scales; the product of those of a tree is p(evidence in it).
     """
 
     messages: Array

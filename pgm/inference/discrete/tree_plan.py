@@ -165,9 +165,9 @@ class Stack:
         return np.maximum.reduceat(columns, self.first, 0)
 
     def by_column(self, each: Array) -> Array:
-        """The number of each cluster, (clusters, [runs]), for each column, (columns, [runs]).
+        """The entry of `each`, (clusters, [runs]), of each column's cluster, (columns, [runs]).
 
-        A stack of one cluster keeps the one number, which broadcasts.
+        A stack of one cluster keeps its one entry, (1, [runs]), which broadcasts.
         """
         return each if self.single or self.narrow else each.repeat(self.widths, 0)
 
@@ -289,8 +289,9 @@ def _union(sets: Iterable[int]) -> int:
 
 
 class _Planner:
-    """Lays out the stacks of a graph without loops.
+    """The layout of the stacks of a graph without loops in the making.
 
+    large: Tables of at least so many entries are contiguous, and worked on by themselves.
     sepsets, width: Of each cluster, the sepset with its parent, and how many columns it makes.
     places, first, bits: Of each cluster, where its table stands, its first column, and the bit of
         its stack; filled by `plan`.
@@ -361,7 +362,7 @@ class _Planner:
         return tuple(sorted(scope, key=lambda v: (found[v][0], found[v][-1]) if found[v] else ()))
 
     def _place(self, clusters: list[int], start: int, column: int) -> tuple[int, int]:
-        """Place the tables of a stack from an entry on, and its messages from a column on.
+        """Place the tables of a stack from entry `start` on, and its messages from `column` on.
 
         The tables are columns of one matrix, which is stored by rows, or by columns if it has fewer
         of these. Returns the entry and the column that come next.

@@ -71,6 +71,7 @@ class Tables:
     def do(self, step: Step) -> None:
         """Multiply the factors of a step and sum over its first axes: that makes one more factor.
 
+        Steps are to be done in the order of the plan, each once.
         Plain numbers are divided by their largest entry in each run, since only ratios matter.
         """
         product: Array | None = None
@@ -108,7 +109,8 @@ class Tables:
     def _reduced(self, cpd: TableCPD, unknown: Sequence[Discrete], scope: Sequence[int]) -> Array:
         """A CPD's table at the states of its observed variables, (sizes of scope..., runs or 1).
 
-        `unknown` are its variables that are not observed in all runs, `scope` their places.
+        `unknown` are its variables that are not observed in all runs, `scope` the places of these,
+        ascending.
         """
         states = self.evidence.states
         index: list[int | slice] = []
@@ -133,7 +135,7 @@ class Tables:
         return reduced
 
     def _weights(self, variable: Discrete) -> Array:
-        """The weights (states, runs or 1) of the evidence of a variable that it leaves open.
+        """The weights (states, runs or 1) that the evidence gives a variable of `plan.weighted`.
 
         They are soft weights, or, of states observed in some runs alone, one for the state observed
         and zero for the others; all ones in the other runs.
@@ -144,7 +146,10 @@ class Tables:
         return one_hot(np.asarray(self.evidence.states[variable]), variable.size)
 
     def _over(self, scope: Sequence[int], own: Sequence[int], table: Array) -> Array:
-        """A view of a table over `own` with axes for all of `scope`, of length one for others."""
+        """A view of a table over `own`, some of `scope`, with an axis for each of `scope`.
+
+        Axes that the table does not have get length one.
+        """
         if len(own) == len(scope):
             return table
         members = set(own)
@@ -165,7 +170,7 @@ def lost_runs(probabilities: Array) -> Mask:
 
 
 def refusal(plan: EliminationPlan, lost: Mask, lead: tuple[int, ...]) -> ImpossibleEvidence:
-    """The error for evidence of probability zero in the runs that `lost` (runs or 1,) marks.
+    """The error for evidence of probability zero in the runs that the mask `lost` (runs,) marks.
 
     `lead` are the lengths of the user's axes of runs, () for none.
     """

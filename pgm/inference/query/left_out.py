@@ -43,7 +43,7 @@ class Contradiction:
     """Evidence of probability zero in a part that a query leaves out.
 
     lost: (runs,): the runs that have it; one at least.
-    part: The elimination that found it; or the CPD whose variables are all observed.
+    part: The elimination that found it; or the CPD, with all variables known, whose table is zero.
     """
 
     lost: Mask
@@ -105,7 +105,7 @@ def _state(variable: Discrete, evidence: BoundStates) -> int | Integers:
 
 
 def _has_zero(family: Family, evidence: BoundStates) -> bool:
-    """Whether a CPD's table has a zero at the states that are known and the same in all runs.
+    """Whether a CPD's table has a zero at the states that are known and given once for all runs.
 
     A table above the limit of memory, of a CPD that was given by its structure, is not looked at.
     """

@@ -43,7 +43,7 @@ class EliminationPlan:
     last: no table is ever transposed, and sums are over the first axes.
 
     requisite: The CPDs and the evidence that bear on the query.
-    order: Its hidden variables in this order.
+    order: The hidden variables of `requisite`, in the order in which they are summed out.
     scopes: Those of the CPDs' tables, then of the evidence weights of each of `weighted`.
     weighted: Hidden variables with soft evidence, or observed in some runs alone.
     steps: The last one multiplies what is left to the joint.
