@@ -492,7 +492,8 @@ class Family(Rows):
         template, count = self.template, math.prod(self.noise.shape[:2])
         assert template is not None
         columns, places = template.missing_columns, template.missing
-        return judge.asked(tracer, centres, columns, places, template.variances, count)
+        alone = None if tracer is template.tracer else template.tracer
+        return judge.asked(tracer, centres, columns, places, template.variances, count, alone)
 
     @property
     def _observed(self) -> list[Array | None]:

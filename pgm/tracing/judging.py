@@ -243,18 +243,22 @@ class Judge:
         places: Sequence[int],
         variances: Sequence[float],
         count: int,
+        alone: Tracer | None = None,
     ) -> Answers | None:
         """A tracer's answers in this call, for about as many points; None without a trace.
 
-        A trace is made, if there is none, and compared with its function about the centres. What
-        else there is as in `Answers`.
+        A trace is made, if there is none, and compared with its function about the centres. `alone`
+        is the tracer of a function without the derivatives that were given, if `tracer` has these,
+        too: they may make floats, as by writing into np.zeros, and hide no decision. The other
+        arguments are as of `Answers`.
         """
         large = count >= LARGE
         if not self.trusting or not tracer.confirm(centres, anew=large):
             return None
         found = Answers(tracer, columns, places, variances)
         # A sample suffices where a trace is new and shows all that its function does.
-        if large and not found.trace.cast:
+        own = found.trace if alone is None or not large else alone.traced()
+        if large and not (isinstance(own, str) or own.cast):
             slopes = _ENTRIES // max(len(found.program.slope), 1)
             found.every = math.ceil(count / min(max(slopes, _EVEN), _SLOPES))
             found.thin = math.ceil(count / found.every / _VALUES)
