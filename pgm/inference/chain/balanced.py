@@ -29,8 +29,8 @@ class BalancedPosterior(ChainPosterior):
     """The beliefs of a balanced cluster tree after a schedule of messages.
 
     All is as on a chain of slices but the messages and the beliefs of clusters. After smoothing
-    they are those of calibration. After filtering a message down to a segment knows only the
-    measurements up to its left end, and cluster 0 is sent none.
+    messages and beliefs are those of a calibrated tree. After filtering a message down to a segment
+    knows only the measurements up to the segment's left end, and cluster 0 is sent no message.
     """
 
     graph: BalancedGraph
@@ -121,8 +121,9 @@ class BalancedPosterior(ChainPosterior):
     def _segment(self, first: int, last: int) -> Canonical:
         """The message up from a segment, p(y, measurements after a up to b | x), in canonical form.
 
-        x and y are the states at a = `first` and b = `last`. It is composed about their filtered
-        means, where its numbers are small, and then moved to the origin.
+        x and y are the states at a = `first` and b = `last`; the form is over x, then y. It is
+        composed about their filtered means, where its numbers are small, and then moved to the
+        origin.
         """
         whole = _composed(self._leaves(first, last))
         precision, h, g = (part[0] for part in canonical.from_affine(*whole[:3]))
