@@ -85,7 +85,7 @@ class Later(NamedTuple):
         return Later(vector, matrix, rounding, drift, blurred)
 
     def back(self, matrix: Twofold) -> Later:
-        """The message Aᵀ r, Aᵀ N A to the slice before, from which A = `matrix` is the transition."""
+        """The message Aᵀ r, Aᵀ N A to the slice before; A = `matrix` is the transition from it."""
         slope, said = matrix.hi.mT, self.matrix
         rounding = through(slope, self.rounding) + rounded(slope, said.hi)
         drift = through(slope, self.drift)
@@ -179,7 +179,7 @@ class CarefulSmoothed:
 
     @cached_property
     def point(self) -> Point:
-        """The smoothed moments of slices, and of pairs but in a `single` layout, to linearise at."""
+        """The smoothed moments to linearise at: of slices, and of pairs unless `layout.single`."""
         pairs = None if self.layout.single else self.pairs()
         return Point(self.beliefs.mean, self.beliefs.cov, pairs, self.proper)
 

@@ -1,7 +1,7 @@
 """The forward pass in twice the digits, where standard deviations lie too far apart for float64.
 
-Numbers are pairs of float64 (`Twofold`). The measurements of a step are decorrelated to scalars z =
-h x + e, e ~ N(0, r), which are taken in one by one:
+Numbers are pairs of float64 (`Twofold`). The measurements of a step are decorrelated to scalars
+z = h x + e, e ~ N(0, r), which are taken in one by one:
 
     S = h P hᵀ + r,   G = P hᵀ/S,   v = z − h m,
     m ← m + G v,   P ← (1 − G h) P (1 − G h)ᵀ + G r Gᵀ.

@@ -84,7 +84,7 @@ class Belief(NamedTuple):
 
     @property
     def moments(self) -> tuple[Array, Array]:
-        """Mean (runs, n) and covariance (runs, n, n) in float64; the belief has to be without δ (q = 0)."""
+        """Mean (runs, n) and covariance (runs, n, n) in float64; the belief must have q = 0."""
         return moments(self, solved(Twofold.zeros((len(self.largest), 1, 1))))
 
     @property
@@ -180,7 +180,7 @@ def rounded(matrix: Array, cov: Array, noise: Array | None = None) -> Array:
 
 
 def through(matrix: Array, bound: Array) -> Array:
-    """The bound F B Fᵀ of the error of F P Fᵀ, or of F m, from a bound B of the error of P, or of m.
+    """The bound F B Fᵀ of the error of F P Fᵀ (or F m), from a bound B of the error of P (or m).
 
     F is `matrix` (..., d, n), B is `bound` (..., n, n). The rounding of F B Fᵀ itself, in float64,
     is added on the diagonal, so that it does not vanish by cancelling.
@@ -383,7 +383,7 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
     Returns the rows [h z] (runs, D, n + 1), the errors' variances (runs, D), and the mask (runs, D)
     of the scalars that were measured; rows of the rest are zero. `parts` has an entry a sensor.
     `width` is n, h is over the slice, and z is less the CPD's offset. With a noise covariance R = U
-    diag(r) Uᵀ that has correlations, rows are multiplied by U⁻¹.
+    diag(r) Uᵀ that has correlations, U being unit lower triangular, rows are multiplied by U⁻¹.
     """
     height = sum(len(seen.value) for seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))
