@@ -184,8 +184,8 @@ def _of_reading(moved: Array, family: Family, cov: Array, noise: Array) -> Array
     """The squared shares of measurements, e²/R · HPHᵀ/(HPHᵀ + R), (rows, runs, d).
 
     `moved` is e (rows, runs, d), `cov` P (rows, runs, n, n) of the parents, of n components, before
-    the measurement, and `noise` the variances R (rows, runs or 1, d). A component without noise
-    leaves no variance to count in, and HPHᵀ takes the place of R.
+    the measurement, and `noise` the variances R (rows, runs, d). A component without noise leaves
+    no variance to count in, and HPHᵀ takes the place of R.
     """
     known = np.maximum(variances(sandwich(family.matrix, cov)), 0.0)
     floor = np.where(noise > 0.0, noise, known)
@@ -211,7 +211,7 @@ def carried(ahead: Forward, added: Array, old: Array | float = 1.0) -> Array:
 
 
 def ratio(part: Array, whole: Array, most: float = 1.0) -> Array:
-    """The largest `part` / `whole` of variances (..., n), (...), and `most` at most.
+    """The largest `part` / `whole` of variances (..., n), as (...), and never above `most`.
 
     The quotient is 0 where `whole` is 0, and 1 where `part` is infinite.
     """

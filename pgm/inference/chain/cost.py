@@ -141,8 +141,8 @@ def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
 def weighted(family: Family, residual: Array, cov: Array) -> Array:
     """The sum of rᵀ C⁺ r over the first axis, (runs,), for residuals r of covariances C.
 
-    `residual` is (k, runs, d), `cov` are the C, (k, runs or 1, d, d). Components of infinite
-    variance, and those that earlier ones determine, do not count. An indefinite C is refused with a
+    `residual` is (k, runs, d), `cov` are the C, (k, runs, d, d). Components of infinite variance,
+    and those that earlier ones determine, do not count. An indefinite C is refused with a
     NumericalError that names the CPD.
     """
     total = squares(residual, cov)

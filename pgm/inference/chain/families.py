@@ -62,7 +62,7 @@ def family_beliefs(posterior: ChainPosterior) -> dict[CPD, FamilyBelief]:
 
 
 def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
-    """The belief of a family, whose components stand at the places `chosen` in those of `moments`.
+    """The belief of a family, whose components stand at the places `chosen` in `moments`.
 
     It has no measurements.
     """
