@@ -231,7 +231,10 @@ class Beliefs:
 
 
 def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
-    """Smoothed moments of every slice: by a scan, or step by step where that is faster."""
+    """Smoothed moments of every slice: by a scan, or step by step where that is faster.
+
+    Where `reverse` has them already, these are returned.
+    """
     if reverse.beliefs is not None:
         return reverse.beliefs
     stepwise = stepwise_is_faster(*forward.mean.shape[:2])

@@ -107,9 +107,10 @@ class BalancedPosterior(ChainPosterior):
         return CanonicalForm._make(form.scope, K, h, form.g)
 
     def _future(self, step: int) -> Canonical:
-        """The likelihood of the measurements after a step over its states, in canonical form.
+        """The likelihood of the measurements after a step, a canonical form over the states there.
 
-        It is one (all zeros) unless the posterior is smoothed.
+        Parts K, h and g are (runs, m, m), (runs, m) and (runs,) for m components. The likelihood is
+        one (all zeros) unless the posterior is smoothed.
         """
         if self.kind == SMOOTHED:
             K, h, g = self._backward_messages

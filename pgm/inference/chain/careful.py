@@ -339,7 +339,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
 
 
 def prior_mean(plan: ChainPlan) -> Array:
-    """The prior means of the states' m components, (runs, m); a flat one has its declared mean."""
+    """The prior means of the states' m components, (runs, m); a flat one has its declared mean.
+
+    Nonlinear CPDs of the prior are linearised in the plan, or refused, as `start` has it.
+    """
     states = plan.layout.state_places
     if not is_flat(plan):
         return MomentChain(plan, ONCE).start().by_run[0][:, states]
@@ -350,7 +353,7 @@ def start(plan: ChainPlan, *, linearise: bool) -> Belief:
     """The belief over the slice at step 0 before its measurements; controls there are zero.
 
     With `linearise` the nonlinear CPDs of the prior are linearised in the plan; beside a flat prior
-    they are refused with a LinearisationError.
+    they are refused with a LinearisationError. Without it the plan's linearisations are used.
     """
     nonlinear = next((link.family for link in plan.prior if not link.family.exact), None)
     if linearise and nonlinear is not None:

@@ -125,7 +125,7 @@ class _Record:
     """The results that windows produce as they slide along a chain, collected by step.
 
     `left` (runs,) is the log-evidence of the measurements that the belief at the beginning of the
-    present window knows, zero as long as that is the prior.
+    present window knows, zero as long as windows begin with the prior.
     """
 
     def __init__(self, plan: ChainPlan) -> None:
@@ -221,7 +221,10 @@ class Beginning(NamedTuple):
         return found
 
     def cut(self, plan: ChainPlan, first: int, last: int) -> ChainPlan:
-        """The plan of the steps first..last of `plan`, which begins with this belief, not a prior."""
+        """The plan of the steps first..last, which begins with this belief in place of a prior.
+
+        `plan` is that of the whole chain.
+        """
         begin = self.over(plan.runs)
         mean, cov, _ = Moments.of(plan, begin.mean, begin.cov)
         return plan.window(first, last, (mean, cov))

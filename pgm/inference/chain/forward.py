@@ -50,9 +50,9 @@ class Forward:
     """The moments of a forward sweep, before and after measurements, (T+1, runs, ...).
 
     `predicted_mean` and `predicted_cov` are those before measurements. Controls at step 0 are zero.
-    `log_density` (T+1, runs) is ln p of each step's measurements given the steps before. `closest`
-    is that of the `Watch`, or zero without one. `far` says that a mean may be 10⁸ standard
-    deviations from zero, or that nothing has looked. `diffuse` has the covariances before
+    `log_density` (T+1, runs) is ln p of each step's measurements given those of the steps before.
+    `closest` is that of the `Watch`, or zero without one. `far` says that a mean may be 10⁸
+    standard deviations from zero, or that nothing has looked. `diffuse` has the covariances before
     measurements along their known and their unknown directions, None unless a flat prior leaves
     some unknown.
     """
