@@ -159,8 +159,8 @@ class _Pending:
         """Choose a candidate for each sighting of a step at a belief; the belief given them.
 
         `rows` are the sightings' rows in the reading, all of the sensor at `step`, and `belief`
-        knows the measurements taken in before. The probability of candidate k is ∝ w_k
-        N(ν_k; 0, S_k), zero outside the candidates' gate, that of a spurious and of a new
+        knows the measurements taken in before. The probability of candidate k
+        is ∝ w_k N(ν_k; 0, S_k), zero outside the candidates' gate, that of a spurious and of a new
         sighting ∝ its declared density. Where all k + 2 are zero the sighting is spurious. The
         likeliest is chosen for each, or, if the sensor's `association` is "joint", for all
         together. Spurious and new sightings are not taken in. The lists of the class grow by an

@@ -382,8 +382,9 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
 
     Returns the rows [h z] (runs, D, n + 1), the errors' variances (runs, D), and the mask (runs, D)
     of the scalars that were measured; rows of the rest are zero. `parts` has an entry a sensor.
-    `width` is n, h is over the slice, and z is less the CPD's offset. With a noise covariance R = U
-    diag(r) Uᵀ that has correlations, U being unit lower triangular, rows are multiplied by U⁻¹.
+    `width` is n, h is over the slice, and z is less the CPD's offset. With a noise covariance
+    R = U diag(r) Uᵀ that has correlations, U being unit lower triangular, rows are multiplied by
+    U⁻¹.
     """
     height = sum(len(seen.value) for seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))

@@ -61,8 +61,8 @@ def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Arr
     """The links of prior and transition, each with the moments of its parents and its child's mean.
 
     Yields the link, its parents' means (rows, runs, n) and covariances (rows, runs, n, n), n being
-    the parents' number of components (in `at` it is the slice's), and the child's means (rows,
-    runs, d), all at the point `at`. There is one row for the prior, T for a transition.
+    the parents' number of components (in `at` it is the slice's), and the child's means
+    (rows, runs, d), all at the point `at`. There is one row for the prior, T for a transition.
     """
     states = plan.layout.state_places
     mean, cov = at.start(states)

@@ -2,8 +2,8 @@
 
 Given a flat prior a belief is the limit of N(μ, P + κ O Oᵀ) as κ grows; the columns of O are the
 directions of which nothing is known yet, the *open* ones. A measurement z = H x + e, e ~ N(0, R),
-of d components has an innovation ν = z − Hμ of covariance S + κ U Uᵀ, with S = H P Hᵀ + R and U = H
-O. With a matrix C of d − rank U rows, combinations of the components for which C U = 0,
+of d components has an innovation ν = z − Hμ of covariance S + κ U Uᵀ, with S = H P Hᵀ + R and
+U = H O. With a matrix C of d − rank U rows, combinations of the components for which C U = 0,
 
     νᵀ (S + κ U Uᵀ)⁻¹ ν  →  (Cν)ᵀ (C S Cᵀ)⁻¹ Cν
 

@@ -40,9 +40,9 @@ from pgm.progress import counted
 class Windows:
     """What each window of a chain has found at its newest step, (T+1, runs, ...).
 
-    `newest` are the beliefs over each step given the measurements up to it, `log_evidence` (T+1,
-    runs) is that of these measurements; `plain` says whether float64 had digits enough for all
-    windows.
+    `newest` are the beliefs over each step given the measurements up to it, `log_evidence`
+    (T+1, runs) is that of these measurements; `plain` says whether float64 had digits enough for
+    all windows.
     """
 
     newest: Beliefs

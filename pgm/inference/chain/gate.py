@@ -80,9 +80,10 @@ def decide(
     """Gate the measurements of a step; returns them with rejected ones masked out.
 
     `parts` are the readings, one a sensor, `seen` the same as linearised, in the same order, which
-    the result has, too. The predicted belief has a mean (n, *batch) and a covariance (n, n,
-    *batch); where a flat prior leaves anything unknown, `diffuse` is the covariance instead, with
-    the runs first. The readings and the plan's sensors are masked, too, and the decisions recorded.
+    the result has, too. The predicted belief has a mean (n, *batch) and a covariance
+    (n, n, *batch); where a flat prior leaves anything unknown, `diffuse` is the covariance instead,
+    with the runs first. The readings and the plan's sensors are masked, too, and the decisions
+    recorded.
     """
     return [
         part_seen
