@@ -96,8 +96,9 @@ class Later(NamedTuple):
 class Back(NamedTuple):
     """The gain G of Bayes' rule, by which a smoothed belief follows from the next slice's.
 
-    `gain` is (runs, n, n); `lost` (runs, 1, 1) marks the runs in which the belief was found so,
-    since P − P N P would have left fewer digits.
+    `gain` is (runs, n, n), with rows of the slice and columns of the next; `lost` (runs, 1, 1)
+    marks the runs in which the smoothed belief was found by it, since P − P N P would have left
+    fewer digits.
     """
 
     gain: Twofold
@@ -125,7 +126,7 @@ class CarefulSmoothed:
 
     `slices` has one entry a step, given all measurements, or those up to a lag after the step.
     `beliefs` are their moments in float64. `proper` (T+1, runs, n, n) are finite covariances, along
-    the directions that are known, for the case that `beliefs` has infinite variances; else None.
+    the directions that are known, if `beliefs` has infinite variances at any step; else None.
     """
 
     careful: Careful
@@ -186,7 +187,8 @@ class CarefulSmoothed:
     def pairs(self) -> Array:
         """The covariances of the pairs (states at t − 1, slice at t), t = 1..T.
 
-        They are (T, runs, m, m), m being the number of states' components plus n.
+        They are (T, runs, m, m), m being the number of the states' components plus n, the slice's.
+        Row t − 1 is of step t.
         """
         states, front = self.layout.state_places, self.layout.state_size
         found = [

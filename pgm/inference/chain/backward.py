@@ -35,7 +35,7 @@ def transition(plan: ChainPlan) -> Conditional:
     """The slice at t given the states at t − 1, all CPDs as one affine conditional: (T, runs, ...).
 
     Row t − 1 is of step t; the matrix has a row for each component of the slice, and a column for
-    each of the states.
+    each component of the states.
     """
     if plan.layout.single:
         family = plan.transition[0].family
@@ -154,7 +154,7 @@ class Reverse:
         return compose_conditionals(self.states, Conditional(*(part[:-1] for part in self.slices)))
 
     def moved(self, mean: Array, states: Index) -> Reverse:
-        """The same chain with other offsets, such that its smoothed means are `mean`.
+        """The same chain with its offsets changed, such that its smoothed means are `mean`.
 
         `mean` is (T+1, runs, n); `states` are the places of the states in a slice.
         """

@@ -70,8 +70,8 @@ class BalancedPosterior(ChainPosterior):
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its hidden variables, unnormalised.
 
-        Its integral is the density of the measurements that its messages know: of all after
-        smoothing, of those up to the end of its segment after filtering.
+        Its integral is the density of measurements: of all after smoothing, of those up to the
+        cluster's step, or the end of its segment, after filtering.
 
         Raises
         ------

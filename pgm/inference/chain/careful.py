@@ -227,7 +227,7 @@ class CarefulUpdate:
         return Point(self.mean[None], self.cov[None], None, self.spread.cov[None])
 
     def at(self, mean: Array) -> CarefulUpdate:
-        """The same update with its mean moved to (runs, n), as step control may keep it."""
+        """The same update with `mean` (runs, n) as its mean, as step control may keep it."""
         if np.array_equal(mean, self.mean):
             return self
         return replace(self, mean=mean, belief=self.belief.shifted(mean - self.mean))

@@ -202,8 +202,9 @@ class _Record:
 class Beginning(NamedTuple):
     """The belief (runs, n) at a window's first step, given the measurements up to there.
 
-    `careful` is the same belief in twice the digits, where it was found so: in float64 it may do
-    for a window, and yet have too few digits for a later one that is solved in twice the digits.
+    `mean` is (runs, n), `cov` (runs, n, n). `careful` is the same belief in twice the digits, if it
+    was found so, else None: in float64 a belief may do for a window, and yet have too few digits
+    for a later window that is solved in twice the digits.
     """
 
     mean: Array
@@ -212,7 +213,7 @@ class Beginning(NamedTuple):
 
     @property
     def plain(self) -> bool:
-        """Whether float64 has digits enough for it."""
+        """Whether float64 has digits enough for the belief."""
         return self.careful is None or certificate.is_ordinary(self.mean, self.cov)
 
     def over(self, runs: int) -> Beginning:

@@ -23,8 +23,8 @@ from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner,
 class Innovations(Shown, NoArray):
     """The innovations of one sensor, one row a sighting, in the order of the evidence.
 
-    Where measurements were linearised several times they are those of the last linearisation,
-    z − (F x⁻ + b), at the predicted mean x⁻; not z − h(x⁻).
+    Where measurements z were linearised several times, the innovations are those of the last
+    linearisation F x + b, z − (F x⁻ + b), at the predicted mean x⁻; not z − h(x⁻).
 
     Attributes
     ----------
