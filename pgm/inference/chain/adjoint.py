@@ -1,8 +1,9 @@
 """The backward pass in twice the digits: a smoother that inverts no covariance of states.
 
-The forward pass (`careful`) takes in scalar measurements z = h x + n one by one, each with a gain
+The forward pass (`careful`) takes in scalar measurements z = h x + e one by one, each with a gain
 G, an innovation v = z − h m and its variance S. The backward pass begins with r = 0 and N = 0
-behind the last step, and goes back through each scalar and through each transition A:
+behind the last step, and goes back through each scalar and through each transition A (from a slice
+x to the next, A x and noise):
 
     r ← (1 − G h)ᵀ r + hᵀv/S,    N ← (1 − G h)ᵀ N (1 − G h) + hᵀh/S;    r ← Aᵀ r,    N ← Aᵀ N A.
 
@@ -53,8 +54,8 @@ class Later(NamedTuple):
 
     `vector` has the columns [r R] (runs, n, 1 + q) of r + R δ; `matrix` is N (runs, n, n). As in a
     `Belief`, `rounding` B (runs, n, n) bounds the rounding error E of N, −B ≤ E ≤ B, and `drift`
-    (runs, n, n) is taken for the covariance of that of r. `blurred` (runs,) is the largest share of
-    an innovation variance S, over all these measurements, that may be rounding.
+    (runs, n, n) is taken for the covariance of the rounding error of r. `blurred` (runs,) is the
+    largest share of an innovation variance S, over the later measurements, that may be rounding.
     """
 
     vector: Twofold
@@ -64,9 +65,10 @@ class Later(NamedTuple):
     blurred: Array
 
     def before(self, components: list[Component]) -> Later:
-        """The message carried back over a step's scalar measurements, to its predicted belief.
+        """The message to a step's predicted belief, from this one to its belief after measurements.
 
-        `components` are in the order in which they were taken in.
+        It then knows the step's own measurements, too. They are `components`, in the order in which
+        the forward pass took them in.
         """
         vector, matrix, rounding, drift, blurred = self
         for row, keep, innovation, weight, error, blur, moved in reversed(components):
@@ -83,7 +85,7 @@ class Later(NamedTuple):
         return Later(vector, matrix, rounding, drift, blurred)
 
     def back(self, matrix: Twofold) -> Later:
-        """The message carried back through a transition A = `matrix`: Aᵀ r and Aᵀ N A."""
+        """The message Aᵀ r, Aᵀ N A to the slice before; A = `matrix` is the transition from it."""
         slope, said = matrix.hi.mT, self.matrix
         rounding = through(slope, self.rounding) + rounded(slope, said.hi)
         drift = through(slope, self.drift)
@@ -94,8 +96,9 @@ class Later(NamedTuple):
 class Back(NamedTuple):
     """The gain G of Bayes' rule, by which a smoothed belief follows from the next slice's.
 
-    `gain` is (runs, n, n); `lost` (runs, 1, 1) marks the runs in which the belief was found so,
-    since P − P N P would have left fewer digits.
+    `gain` is (runs, n, n), with rows of the slice and columns of the next; `lost` (runs, 1, 1)
+    marks the runs in which the smoothed belief was found by it, since P − P N P would have left
+    fewer digits.
     """
 
     gain: Twofold
@@ -105,9 +108,9 @@ class Back(NamedTuple):
 class Smooth(NamedTuple):
     """The belief over the slice at `step`, given the measurements up to some last step.
 
-    `here` is the message of the measurements from `step` on, its own among them, up to the last.
-    `back` has the gains of Bayes' rule, None where no run needed it. `parts` (runs, n) are the
-    shares of the variances that may be rounding.
+    `here` is the message of the measurements from `step` on, its own among them, up to the last:
+    one to the predicted belief. `back` has the gains of Bayes' rule, None where no run needed it.
+    `parts` (runs, n) are the shares of the belief's variances that may be rounding.
     """
 
     step: int
@@ -123,7 +126,7 @@ class CarefulSmoothed:
 
     `slices` has one entry a step, given all measurements, or those up to a lag after the step.
     `beliefs` are their moments in float64. `proper` (T+1, runs, n, n) are finite covariances, along
-    the directions that are known, for the case that `beliefs` has infinite variances; else None.
+    the directions that are known, if `beliefs` has infinite variances at any step; else None.
     """
 
     careful: Careful
@@ -134,10 +137,11 @@ class CarefulSmoothed:
 
     @classmethod
     def of(cls, plan: ChainPlan, careful: Careful, lag: int | None = None) -> CarefulSmoothed:
-        """Smooth a forward pass; with a `lag`, each slice given the measurements up to a lag later.
+        """Smooth a forward pass; each slice is given the measurements up to `lag` steps later.
 
-        A moment that is not finite is refused with a NumericalError; the infinite variances that a
-        flat prior leaves are no such moments.
+        None for `lag` means all measurements. `careful` is the forward pass over all steps of
+        `plan`. A moment that is not finite is refused with a NumericalError; the infinite variances
+        that a flat prior leaves are no such moments.
         """
         shape = careful.forward.mean.shape
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
@@ -176,14 +180,15 @@ class CarefulSmoothed:
 
     @cached_property
     def point(self) -> Point:
-        """The smoothed moments of slices, and of pairs where CPDs need these, to linearise at."""
+        """The smoothed moments to linearise at: of slices, and of pairs unless `layout.single`."""
         pairs = None if self.layout.single else self.pairs()
         return Point(self.beliefs.mean, self.beliefs.cov, pairs, self.proper)
 
     def pairs(self) -> Array:
         """The covariances of the pairs (states at t − 1, slice at t), t = 1..T.
 
-        They are (T, runs, m, m), m being the number of states' components plus n.
+        They are (T, runs, m, m), m being the number of the states' components plus n, the slice's.
+        Row t − 1 is of step t.
         """
         states, front = self.layout.state_places, self.layout.state_size
         found = [
@@ -196,7 +201,7 @@ class CarefulSmoothed:
         return block(np.array(found), wanted, wanted) if found else np.zeros(shape)
 
     def at(self, plan: ChainPlan, mean: Array) -> CarefulSmoothed:
-        """The same covariances with other means (T+1, runs, n), as step control may keep them."""
+        """The same result with `mean` (T+1, runs, n) as its means, as step control may keep it."""
         shift = mean - self.beliefs.mean
         slices = [
             each._replace(belief=each.belief.shifted(own))
@@ -238,9 +243,9 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
 def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Array, Array]:
     """The joint mean (runs, k n) and covariance (runs, k n, k n) of the slices at k `steps`.
 
-    The steps ascend. `slices`, as `smoothed` finds them, begin at `steps[0]` or before; all know
-    the measurements up to the step of the last of them. A component that is still unknown, given a
-    flat prior, has an infinite variance and no covariance with others.
+    The steps ascend. `slices` are those of consecutive steps, as `smoothed` finds them, from
+    `steps[0]` or before to `steps[-1]` or later, given the measurements up to the last of these.
+    Where a flat prior leaves a component unknown, it has an infinite variance and no covariances.
     """
     last = slices[-1].step
     begin, known = slices[0].step, careful.steps[last].taken.unknown
@@ -265,11 +270,12 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
 def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> dict[int, Twofold]:
     """Cross-covariances of slice s with slice `second`, (runs, n, n), by s = `first`..second − 1.
 
-    They know the measurements up to the last of `slices`; the part that δ adds is not in them. With
-    P the filtered covariance at s, and Φ the product of the A and 1 − G h that carry the error
-    there to the prediction at `second`, of covariance P⁻, they are P Φᵀ (1 − N P⁻), N being the
-    message of the measurements from `second` on. A slice that Bayes' rule found from the next one
-    has the cross-covariance of that one, times its gain.
+    Rows are of slice s, columns of `second`. Both slices know the measurements up to the last of
+    `slices`; the part that δ adds is not in the cross-covariances. With P the filtered covariance
+    at s, and Φ the product of the A and 1 − G h that carry the error there to the prediction at
+    `second`, of covariance P⁻, they are P Φᵀ (1 − N P⁻), N being the message of the measurements
+    from `second` on. In runs in which Bayes' rule found slice s, its gain G times the
+    cross-covariance of slice s + 1 takes their place.
     """
     begin = slices[0].step
     move, predicted, _ = careful.steps[second]
@@ -294,8 +300,9 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
 def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
     """The belief m + P r, P − P N P over a slice, from its filtered belief and the later message.
 
-    The second result are the shares of its variances that may be rounding, (runs, n). The belief's
-    own bounds of rounding are found, too.
+    `later` is the message to the belief after the slice's measurements. The second result are the
+    shares of the smoothed variances that may be rounding, (runs, n). The smoothed belief has its
+    own bounds of rounding, too.
     """
     columns, cov, own, drift, largest = known
     left = _symmetric(cov - cov @ later.matrix @ cov)

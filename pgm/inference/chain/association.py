@@ -41,8 +41,9 @@ from pgm.variables import Variable
 class Associated(NamedTuple):
     """Evidence without open sightings, and what was decided about those that were open.
 
-    In `bound` the parent has the value of the likeliest candidate; of a spurious or new sighting no
-    component counts as measured. `found` has the probabilities of all candidates, by sensor.
+    In `bound` the parent that was unknown has the value of the candidate chosen for the sighting;
+    of a spurious or new sighting no component counts as measured. `found` has the probabilities of
+    all candidates, by the sensor's variable.
     """
 
     bound: BoundEvidence
@@ -55,8 +56,9 @@ def associated(
 ) -> Associated:
     """Associate the open sightings of all steps by a filter that linearises each CPD once.
 
-    `gate` is the filter's (see `gate.py`), for all sightings that are taken in; None for no gate.
-    An EvidenceError refuses a prior of infinite variance, and sightings that are to be summed out.
+    `gate` is the filter's (see `gate.py`), for all sightings that are taken in, those with a chosen
+    candidate among them; None for no gate. An EvidenceError refuses a prior of infinite variance,
+    and sensors whose `association` is "sum".
     """
     known = replace(bound, readings=tuple(r for r in bound.readings if r.unknown is None))
     plan = ChainPlan.make(graph, known, lineariser)
@@ -90,8 +92,9 @@ def associated_at(
 ) -> Associated:
     """Associate the open sightings of one step, at its predicted `belief`.
 
-    `bound` has the measurements of that step alone, as its step 0; `step` is its number in the
-    chain, for CPDs that depend on time and for messages.
+    `bound` has the measurements of that step alone, as its step 0; `step` is the step's number in
+    the chain, for CPDs that depend on time and for the texts of errors. `gate` and the refusal of
+    sensors whose `association` is "sum" are those of `associated`.
     """
     pending = [_Pending(reading, gate) for reading in bound.readings if reading.unknown is not None]
     known = tuple(reading for reading in bound.readings if reading.unknown is None)
@@ -119,7 +122,8 @@ class _Pending:
     `probability`, `values` and `taken` have one array for each sighting associated so far, in the
     order of the reading: the probabilities (runs, k + 2) of the candidates, of spurious and of new;
     the value (runs, p) of the parent, of p components; and the mask (runs, d) of the sighting's d
-    components that were taken in.
+    components that were taken in. The `reading` must have an `unknown`; an EvidenceError refuses
+    one whose `association` is "sum". `gate` is that of the filter, None for no gate.
     """
 
     def __init__(self, reading: Reading, gate: Asked | None) -> None:
@@ -139,7 +143,7 @@ class _Pending:
         self.taken = list[Array]()
 
     def rows(self, step: int) -> range:
-        """The rows of the sightings of a step."""
+        """The rows of the reading that are sightings of a step, a range that may be empty."""
         first, last = np.searchsorted(self.reading.step, [step, step + 1]).tolist()
         return range(first, last)
 
@@ -154,11 +158,13 @@ class _Pending:
     ) -> Moments:
         """Choose a candidate for each sighting of a step at a belief; the belief given them.
 
-        `rows` are these sightings. The probability of candidate k is ∝ w_k N(ν_k; 0, S_k), zero
-        outside the candidates' gate, that of a spurious and of a new sighting ∝ its declared
-        density. Where all of these are zero the sighting is spurious. The likeliest is chosen for
-        each, or, if the sensor's `association` is joint, for all together.
-        Spurious and new sightings are not taken in. The lists of the class grow by these rows.
+        `rows` are the sightings' rows in the reading, all of the sensor at `step`, and `belief`
+        knows the measurements taken in before. The probability of candidate k
+        is ∝ w_k N(ν_k; 0, S_k), zero outside the candidates' gate, that of a spurious and of a new
+        sighting ∝ its declared density. Where all k + 2 are zero the sighting is spurious. The
+        likeliest is chosen for each, or, if the sensor's `association` is "joint", for all
+        together. Spurious and new sightings are not taken in. The lists of the class grow by an
+        entry for each row. Refusals are those of `_innovations` and `_jointly`.
         """
         runs, unknown = bound.runs, self.unknown
         pairs = _innovations(
@@ -189,10 +195,11 @@ class _Pending:
     def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
         """Decide about a step's sightings together: log-probabilities, 0 of the choice, else −∞.
 
-        `terms` (sightings, runs, k + 2) are the logarithms of what each probability is proportional
-        to, −∞ outside the gate; `cov` is P (runs, n, n). A sighting without a candidate is taken as
-        spurious or new, as is likelier. A search of too many hypotheses is refused with an
-        EvidenceError.
+        `terms` (sightings, runs, k + 2), of which the result has the shape, are the logarithms of
+        what each probability is proportional to, −∞ outside the gate, in the order of
+        `probability`; `cov` is P (runs, n, n). The candidates must have a gate. A sighting without
+        a candidate is taken as spurious or new, as is likelier. A search of too many hypotheses is
+        refused with an EvidenceError.
         """
         assert self.unknown.gate is not None
         compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
@@ -219,8 +226,8 @@ class _Pending:
     def _expanded(self, rows: range, runs: int) -> Reading:
         """Each pair of a sighting and a candidate as one run, which has that sighting at step 0.
 
-        There are len(rows) · runs · candidates of them, the candidates fastest; the candidate is
-        the value of the parent.
+        There are len(rows) · runs · candidates of them in this order, the candidates fastest; the
+        parent has the candidate as its value. `rows` are rows of the reading.
         """
         reading, candidates = self.reading, self.unknown.candidates
         count, shape = len(candidates), (len(rows), runs, len(candidates))
@@ -245,7 +252,10 @@ class _Pending:
         )
 
     def part(self, rows: range) -> Reading:
-        """Some sightings with the candidates chosen for them, as evidence of a single step 0."""
+        """The sightings at some rows with the candidates chosen for them, as evidence of a step 0.
+
+        They have to be associated already.
+        """
         chosen = slice(rows.start, rows.stop)
         return replace(
             self.reading,
@@ -262,7 +272,10 @@ class _Pending:
 
     @property
     def closed(self) -> Reading:
-        """All sightings, with the candidates chosen for them as values of the parent."""
+        """All sightings at their steps, with the candidates chosen for them as the parent's values.
+
+        They have to be associated already.
+        """
         whole = self.part(range(len(self.reading.step))) if self.values else self.reading
         inputs = whole.inputs
         if not self.values:
@@ -282,8 +295,8 @@ def _taken(
 ) -> Moments:
     """The belief given `readings`, measurements of its step, gated where `gate` says so.
 
-    Each reading has its sightings at a step 0, whatever the step; `step` is its number in the
-    chain.
+    Each reading has its sightings at a step 0, whatever the step; `step` is the step's number in
+    the chain. Of `bound` only the runs are used.
     """
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
@@ -294,9 +307,9 @@ def _taken(
 class _Pairs(NamedTuple):
     """The innovation ν of each sighting with each candidate, (rows, runs, candidates, ...).
 
-    `density` is ln N(ν; 0, S), `square` νᵀS⁻¹ν, `size` the number of components measured. `matrix`
-    is H (..., d, n) over the slice, `residual` ν (..., d), `noise` R (..., d, d); a missing
-    component has H = 0, ν = 0 and unit variance.
+    Rows are the sightings, and n is the slice's number of components. `density` is ln N(ν; 0, S),
+    `square` νᵀS⁻¹ν, `size` the number of components measured. `matrix` is H (..., d, n), `residual`
+    ν (..., d), `noise` R (..., d, d); a missing component has H = 0, ν = 0 and unit variance.
     """
 
     density: Array
@@ -318,8 +331,9 @@ def _innovations(
 ) -> _Pairs:
     """The innovations of each sighting with each candidate, linearised at the belief of its run.
 
-    `reading` has each pair as a run of its own, as `_expanded` lays out a number of `rows`. An S
-    that is singular, indefinite or not finite is refused with a NumericalError.
+    `reading` has each pair as a run of its own, as `_expanded` lays out a number of `rows`;
+    `belief` has the runs of `bound`, of which nothing else is used. An S that is singular,
+    indefinite or not finite is refused with a NumericalError.
     """
     every = reading.values.shape[1]
     one = BoundEvidence(0, (every,), (), (reading,))

@@ -35,7 +35,7 @@ def transition(plan: ChainPlan) -> Conditional:
     """The slice at t given the states at t − 1, all CPDs as one affine conditional: (T, runs, ...).
 
     Row t − 1 is of step t; the matrix has a row for each component of the slice, and a column for
-    each of the states.
+    each component of the states.
     """
     if plan.layout.single:
         family = plan.transition[0].family
@@ -126,7 +126,8 @@ class Reverse:
     def make(cls, plan: ChainPlan, forward: Ahead, *, smooth: bool = False) -> Reverse:
         """Reverse the transitions of a plan by Bayes' rule, many steps at once.
 
-        With `smooth` the smoothed `beliefs` are found too, if machine code does both in one pass.
+        With `smooth` the smoothed `beliefs` are found too, if machine code does both in one pass;
+        else they stay None.
         """
         places = plan.layout.state_places
         moved = transition(plan)
@@ -153,7 +154,7 @@ class Reverse:
         return compose_conditionals(self.states, Conditional(*(part[:-1] for part in self.slices)))
 
     def moved(self, mean: Array, states: Index) -> Reverse:
-        """The same chain with other offsets, such that its smoothed means are `mean`.
+        """The same chain with its offsets changed, such that its smoothed means are `mean`.
 
         `mean` is (T+1, runs, n); `states` are the places of the states in a slice.
         """
@@ -166,9 +167,9 @@ class Reverse:
         return Reverse(Conditional(matrix, offset, cov), slices)
 
     def back(self, step: int, belief: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Smoothed mean and covariance of the slice at a step, from `belief`, those one step later.
+        """Smoothed mean (runs, n) and covariance (runs, n, n) of the slice at a step.
 
-        They are (runs, n) and (runs, n, n).
+        `belief` are the smoothed mean and covariance one step later.
         """
         mean, cov = moments.push(*belief, Conditional(*(part[step] for part in self.states)))
         if self.slices is not None:
@@ -230,7 +231,10 @@ class Beliefs:
 
 
 def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
-    """Smoothed moments of every slice: by a scan, or step by step where that is faster."""
+    """Smoothed moments of every slice: by a scan, or step by step where that is faster.
+
+    Where `reverse` has them already, these are returned.
+    """
     if reverse.beliefs is not None:
         return reverse.beliefs
     stepwise = stepwise_is_faster(*forward.mean.shape[:2])
@@ -293,7 +297,8 @@ def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
 def pairs(beliefs: Beliefs, reverse: Reverse, steps: slice | int) -> Beliefs:
     """Smoothed moments of the pairs (states at t − 1, slice at t), from those of the slices.
 
-    `steps` picks values of t − 1, from 0 to T − 1.
+    `steps` picks values of t − 1, from 0 to T − 1. Moments are (steps, runs, ...) for a slice of
+    them, and (runs, ...) for an int.
     """
     conditional = Conditional(*(part[steps] for part in reverse.states))
     slice_mean, slice_cov = beliefs.mean[1:][steps], beliefs.cov[1:][steps]

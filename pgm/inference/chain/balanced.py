@@ -29,8 +29,8 @@ class BalancedPosterior(ChainPosterior):
     """The beliefs of a balanced cluster tree after a schedule of messages.
 
     All is as on a chain of slices but the messages and the beliefs of clusters. After smoothing
-    they are those of calibration. After filtering a message down to a segment knows only the
-    measurements up to its left end, and cluster 0 is sent none.
+    messages and beliefs are those of a calibrated tree. After filtering a message down to a segment
+    knows only the measurements up to the segment's left end, and cluster 0 is sent no message.
     """
 
     graph: BalancedGraph
@@ -70,8 +70,8 @@ class BalancedPosterior(ChainPosterior):
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its hidden variables, unnormalised.
 
-        Its integral is the density of the measurements that its messages know: of all after
-        smoothing, of those up to the end of its segment after filtering.
+        Its integral is the density of measurements: of all after smoothing, of those up to the
+        cluster's step, or the end of its segment, after filtering.
 
         Raises
         ------
@@ -107,9 +107,10 @@ class BalancedPosterior(ChainPosterior):
         return CanonicalForm._make(form.scope, K, h, form.g)
 
     def _future(self, step: int) -> Canonical:
-        """The likelihood of the measurements after a step over its states, in canonical form.
+        """The likelihood of the measurements after a step, a canonical form over the states there.
 
-        It is one (all zeros) unless the posterior is smoothed.
+        Parts K, h and g are (runs, m, m), (runs, m) and (runs,) for m components. The likelihood is
+        one (all zeros) unless the posterior is smoothed.
         """
         if self.kind == SMOOTHED:
             K, h, g = self._backward_messages
@@ -121,8 +122,9 @@ class BalancedPosterior(ChainPosterior):
     def _segment(self, first: int, last: int) -> Canonical:
         """The message up from a segment, p(y, measurements after a up to b | x), in canonical form.
 
-        x and y are the states at a = `first` and b = `last`. It is composed about their filtered
-        means, where its numbers are small, and then moved to the origin.
+        x and y are the states at a = `first` and b = `last`; the form is over x, then y. It is
+        composed about their filtered means, where its numbers are small, and then moved to the
+        origin.
         """
         whole = _composed(self._leaves(first, last))
         precision, h, g = (part[0] for part in canonical.from_affine(*whole[:3]))

@@ -1,7 +1,7 @@
 """The forward pass in twice the digits, where standard deviations lie too far apart for float64.
 
 Numbers are pairs of float64 (`Twofold`). The measurements of a step are decorrelated to scalars
-z = h x + n, n ~ N(0, r), which are taken in one by one:
+z = h x + e, e ~ N(0, r), which are taken in one by one:
 
     S = h P hᵀ + r,   G = P hᵀ/S,   v = z − h m,
     m ← m + G v,   P ← (1 − G h) P (1 − G h)ᵀ + G r Gᵀ.
@@ -91,7 +91,7 @@ class Begin(NamedTuple):
     A window is a run of consecutive steps of a longer chain, with a plan of its own
     (`ChainPlan.window`), which then lacks the prior and the measurements of its first step.
     `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S over all measurements that the belief
-    knows.
+    knows: [v V] is the row of one scalar's innovation, S its variance.
     """
 
     belief: Belief
@@ -107,11 +107,12 @@ def sweep(
 ) -> tuple[Careful, Status]:
     """The forward pass over all steps of a plan, and the status of its linearisations.
 
-    With a schedule each CPD is linearised at its incoming belief, and the plan keeps that; without
-    one the plan's linearisations are used, and `gated` are the gates that decide, if any. `anchor`
-    holds all slices near a point, for step control. `begin` takes the prior's place in the plan of
-    a window. Beliefs that are not finite or indefinite, and measurements that contradict what is
-    certain, are refused with a NumericalError.
+    With a schedule each CPD is linearised at its incoming belief, the plan keeps that, and the
+    schedule's gates decide; `anchor` and `gated` are then not used. Without one the plan's
+    linearisations are used; `gated` are the gates that decide, and `anchor` holds all slices near a
+    point, for step control; None for none. `begin` takes the prior's place in the plan of a window.
+    Beliefs that are indefinite or not finite, and measurements that contradict what is certain, are
+    refused with a NumericalError.
     """
     out = Forward.empty(plan)
     steps: list[Step] = []
@@ -162,7 +163,12 @@ def sweep(
 
 
 def predict(plan: ChainPlan, step: int, known: Belief) -> Belief:
-    """The belief of an online filter predicted to `step`, by the only transition of the plan."""
+    """The belief of an online filter predicted to `step`, by the only transition of the plan.
+
+    `known` is the belief after the measurements of the step before, without δ (q = 0); `step` is
+    the number in the chain, for the texts of errors. A belief that is indefinite or not finite is
+    refused with a NumericalError.
+    """
     found = predicted(known, moving(plan, 1, *known.moments))
     refusals.belief(plan, step, found[:2])
     return found
@@ -173,8 +179,9 @@ def update(
 ) -> tuple[Belief, IteratedUpdate[CarefulUpdate], Sequence[Reading]]:
     """The belief of an online filter given the measurements of its step, the only ones of the plan.
 
-    `step` is its number in the chain. Returns the belief, the iterated update that led to it, and
-    the readings as linearised last.
+    `step` is its number in the chain, and `known` the belief predicted to it, without δ (q = 0).
+    Returns the belief, the iterated update that led to it, and the readings as linearised last.
+    What `sweep` refuses is refused.
     """
     nothing = Twofold.zeros((plan.runs, 1, 1))
     mean, spread = rounded_belief(known, solved(nothing))
@@ -220,7 +227,7 @@ class CarefulUpdate:
         return Point(self.mean[None], self.cov[None], None, self.spread.cov[None])
 
     def at(self, mean: Array) -> CarefulUpdate:
-        """The same update with its mean moved to (runs, n), as step control may keep it."""
+        """The same update with `mean` (runs, n) as its mean, as step control may keep it."""
         if np.array_equal(mean, self.mean):
             return self
         return replace(self, mean=mean, belief=self.belief.shifted(mean - self.mean))
@@ -229,8 +236,8 @@ class CarefulUpdate:
 class CarefulReading(UpdateProblem[CarefulUpdate]):
     """The measurements of a step as an iterated update of a belief in twice the digits.
 
-    `belief` is the predicted one; `information` that of the earlier measurements about δ, as in
-    `Begin`.
+    `belief` is the predicted one; `information` is Σ [v V]ᵀ[v V] / S over the measurements of the
+    steps before, as in `Begin`.
     """
 
     belief: Belief
@@ -252,8 +259,9 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         """The update of a predicted belief by the measurements at `step`, a row of the plan.
 
         `mean` (runs, n) and `spread` are the moments of `belief` in float64, δ being estimated from
-        `information`. Without a schedule the plan's linearisations are used, and `gated` are the
-        gates. The gates decide here.
+        `information`. With a schedule its gates decide, and `gated` is not used; without one the
+        plan's linearisations are used, and the gates `gated` decide, None for none. All decisions
+        are made in this call.
         """
         chain, at = MomentChain(plan, schedule, gated=gated), Moments.of(plan, mean, spread.shown)
         parts = chain.readings(step)
@@ -284,9 +292,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
         """The belief given the measurements as they are linearised at present.
 
-        Those of an anchor follow, of all components of the slice; they are no evidence. An
-        indefinite predictive covariance, a log-density that is not finite, and a measurement that
-        contradicts what is certain are refused with a NumericalError.
+        An anchor's measurements of all components of the slice are taken in after them, and are no
+        evidence; None for no anchor. An indefinite predictive covariance, a log-density that is not
+        finite, and a measurement that contradicts what is certain are refused with a
+        NumericalError.
         """
         belief, information, parts = self.belief, self.information, self.measured
         runs, size = belief.largest.shape
@@ -330,7 +339,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
 
 
 def prior_mean(plan: ChainPlan) -> Array:
-    """The prior means of the states' m components, (runs, m); a flat one has its declared mean."""
+    """The prior means of the states' m components, (runs, m); a flat one has its declared mean.
+
+    Nonlinear CPDs of the prior are linearised in the plan, or refused, as `start` has it.
+    """
     states = plan.layout.state_places
     if not is_flat(plan):
         return MomentChain(plan, ONCE).start().by_run[0][:, states]
@@ -341,7 +353,7 @@ def start(plan: ChainPlan, *, linearise: bool) -> Belief:
     """The belief over the slice at step 0 before its measurements; controls there are zero.
 
     With `linearise` the nonlinear CPDs of the prior are linearised in the plan; beside a flat prior
-    they are refused with a LinearisationError.
+    they are refused with a LinearisationError. Without it the plan's linearisations are used.
     """
     nonlinear = next((link.family for link in plan.prior if not link.family.exact), None)
     if linearise and nonlinear is not None:
@@ -429,7 +441,11 @@ def _regular(noise: Array, flat: Mask) -> Twofold:
 
 
 def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
-    """The transition to a step, linearised at the belief before it, (runs, n) and (runs, n, n)."""
+    """The transition to a step, linearised at the belief over the slice before.
+
+    `step` counts from the plan's first, which is 0; `mean` is (runs, n), `cov` (runs, n, n). Where
+    its variances are infinite, see `proper`.
+    """
     if not all(link.family.exact for link in plan.transition):
         for link in plan.transition:
             cov = proper(link.family, step, cov)
@@ -440,8 +456,9 @@ def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
 def proper(family: Family, step: int, cov: Array) -> Array:
     """A covariance that a CPD can be linearised at: with zeros for infinite entries, if need be.
 
-    Taylor's formula does not look at them. For a lineariser that does, a LinearisationError refuses
-    them.
+    `cov` is over the slice or the parents. A linear CPD has it back as it is. Taylor's formula does
+    not look at infinite entries. For a lineariser that does, a LinearisationError refuses them,
+    whose text names the `step`.
     """
     improper = ~np.isfinite(cov)
     if family.exact or not improper.any():

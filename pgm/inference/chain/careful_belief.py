@@ -84,7 +84,7 @@ class Belief(NamedTuple):
 
     @property
     def moments(self) -> tuple[Array, Array]:
-        """Mean (runs, n) and covariance (runs, n, n) in float64 of a belief without δ."""
+        """Mean (runs, n) and covariance (runs, n, n) in float64; the belief must have q = 0."""
         return moments(self, solved(Twofold.zeros((len(self.largest), 1, 1))))
 
     @property
@@ -152,8 +152,8 @@ def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
 def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
     """The columns [m D] (..., n, 1 + q), with zeros where entries of D are only rounding.
 
-    That is, where one is below 10⁻²⁶ of the absolute values of its summands; these are the entries
-    of the arrays `summed`, of the same shape.
+    An entry of D is, if it is below 10⁻²⁶ of the sum of its summands' absolute values. Each array
+    of `summed`, (..., n, 1 + q), has one summand of every entry, or the absolute values of several.
     """
     if columns.shape[-1] == 1:
         return columns
@@ -172,16 +172,18 @@ def diagonal(values: Array) -> Array:
 def rounded(matrix: Array, cov: Array, noise: Array | None = None) -> Array:
     """A diagonal bound of the error that rounding makes in F P Fᵀ or F P Fᵀ + noise, (..., d, d).
 
-    F is `matrix` (..., d, n), P is `cov`; the product is in twice the digits.
+    F is `matrix` (..., d, n), P is `cov` (..., n, n), `noise` is (..., d, d); None for no noise.
+    The product whose error is bounded is in twice the digits.
     """
     summed = _summed(matrix, cov)
     return diagonal(ROUNDING * (summed if noise is None else summed + np.abs(variances(noise))))
 
 
 def through(matrix: Array, bound: Array) -> Array:
-    """The bound F B Fᵀ of the error of F P Fᵀ, or of F m, from a bound B of that of P, or of m.
+    """The bound F B Fᵀ of the error of F P Fᵀ (or F m), from a bound B of the error of P (or m).
 
-    Its own rounding in float64 is added on the diagonal, so that it does not vanish by cancelling.
+    F is `matrix` (..., d, n), B is `bound` (..., n, n). The rounding of F B Fᵀ itself, in float64,
+    is added on the diagonal, so that it does not vanish by cancelling.
     """
     return sandwich(matrix, bound) + diagonal(_LAST_DIGIT * _summed(matrix, bound))
 
@@ -194,10 +196,10 @@ def _summed(matrix: Array, cov: Array) -> Array:
 
 
 class Move(NamedTuple):
-    """An affine conditional A x + b + C δ + n of a slice given the one before.
+    """An affine conditional A x + b + C δ + e of a slice given the slice before, x.
 
-    `matrix` A is (..., n, n), `offset` b (..., n), `cov` that of n (..., n, n). `columns` C is
-    (..., n, q), with q = 0 but for a flat prior.
+    `matrix` A is (..., n, n), `offset` b (..., n), `cov` the covariance of the noise e (..., n, n).
+    `columns` C is (..., n, q), with q = 0 but for a flat prior.
     """
 
     matrix: Twofold
@@ -206,7 +208,7 @@ class Move(NamedTuple):
     columns: Twofold
 
     def at(self, row: int) -> Move:
-        """The transition at one row."""
+        """The conditional at one row of the first axis, without that axis."""
         return Move(*(part[row] for part in self))
 
 
@@ -231,9 +233,9 @@ def predicted(belief: Belief, move: Move) -> Belief:
 class Solved(NamedTuple):
     """The estimate of δ from measurements: `weights` [1 δ] (runs, 1 + q, 1), and its covariance.
 
-    `cov` is (runs, q, q). Along directions of which nothing is known both are zero, and `open`
-    (runs, q, q) has these as columns, with zeros in the others. `log_weight` (runs,) is added to
-    the measurements' log-density at δ = 0 to integrate δ out.
+    `cov` is (runs, q, q). Along directions of which nothing is known the estimate and `cov` are
+    zero. `open` (runs, q, q) has these directions as columns, and its other columns are zero.
+    `log_weight` (runs,) is added to the measurements' log-density at δ = 0 to integrate δ out.
     """
 
     weights: Twofold
@@ -295,7 +297,7 @@ def rounded_belief(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
 
 
 class Component(NamedTuple):
-    """A scalar measurement z = h x + n that was taken in, with gain G and predictive variance S.
+    """A scalar measurement z = h x + e that was taken in, with gain G and predictive variance S.
 
     `row` is h (runs, n), `keep` 1 − G h (runs, n, n), `innovation` [v V] (runs, 1 + q), `weight`
     1/S (runs,); G and 1/S are zero where nothing was learnt. Rounding may be the share `error`
@@ -314,7 +316,7 @@ class Component(NamedTuple):
 def take(
     belief: Belief, row: Twofold, value: Twofold, noise: Twofold, seen: Mask
 ) -> tuple[Belief, Component, Array, bool]:
-    """Condition a belief on one scalar measurement z = h x + n, n ~ N(0, r), of each run.
+    """Condition a belief on one scalar measurement z = h x + e, e ~ N(0, r), of each run.
 
     `row` is h (runs, n), `value` z and `noise` r (runs,); `seen` (runs,) marks the runs that have
     the measurement. An h P hᵀ that may be rounding alone counts as zero; where S is then zero,
@@ -376,12 +378,13 @@ def take(
 
 
 def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twofold, Twofold, Mask]:
-    """The measurements of a step as D scalars z = h x + n with independent errors.
+    """The measurements of a step as D scalars z = h x + e with independent errors e.
 
-    Returns the rows [h z] (runs, D, n + 1), their variances (runs, D), and the mask (runs, D) of
-    those that were measured; others are zero. `width` is n, h is over the slice, and z less the
-    CPD's offset. With a noise covariance R = U diag(r) Uᵀ that has correlations, rows are
-    multiplied by U⁻¹.
+    Returns the rows [h z] (runs, D, n + 1), the errors' variances (runs, D), and the mask (runs, D)
+    of the scalars that were measured; rows of the rest are zero. `parts` has an entry a sensor.
+    `width` is n, h is over the slice, and z is less the CPD's offset. With a noise covariance
+    R = U diag(r) Uᵀ that has correlations, U being unit lower triangular, rows are multiplied by
+    U⁻¹.
     """
     height = sum(len(seen.value) for seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))

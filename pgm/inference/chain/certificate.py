@@ -5,11 +5,11 @@ summands by a factor κ, it keeps a relative accuracy of κ ε only. Three diffe
 filter and smoother can cancel so, and each has its ratio κ:
 
 - A belief's covariance P, before and after measurements. Component i, given the components before
-  it, has the variance L_ii² (P = L Lᵀ), and κ = P_ii / L_ii². This is large where two components
-  are almost the same.
-- A measurement's reduction of a variance, P − K S Kᵀ. Per component κ = P_ii before the
-  measurements over P_ii after them, or after the smoother's later ones. A variance that falls to
-  exactly zero loses nothing.
+  it, has the variance L_ii² (P = L Lᵀ, L lower triangular), and κ = P_ii / L_ii². This is large
+  where two components are almost the same.
+- A measurement's reduction of a variance, P − G S Gᵀ with its gain G. Per component κ = P_ii
+  before the measurements of a step over P_ii after them, or after a smoother's later ones, too. A
+  variance that falls to exactly zero loses nothing.
 - An innovation's covariance S = H P Hᵀ + R where the sensor has no noise. The part that the
   readings before it leave open is its pivot L_jj² (S = L Lᵀ), and κ = (Σ_i |h_i| σ_i)² / L_jj².
 
@@ -73,8 +73,9 @@ def is_ordinary(mean: Array, cov: Array, share: float = _TOLD) -> bool:
 def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits.
 
-    `smoothed` is (T+1, runs, n, n), or None after a filter; the plan is as it was linearised for
-    the pass. Of a `Filtered` only means, and what its `Watch` has seen, are judged.
+    `smoothed` are the smoothed covariances (T+1, runs, n, n), or None after a filter; the plan is
+    as it was linearised for the pass. Of a `Filtered` only the means and its `closest`, which a
+    `Watch` has seen, are judged.
     """
     with np.errstate(all="ignore"):  # a ratio of what is not finite is no moderate one
         if swept.far and _means_sink(swept, both=smoothed is not None):
@@ -95,9 +96,9 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
 def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
     """Whether segments of a chain with these covariances compose without a loss of digits.
 
-    They are the predicted and the filtered ones, (T+1, runs, n, n). No measurement leaves less than
-    1 / `limit` of a variance, and each component keeps over 1 / `limit` of its variance given those
-    before it.
+    `predicted` and `known` are the covariances before and after measurements, (T+1, runs, n, n). It
+    is so if no measurement leaves less than 1 / `limit` of a variance, and each component keeps
+    over 1 / `limit` of its variance, given the components before it in the vector.
     """
     with np.errstate(all="ignore"):
         stands = _hold(predicted, known, limit)
@@ -123,7 +124,7 @@ def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
 def _is_regular(cov: Array, limit: float) -> bool:
     """Whether each component keeps over 1 / `limit` of its variance given those before it.
 
-    Of all covariances (T+1, runs, n, n).
+    `cov` are covariances (T+1, runs, n, n); it must be so in all of them.
     """
     size = cov.shape[-1]
     last = np.moveaxis(cov, (-2, -1), (0, 1)).reshape(size, size, -1)
@@ -146,9 +147,9 @@ def _hold(before: Array, after: Array, limit: float) -> bool:
 def _told_apart(plan: ChainPlan, swept: Forward) -> bool:
     """Whether innovations of sensors with singular noise keep enough digits of their variances.
 
-    The variance of component j given those before it, its pivot L_jj² in H P Hᵀ + R = L Lᵀ, may be
-    `MODERATE` times smaller than (Σ_i |H_ji| σ_i)² + R_jj, which bounds the summands of the
-    differences that it is found from.
+    The variance of component j given those before it, its pivot L_jj² in H P Hᵀ + R = L Lᵀ with a
+    lower triangle L, may be `MODERATE` times smaller than (Σ_i |H_ji| σ_i)² + R_jj, which bounds
+    the summands of the differences that it is found from.
     """
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:

@@ -51,7 +51,8 @@ def error(plan: ChainPlan, swept: Forward | Filtered) -> Array | None:
     plan : ChainPlan
         As it was linearised for the pass.
     swept : Forward or Filtered
-        The forward pass, of which another one is made where not all of it is known.
+        The forward pass. Of a `Filtered` its `whole` is used, a second pass, where the answer
+        depends on it.
     """
     times = largest(families(plan))
     if not times:
@@ -87,11 +88,12 @@ def of_step(
     """The `error` (runs,) after a step of an online filter, from the decimal digits left before it.
 
     `before` and `after` are the beliefs that the step went from and to. `digits` (*runs) is −log₁₀
-    of the error before, None as long as none were lost. A step predicts or updates: ρ is the one or
-    the other of its two factors. Slopes are not at hand: the share of the step is taken to be
-    ε c |m| / σ of the component that is farthest from zero in any run, and none if no rule has
-    weights that cancel. A further share (runs,) is that of the means' last `place`, 0 where that
-    need not be told. None where the error is at most 10⁻⁹ in all runs.
+    of the error before, None as long as none were lost. A step predicts, if `plan` has a
+    transition, or else updates: ρ is the first or the second of its two factors. Slopes are not at
+    hand: the share of the step is taken to be ε c |m| / σ of the component that is farthest from
+    zero in any run, and none if no rule has weights that cancel. `place` (runs,) is a further
+    share, which `last_places.of_step` finds from the last digits of the means; the float 0.0 where
+    these need not be told. None where the error is at most 10⁻⁹ in all runs.
     """
     times = largest(families(plan))
     if not times and digits is None and isinstance(place, float):
@@ -170,7 +172,7 @@ def _predictions(plan: ChainPlan, ahead: Forward) -> Array:
 def _rounding(family: Family, times: float, mean: Array) -> Array:
     """The rounding e (rows, runs, d) of a linearised value, at means (rows, runs, n) of parents.
 
-    `times` is c, the rule's `cancellation`.
+    n is the parents' number of components; `times` is c, the rule's `cancellation`.
     """
     matrix = family.matrix
     value = apply(matrix, mean) + family.offset
@@ -181,8 +183,9 @@ def _rounding(family: Family, times: float, mean: Array) -> Array:
 def _of_reading(moved: Array, family: Family, cov: Array, noise: Array) -> Array:
     """The squared shares of measurements, e²/R · HPHᵀ/(HPHᵀ + R), (rows, runs, d).
 
-    `moved` is e (rows, runs, d), `cov` P of the parents before, `noise` the variances R. A
-    component without noise leaves no variance to count in, and HPHᵀ takes the place of R.
+    `moved` is e (rows, runs, d), `cov` P (rows, runs, n, n) of the parents, of n components, before
+    the measurement, and `noise` the variances R (rows, runs, d). A component without noise leaves
+    no variance to count in, and HPHᵀ takes the place of R.
     """
     known = np.maximum(variances(sandwich(family.matrix, cov)), 0.0)
     floor = np.where(noise > 0.0, noise, known)
@@ -208,7 +211,10 @@ def carried(ahead: Forward, added: Array, old: Array | float = 1.0) -> Array:
 
 
 def ratio(part: Array, whole: Array, most: float = 1.0) -> Array:
-    """The largest `part` / `whole` of variances (..., n), `most` at most; 0 where `whole` is 0."""
+    """The largest `part` / `whole` of variances (..., n), as (...), and never above `most`.
+
+    The quotient is 0 where `whole` is 0, and 1 where `part` is infinite.
+    """
     found = np.where(whole > 0.0, part / np.where(whole > 0.0, whole, 1.0), 0.0)
     found = np.where(np.isfinite(part), found, 1.0)  # of what a flat prior leaves unknown
     stays: Array = np.asarray(np.minimum(found.max(axis=-1, initial=0.0), most))

@@ -36,7 +36,8 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
     """The cost of the trajectory of means `at.mean` (T+1, runs, n), (runs,).
 
     Linearisers that take expectations over a belief take them with the covariances of `at`. Where a
-    belief `plan.begin` takes the prior's place, the first slice has its cost under that.
+    belief `plan.begin` takes the prior's place, the first slice has its cost under that. A noise
+    that is indefinite is refused with a NumericalError.
     """
     total = np.zeros(plan.runs)
     if plan.begin is not None:
@@ -59,8 +60,9 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
 def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Array]]:
     """The links of prior and transition, each with the moments of its parents and its child's mean.
 
-    Yields the link, the parents' means (rows, runs, n) and covariances (rows, runs, n, n), and the
-    child's means (rows, runs, d): one row of the prior, T of a transition.
+    Yields the link, its parents' means (rows, runs, n) and covariances (rows, runs, n, n), n being
+    the parents' number of components (in `at` it is the slice's), and the child's means
+    (rows, runs, d), all at the point `at`. There is one row for the prior, T for a transition.
     """
     states = plan.layout.state_places
     mean, cov = at.start(states)
@@ -78,7 +80,8 @@ def _robust(sensor: Sensor, mean: Array, cov: Array) -> Array:
     """Twice the losses of a robust sensor's measurements, 2 Σ ρ(s), (runs,).
 
     s is the square of the residual in standard deviations of the noise, at the means (M, runs, n)
-    of the measurements' slices; with a lineariser that takes expectations, E[s] under the beliefs.
+    of the slices of the M measurements; with a lineariser that takes expectations it is the
+    expected square under beliefs of these means and covariances `cov` (M, runs, n, n).
     """
     family, parents, everything = sensor.family, sensor.parents, slice(None)
     if not mean.shape[0]:
@@ -95,7 +98,8 @@ def _robust(sensor: Sensor, mean: Array, cov: Array) -> Array:
 def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
     """The cost Σ rᵀ R⁺ r of a sensor's measurements `rows`, (runs,), at beliefs over their slices.
 
-    These are (k, runs, n) and (k, runs, n, n), one for each row; missing components do not count.
+    `mean` (k, runs, n) and `cov` (k, runs, n, n) are those of the slices of the k `rows`. Missing
+    components do not count.
     """
     family, parents = sensor.family, sensor.parents
     if not mean.shape[0]:
@@ -137,9 +141,9 @@ def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
 def weighted(family: Family, residual: Array, cov: Array) -> Array:
     """The sum of rᵀ C⁺ r over the first axis, (runs,), for residuals r of covariances C.
 
-    They are (k, runs, d) and (k, runs, d, d). Components of infinite variance, and those that
-    earlier ones determine, do not count. An indefinite C is refused with a NumericalError that
-    names the CPD.
+    `residual` is (k, runs, d), `cov` are the C, (k, runs, d, d). Components of infinite variance,
+    and those that earlier ones determine, do not count. An indefinite C is refused with a
+    NumericalError that names the CPD.
     """
     total = squares(residual, cov)
     if total is None:
@@ -155,7 +159,8 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
 def squares(residual: Array, cov: Array) -> Array | None:
     """The sum of rᵀ C⁺ r of `weighted`, (runs,).
 
-    None where a covariance is indefinite or, but for infinite variances, not finite.
+    None, where `weighted` refuses: if any covariance is indefinite or, but for infinite variances,
+    not finite.
     """
     flat = np.isinf(np.einsum("...ii->...i", cov))
     if flat.any():
@@ -174,8 +179,9 @@ def require_cost(
 ) -> None:
     """Refuse nonlinear CPDs of singular noise if steps are controlled by their cost.
 
-    It would be infinite nearly everywhere; the refusal is a ModelError. `first` says that the first
-    linearisation is a filter's, so that a schedule of one iteration has no step to control.
+    Their cost would be infinite nearly everywhere; the refusal is a ModelError. Other schedules and
+    families pass. `first` says that the first linearisation is a filter's, so that a schedule of
+    one iteration has no step to control.
     """
     once = first and schedule.iterations == 1
     if once or not isinstance(schedule.damping, LevenbergMarquardt):
@@ -200,7 +206,8 @@ def _square(family: Family, mean: Array, expected: Array) -> Array:
 def _expected(family: Family, rows: slice, mean: Array, cov: Array) -> Array:
     """E[f(X)] of a CPD at some rows, for its parents X ~ N(mean, cov), by its lineariser.
 
-    NaN where f is not defined.
+    `mean` is (rows, runs, n), `cov` (rows, runs, n, n), n being the parents' number of components;
+    the result is (rows, runs, d), NaN where f is not defined.
     """
     if family.exact:
         return family.value(rows, mean)

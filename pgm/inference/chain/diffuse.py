@@ -1,16 +1,15 @@
 """Diffuse beliefs: some directions have infinite variance; measurements inform along the others.
 
 Given a flat prior a belief is the limit of N(μ, P + κ O Oᵀ) as κ grows; the columns of O are the
-directions of which nothing is known yet, the *open* ones. A measurement z = H x + n has an
-innovation ν = z − Hμ of covariance S + κ U Uᵀ, with S = H P Hᵀ + R and U = H O. With combinations N
-of components, N U = 0 and d − rank U rows,
+directions of which nothing is known yet, the *open* ones. A measurement z = H x + e, e ~ N(0, R),
+of d components has an innovation ν = z − Hμ of covariance S + κ U Uᵀ, with S = H P Hᵀ + R and
+U = H O. With a matrix C of d − rank U rows, combinations of the components for which C U = 0,
 
-    νᵀ (S + κ U Uᵀ)⁻¹ ν  →  (Nν)ᵀ (N S Nᵀ)⁻¹ Nν
+    νᵀ (S + κ U Uᵀ)⁻¹ ν  →  (Cν)ᵀ (C S Cᵀ)⁻¹ Cν
 
-as κ → ∞, of as many degrees of freedom as N has rows (Koopman,
-Exact initial Kalman filtering and smoothing for nonstationary time series models, 1997; Durbin &
-Koopman, 2012, 5.2 and 7.2). A component is unknown where its row of U is not zero; of two that are,
-a difference may be known.
+as κ → ∞, of as many degrees of freedom as C has rows (Koopman, Exact initial Kalman filtering and
+smoothing for nonstationary time series models, 1997; Durbin & Koopman, 2012, 5.2 and 7.2). A
+component is unknown where its row of U is not zero; of two that are, a difference may be known.
 """
 
 from __future__ import annotations
@@ -42,8 +41,9 @@ _EXACT = 1e-8
 class Diffuse(NamedTuple):
     """The covariances of beliefs P + κ O Oᵀ, in the limit of an infinite κ.
 
-    `cov` P is (..., n, n), `open` O (..., n, q), zero where all is known. `size` (..., n, q) are
-    the summands of O in absolute values, of which a share of 10⁻¹³ may be rounding.
+    `cov` P is (..., n, n), `open` O (..., n, q), zero where all is known. O was found as sums:
+    `size` (..., n, q) are the sums of its summands' absolute values, of which a share of 10⁻¹³ may
+    be rounding.
     """
 
     cov: Array
@@ -89,12 +89,12 @@ class Diffuse(NamedTuple):
     def innovations(
         self, matrix: Array, residual: Array, noise: Array
     ) -> tuple[Array, Array, Integers]:
-        """The innovations (..., d) of measurements z = H x + n, their covariances, and rank U.
+        """The innovations (..., d) of measurements z = H x + e, their covariances, and rank U.
 
-        `matrix` is H (..., d, n), `residual` ν = z − Hμ, `noise` R (..., d, d). Where U = H O is
-        zero they are ν and S. Else they are Nν and N S Nᵀ, with zeros of unit variance in place of
-        the rank U (...) combinations that are unknown: νᵀS⁻¹ν is then that of d − rank U
-        components.
+        `matrix` is H (..., d, n), `residual` ν = z − Hμ (..., d), `noise` R (..., d, d). Where
+        U = H O is zero the innovations are ν, and their covariances (..., d, d) are S. Else they
+        are Cν and C S Cᵀ, with a zero of unit variance in place of each of the rank U (...)
+        combinations that are unknown, so that their square νᵀS⁻¹ν is that of d − rank U components.
         """
         reach = self.reach(matrix)
         lead = reach.shape[:-2]
@@ -110,7 +110,7 @@ class Diffuse(NamedTuple):
             for part in (matrix, noise, self.cov)
         )
         turn, known = _combined(reach[lost], noise)
-        # N H comes before P, which may be large along what is unknown.
+        # C H comes before P, which may be large along what is unknown.
         turned = sandwich(turn @ matrix, cov) + sandwich(turn, noise)
         residual[lost] = np.where(known, apply(turn, residual[lost]), 0.0)
         spread[lost] = independent(turned, known)
@@ -119,12 +119,14 @@ class Diffuse(NamedTuple):
 
 
 def _combined(reach: Array, noise: Array) -> tuple[Array, Mask]:
-    """Combinations N (k, d, d) of the components of k measurements, and the mask (k, d) of N U = 0.
+    """Combinations C (k, d, d) of k measurements' components, and their mask (k, d): C U = 0.
 
-    They come from the elimination of U, `reach` (k, d, q), by rows in units of the standard
-    deviations of their noise (k, d, d). The component that depends most on an unknown direction is
-    the pivot, whose row of N is masked out; it is subtracted from the others by factors of one at
-    the most, so that precise components are not lost among imprecise ones.
+    Row i of C is a combination of the d components; the mask is true where it depends on no unknown
+    direction. C comes from the elimination of U, `reach` (k, d, q), by rows in units of the
+    standard deviations of the components' `noise` (k, d, d). The component that depends most on an
+    unknown direction is the pivot, whose row of C is masked out; multiples of it, by factors of one
+    at the most, are subtracted from the components that are not yet masked out, so that precise
+    components are not lost among imprecise ones.
     """
     own, largest = variances(noise), np.abs(reach).max(axis=-1)
     exact = _EXACT * np.where(largest > 0.0, largest, 1.0)

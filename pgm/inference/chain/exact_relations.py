@@ -38,8 +38,8 @@ class Relation(NamedTuple):
     """Noise-free relations C x[t] + B x[t − 1] = c of one CPD at k steps.
 
     `step` t is (k,), `own` C and `before` B (k, runs, d, n) over the n components of a slice,
-    `value` c (k, runs, d). There is a row for each component of the child; it is zero if the
-    component has noise that those before it do not determine.
+    `value` c (k, runs, d). There is a row for each of the d components of the child; it is zero if
+    the component has noise that the components before it do not determine.
     """
 
     step: Integers
@@ -50,7 +50,8 @@ class Relation(NamedTuple):
     def missed(self, mean: Array) -> tuple[Array, Array]:
         """The residuals c − C x[t] − B x[t − 1], (k, runs, d), at a trajectory (T+1, runs, n).
 
-        Second are the sums of the absolute values of their summands.
+        The second result, of the same shape, has the sums of the absolute values of the residuals'
+        summands.
         """
         here, earlier = mean[self.step], mean[self.step - 1]
         left = self.value - apply(self.own, here) - apply(self.before, earlier)
@@ -59,11 +60,12 @@ class Relation(NamedTuple):
 
 
 def projected(plan: ChainPlan, mean: Array, std: Array) -> tuple[Array, Mask]:
-    """The trajectories nearest to means (T+1, runs, n) that obey all relations, and which do.
+    """The trajectories nearest to means (T+1, runs, n) that obey all relations, and which runs do.
 
-    Runs that obey already stay. A component's moves are measured in its largest standard deviation,
-    of `std` (T+1, runs, n), or, where that may be rounding, in its largest number, at least one.
-    The mask (runs,) is false where rounding has left a relation missed.
+    Runs that obey already stay. A component's moves are measured in its largest standard deviation
+    of all steps, from `std` (T+1, runs, n), or, where that may be rounding, in its largest absolute
+    mean or in 1, whichever is larger. The mask (runs,) is false where rounding has left a relation
+    missed.
     """
     relations = list(_relations(plan))
     obeyed = _obeyed(relations, mean)
@@ -95,8 +97,8 @@ def _obeyed(relations: list[Relation], mean: Array) -> Mask:
 def _equations(relations: list[Relation], mean: Array, unit: Array, weight: float) -> Tridiagonal:
     """The normal equations of the moves ξ that minimise |ξ|² + w Σ |residual|², (T+1, runs, n).
 
-    ξ is in `unit` (runs, n), w the `weight`; each row of a relation is scaled to unit length in
-    these units. `mean` is the trajectory that moves.
+    ξ is in units of `unit` (runs, n), w is `weight`; each row of a relation is scaled to unit
+    length in these units. `mean` (T+1, runs, n) is the trajectory that moves by ξ.
     """
     steps, runs, size = mean.shape
     diagonal = np.zeros((steps, runs, size, size)) + np.eye(size)
@@ -122,7 +124,8 @@ def _equations(relations: list[Relation], mean: Array, unit: Array, weight: floa
 def _relations(plan: ChainPlan) -> Iterator[Relation]:
     """The relations of all linear CPDs and measurements with singular noise.
 
-    With noise covariance L Lᵀ a child y of parents p obeys (I − L L⁺) (y − F p − b) = 0.
+    With noise covariance L Lᵀ, L lower triangular, a child y = F p + b + noise of parents p obeys
+    (I − L L⁺) (y − F p − b) = 0.
     """
     layout = plan.layout
     states, front, size = layout.state_places, layout.state_size, layout.slice_size
@@ -153,6 +156,7 @@ def _relations(plan: ChainPlan) -> Iterator[Relation]:
 def _left_open(family: Family, noise: Array) -> Array | None:
     """I − L L⁺ (..., d, d) for a noise covariance L Lᵀ, with zero rows where L has a pivot.
 
+    L is the lower triangle, with zeros on the diagonal in components that those before determine.
     None if the covariance is regular, or the CPD nonlinear.
     """
     lower = roots.root(noise)

@@ -22,9 +22,10 @@ from pgm.kernels.arrays import Array, Index, Mask, block, quiet
 class FamilyBelief(NamedTuple):
     """The joint belief (rows, runs, n) of a CPD's hidden parents and, if hidden, its child.
 
-    The n components are the parents', then the child's; `cov` is (rows, runs, n, n). `values`
-    (rows, runs or 1, d) are the measurements of a sensor, None of another CPD; `taken` is the mask
-    of the components measured, None for all.
+    The n components are the hidden parents', then a hidden child's; the child of a sensor is not
+    hidden. `mean` is (rows, runs, n), `cov` (rows, runs, n, n). `values` (rows, runs or 1, d) are
+    the measurements of a sensor, None for another CPD; `taken`, a mask of the same shape, marks the
+    components that were measured, None for all.
     """
 
     family: Family
@@ -61,7 +62,10 @@ def family_beliefs(posterior: ChainPosterior) -> dict[CPD, FamilyBelief]:
 
 
 def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
-    """The belief of a family, whose components are the places `chosen` of a vector of moments."""
+    """The belief of a family, whose components stand at the places `chosen` in `moments`.
+
+    It has no measurements.
+    """
     mean, cov = moments.mean[..., chosen], block(moments.cov, chosen, chosen)
     return FamilyBelief(family, mean, cov, None, None)
 

@@ -40,8 +40,9 @@ from pgm.progress import counted
 class Windows:
     """What each window of a chain has found at its newest step, (T+1, runs, ...).
 
-    `newest` are the beliefs, `log_evidence` (T+1, runs) is that of the measurements up to the step;
-    `plain` says whether float64 had digits enough for all windows.
+    `newest` are the beliefs over each step given the measurements up to it, `log_evidence`
+    (T+1, runs) is that of these measurements; `plain` says whether float64 had digits enough for
+    all windows.
     """
 
     newest: Beliefs
@@ -74,7 +75,11 @@ def slides(plan: ChainPlan, schedule: FixedLag) -> bool:
 
 
 def smooth(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
-    """The beliefs with one linearisation, that of the filter, in float64; and its status."""
+    """The beliefs with one linearisation, that of the filter, in float64; and their status.
+
+    `plan` is over all steps, and keeps the linearisation. The status is converged only if the model
+    is exact (`ChainPlan.exact`).
+    """
     ahead, _ = forward.run(plan, schedule.first)
     reverse = Reverse.make(plan, ahead)
     found = Lagged(ahead, backward.lagged(ahead, reverse, schedule.lag), reverse)
@@ -82,7 +87,7 @@ def smooth(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 
 def carefully(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
-    """The beliefs with one linearisation, that of the filter, in twice the digits; its status."""
+    """`smooth` in twice the digits: the beliefs with one linearisation, and their status."""
     swept, _ = careful.sweep(plan, schedule.first)
     made = CarefulSmoothed.of(plan, swept, schedule.lag)
     found = Lagged(swept.forward, made.beliefs, careful=swept, error=made.error)
@@ -90,9 +95,10 @@ def carefully(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 
 def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
-    """The beliefs by a window that slides along the chain and is iterated at each step; its status.
+    """The beliefs by a window that slides along the chain, iterated at each step; and their status.
 
-    The plan keeps the last linearisation of each CPD.
+    The plan keeps the last linearisation of each CPD. Step control by a cost that would be infinite
+    is refused with a ModelError (`require_cost`).
     """
     if compiled.is_used(plan):
         plan.account.leave(WINDOWS)
@@ -119,7 +125,7 @@ class _Record:
     """The results that windows produce as they slide along a chain, collected by step.
 
     `left` (runs,) is the log-evidence of the measurements that the belief at the beginning of the
-    present window knows, zero as long as that is the prior.
+    present window knows, zero as long as windows begin with the prior.
     """
 
     def __init__(self, plan: ChainPlan) -> None:
@@ -136,17 +142,17 @@ class _Record:
         self.diffuse: Diffuse | None = None
 
     def leave(self, window: Window) -> None:
-        """Add to `left` the log-evidence of the measurements that the next window begins with.
+        """Add to `left` the log-evidence of measurements that the next window's first belief knows.
 
-        They are those of the first two steps of `window`, or of its second one, if it began with a
-        belief given those of its first.
+        They are those of the first two steps of `window`, or of its second step alone, if `window`
+        began with a belief that knew those of its first.
         """
         self.left = self.left + window.ahead.log_density[:2].sum(axis=0)
 
     def keep(self, first: int, window: Window) -> None:
         """Copy a window's beliefs to the record, from step `first`; overlapping steps are replaced.
 
-        The log-evidence up to its last step is that of left steps plus the window's.
+        The log-evidence up to the window's last step is `left` plus that of the window.
         """
         out, ahead, beliefs = self.forward, window.ahead, window.beliefs
         begun, step = int(window.plan.begin is not None), first + window.plan.steps
@@ -168,7 +174,9 @@ class _Record:
     def _keep_open(self, new: slice, ahead: Forward, begun: int) -> None:
         """Keep the `Diffuse` covariances of the predictions at the steps `new`, if there are any.
 
-        They are those of a window's forward pass from row `begun` on.
+        `ahead` is the forward pass of a window, whose rows from `begun` on are these steps. Where
+        it has none, but a window before had, its `predicted_cov` is kept as one without open
+        directions.
         """
         if ahead.diffuse is not None and self.diffuse is None:
             shape, size = self.forward.mean.shape, ahead.diffuse.open.shape[-1]
@@ -194,8 +202,9 @@ class _Record:
 class Beginning(NamedTuple):
     """The belief (runs, n) at a window's first step, given the measurements up to there.
 
-    `careful` is the same belief in twice the digits, where it was found so: in float64 it may do
-    for a window, and yet have too few digits for a later one that is solved in twice the digits.
+    `mean` is (runs, n), `cov` (runs, n, n). `careful` is the same belief in twice the digits, if it
+    was found so, else None: in float64 a belief may do for a window, and yet have too few digits
+    for a later window that is solved in twice the digits.
     """
 
     mean: Array
@@ -204,16 +213,19 @@ class Beginning(NamedTuple):
 
     @property
     def plain(self) -> bool:
-        """Whether float64 has digits enough for it."""
+        """Whether float64 has digits enough for the belief."""
         return self.careful is None or certificate.is_ordinary(self.mean, self.cov)
 
     def over(self, runs: int) -> Beginning:
-        """The belief for several runs, copied where it has one."""
+        """The belief for a number of `runs`; that of one run is copied for each."""
         found: Beginning = self if len(self.mean) == runs else over(self, (), (runs,))
         return found
 
     def cut(self, plan: ChainPlan, first: int, last: int) -> ChainPlan:
-        """The plan of the steps first..last, which begins with this belief in place of a prior."""
+        """The plan of the steps first..last, which begins with this belief in place of a prior.
+
+        `plan` is that of the whole chain.
+        """
         begin = self.over(plan.runs)
         mean, cov, _ = Moments.of(plan, begin.mean, begin.cov)
         return plan.window(first, last, (mean, cov))
@@ -231,9 +243,9 @@ class Window:
     """A window after its last iteration: its forward pass `ahead`, and its smoothed `beliefs`.
 
     `moved` (steps, runs, n) is `beliefs.mean` less the means of the last solution, zero unless step
-    control held them back. `residuals` has for each relinearisation the largest distance of a mean
-    from where it was linearised, in standard deviations, (runs,); `converged` (runs,) marks the
-    runs that settled. `careful` is the solution in twice the digits, where float64 had too few.
+    control held the former back. `residuals` has for each relinearisation the largest distance of a
+    mean from where it was linearised, in standard deviations, (runs,); `converged` (runs,) marks
+    the runs that settled. `careful` is the solution in twice the digits, where float64 had too few.
     """
 
     plan: ChainPlan
@@ -245,9 +257,9 @@ class Window:
     careful: CarefulSmoothed | None
 
     def at(self, row: int) -> Beginning:
-        """The belief at a row given the measurements up to there, for another window to begin with.
+        """The filtered belief at a row, one step of the window, for another window to begin with.
 
-        Its mean is moved by `moved`, too.
+        Its mean is the forward pass's plus that row of `moved`.
         """
         mean, cov = self.ahead.mean[row] + self.moved[row], self.ahead.cov[row]
         if self.careful is None:
@@ -272,10 +284,11 @@ class SingleStep(NamedTuple):
 def filter_step(
     plan: ChainPlan, step: int, begin: Beginning | None, schedule: Filtering = ONCE
 ) -> SingleStep:
-    """Filter one step, its transition and its measurements, from `begin`, the belief before.
+    """Filter one step of a plan, its transition and its measurements, from `begin`.
 
-    Step 0, with None for `begin`, has the prior in place of a transition. It is filtered in twice
-    the digits where float64 has too few.
+    `begin` is the belief at the step before, given its measurements; None for step 0, which has the
+    prior in place of a transition. The step is filtered in twice the digits where float64 has too
+    few.
     """
     first = max(step - 1, 0)
     alone, begin = _cut(plan, first, step, begin)
@@ -297,8 +310,9 @@ def iterate_window(
 ) -> Window:
     """Smooth the window of the steps first..last, linearised again and again until it settles.
 
-    `begin` is the belief at its first step, None for the prior. All of its CPDs have been
-    linearised before. It is solved in twice the digits where float64 has too few.
+    `begin` is the belief at step `first`, given its measurements; None for the prior. `plan` is
+    over all steps, and must have each CPD of the window linearised already. The window is solved in
+    twice the digits where float64 has too few.
     """
     part, begin = _cut(plan, first, last, begin)
     if _is_plain(part, begin):
@@ -323,9 +337,9 @@ def iterate_window(
 def _cut(
     plan: ChainPlan, first: int, last: int, begin: Beginning | None
 ) -> tuple[ChainPlan, Beginning | None]:
-    """The plan of the steps first..last, and the belief it begins with, for each of its runs.
+    """The plan of the steps first..last, and the belief that it begins with, for each of its runs.
 
-    None stands for the prior.
+    None for `begin`, and then in the result, is the prior.
     """
     if begin is None:
         return plan.window(first, last), None
@@ -338,7 +352,10 @@ def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
 
 
 def _settled(chain: Chain[Either], schedule: FixedLag) -> Iterated[Either]:
-    """Smooth a window until it settles. A linear window is settled by its first solution."""
+    """Smooth a window, of which `chain` has the plan and the solver, until it settles.
+
+    A linear window is settled by its first solution.
+    """
     plan = chain.plan
     linear = all(family.settled for family in plan.families if family.step.size)
     nothing = np.full(plan.runs, linear)
@@ -348,7 +365,11 @@ def _settled(chain: Chain[Either], schedule: FixedLag) -> Iterated[Either]:
 def _window(
     plan: ChainPlan, ahead: Forward, found: Iterated[Either], careful: CarefulSmoothed | None
 ) -> Window:
-    """The solved window; step control may have moved its means off the solution's."""
+    """The window that `found` has solved, with the forward pass `ahead` of its last solution.
+
+    Step control may have moved its means off the solution's. `careful` is that solution in twice
+    the digits, None for one in float64.
+    """
     solved = found.solution
     beliefs, moved = Beliefs(found.mean, solved.beliefs.cov), found.mean - solved.means
     return Window(plan, ahead, beliefs, moved, found.residuals, found.converged, careful)

@@ -49,11 +49,12 @@ Arrays = tuple[Array, ...]
 class Forward:
     """The moments of a forward sweep, before and after measurements, (T+1, runs, ...).
 
-    Controls at step 0 are zero. `log_density` (T+1, runs) is ln p of each step's measurements given
-    those before. `closest` is that of the `Watch`, or zero without one. `far` says that a mean may
-    be 10⁸ standard deviations from zero, or that nothing has looked. `diffuse` has the covariances
-    before measurements along their known and their unknown directions, None unless a flat prior
-    leaves some unknown.
+    `predicted_mean` and `predicted_cov` are those before measurements. Controls at step 0 are zero.
+    `log_density` (T+1, runs) is ln p of each step's measurements given those of the steps before.
+    `closest` is that of the `Watch`, or zero without one. `far` says that a mean may be 10⁸
+    standard deviations from zero, or that nothing has looked. `diffuse` has the covariances before
+    measurements along their known and their unknown directions, None unless a flat prior leaves
+    some unknown.
     """
 
     predicted_mean: Array
@@ -77,20 +78,21 @@ class Forward:
 
     @property
     def known(self) -> Arrays:
-        """Moments after measurements, and their log-densities."""
+        """Means and covariances after measurements, and the measurements' log-densities."""
         return self.mean, self.cov, self.log_density
 
     @property
     def predicted(self) -> tuple[Array, Array]:
-        """Moments before measurements."""
+        """Means and covariances before measurements."""
         return self.predicted_mean, self.predicted_cov
 
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """The moments after measurements alone, as of `Forward`; a second sweep finds the others.
+    """The moments of a forward sweep after measurements alone; a second sweep finds the predicted.
 
-    `schedule` is that of the second sweep.
+    Fields are as of `Forward`. `plan` is the one that was swept, and `schedule` that of the second
+    sweep.
     """
 
     plan: ChainPlan
@@ -108,7 +110,7 @@ class Filtered:
 
 
 class Watch:
-    """How much of a variance a sweep leaves at the least, for `certificate.suffices`.
+    """An observer of a sweep: how much of a variance is left at the least, for `certificate`.
 
     `closest` is the smallest share of a variance so far that is left by the components before it in
     the vector, or by a *sharp* measurement. A measurement is *mild* if it is known to leave a
@@ -123,7 +125,7 @@ class Watch:
     def look(self, predicted: Array, known: Array, mild: bool, *, last: bool) -> None:
         """Look at the covariances (n, n, runs) of a step, before and after its measurements.
 
-        `mild` says that these were mild, `last` that it is the last step.
+        `mild` says that the measurements were mild, `last` that the step is the last.
         """
         spread = np.einsum("iir->ir", predicted)
         regular = mild and not (spread > _GROWN * self._level).any()
@@ -140,7 +142,7 @@ class Watch:
         self._step += 1
 
     def _see(self, share: float) -> None:
-        """Lower the running minimum to a share of variance."""
+        """Lower `closest` to a share of variance, if that is less."""
         self.closest = min(self.closest, share)
 
 
@@ -148,7 +150,8 @@ class _Record:
     """The arrays that a sweep fills, one row a step.
 
     `known` are means, covariances and log-densities after measurements, `predicted` means and
-    covariances before them, or empty. `watch` is there for a sweep that keeps no predictions.
+    covariances before them, all (T+1, runs, ...); `predicted` is empty for a sweep that keeps none,
+    at whose beliefs `watch` looks instead. `reached` counts the steps stored so far.
     """
 
     def __init__(self, plan: ChainPlan, known: Arrays, predicted: Arrays = ()) -> None:
@@ -186,7 +189,8 @@ class _Record:
     def refusing(self, schedule: Filtering | None) -> Iterator[None]:
         """A context for a sweep, after which its first step that is not finite is refused.
 
-        If the sweep fails, an earlier step that is not finite is refused instead; see `refuse`.
+        If the sweep fails, an earlier step that is not finite is refused instead; see `refuse`,
+        also for `schedule`.
         """
         retain()
         try:
@@ -199,15 +203,16 @@ class _Record:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all numbers are finite; of known covariances only the last, as NaN persists."""
+        """Whether all numbers are finite; of `cov` only the last row is tested, as NaN persists."""
         total = self.mean.sum() + self.cov[-1].sum() + self.log_density.sum()
         return bool(np.isfinite(total + sum(part.sum() for part in self.predicted)))
 
     def refuse(self, schedule: Filtering | None) -> None:
         """Raise the error of the first step that failed, or whose belief is not finite.
 
-        Later failures follow from it. The step is done again with all numbers checked, which finds
-        the CPD or sensor to blame; if the check passes, nothing is raised.
+        Later failures follow from it. The step is done again, with the `schedule` of the sweep
+        (None for the plan's linearisations) and all numbers checked, which finds the CPD or sensor
+        to blame; the error is the one that this raises. If the check passes, nothing is raised.
         """
         lost = np.zeros(self.reached, dtype=bool)
         for part in (self.mean, self.cov, self.log_density):
@@ -239,7 +244,8 @@ def stored(
 ) -> Forward:
     """The forward pass with the linearisations that the plan holds.
 
-    `anchor` holds all slices near a point, for step control; the gates `gated` decide anew.
+    `anchor` holds all slices near a point, for step control, None for none; the gates `gated`
+    decide anew, None for no new decisions.
     """
     out = Forward.empty(plan)
     if anchor is None and gated is None:
@@ -254,7 +260,7 @@ def stored(
 def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     """The forward pass, each CPD linearised at its incoming belief, and its status.
 
-    The plan keeps the linearisations.
+    The plan keeps the linearisations. What `require_cost` refuses raises a ModelError.
     """
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     out = Forward.empty(plan)
@@ -270,7 +276,8 @@ def filtered(
 ) -> tuple[Filtered, Status]:
     """The known beliefs of `run` alone, and its status; the plan keeps no linearisations.
 
-    `room` has arrays for means and covariances, (T+1, runs, ...).
+    `room` has the arrays for means (T+1, runs, n) and covariances (T+1, runs, n, n) that are
+    filled; None for new ones.
     """
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
@@ -293,8 +300,10 @@ def _swept(
 ) -> Swept:
     """Sweep into the arrays `known` and `predicted`, in machine code where that is due.
 
-    Runs that machine code gives up, and plans that it does not take, are swept by NumPy. Without a
-    schedule the plan's linearisations are used; `keep` has the plan keep new ones.
+    Runs that machine code gives up, and plans that it does not take, are swept by NumPy. `known`
+    has means, covariances and log-densities, `predicted` means and covariances, or nothing where
+    none are to be kept. Without a schedule the plan's linearisations are used; `keep` has the plan
+    keep new ones.
     """
     rest = known, predicted
     found = compiled.forward(plan, schedule, *rest, keep=keep)
@@ -351,7 +360,8 @@ def _stepwise(
 def _joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
     """Residuals of all runs, an array (`count`,) for each iteration, with those of `runs` put in.
 
-    The shorter of the two lists repeats its last array, or zeros if it has none.
+    `record` has an array (`count`,) an iteration, `part` one of the runs `runs` alone. The shorter
+    of the two lists repeats its last array, or zeros if it has none.
     """
     longest = max(len(record), len(part))
     found = [each.copy() for each in record + (record[-1:] or [np.zeros(count)]) * longest]

@@ -1,12 +1,12 @@
 r"""Gates: sightings too far from their prediction say nothing.
 
-At the predicted belief N(μ, P) of a step, a sighting z that is linearised as ẑ + H (x − μ) + n has
-the innovation ν = z − ẑ with covariance S = H P Hᵀ + R. It is rejected where νᵀS⁻¹ν exceeds the χ²
-quantile of the gate's probability, with as many degrees of freedom as components were measured
-(Bar-Shalom, Li & Kirubarajan, 2001, 5.4). A rejected sighting counts as not measured in that run,
-in this pass and in all later ones: the masks of the plan's sensors say so. Directions of which
-nothing is known yet, given a flat prior, are not judged, and are no degrees of freedom: see
-`diffuse`.
+At the predicted belief N(μ, P) of a step, a sighting z that is linearised as ẑ + H (x − μ) + e,
+e ~ N(0, R), has the innovation ν = z − ẑ with covariance S = H P Hᵀ + R. It is rejected where
+νᵀS⁻¹ν exceeds the χ² quantile of the gate's probability, with as many degrees of freedom as
+components were measured (Bar-Shalom, Li & Kirubarajan, 2001, 5.4). A rejected sighting counts as
+not measured in that run, in this pass and in all later ones: the masks of the plan's sensors say
+so. Directions of which nothing is known yet, given a flat prior, are not judged, and are no degrees
+of freedom: see `diffuse`.
 
 The gates that a user has `Asked` for are one probability for all sensors, or a mapping from gated
 sensors' variables to theirs.
@@ -49,7 +49,11 @@ def require_sensors(model: DynamicBayesianNetwork, gate: object) -> None:
 
 
 def prepare(plan: ChainPlan, gate: Asked | None) -> None:
-    """Give each sensor that has a gate a `GateRecord`, and a mask `taken` that gates write to."""
+    """Give each sensor that has a gate a `GateRecord`, and a mask `taken` that gates write to.
+
+    Sensors that have a record keep it; None for `gate` does nothing. A gate for a variable that is
+    no sensor is refused with an EvidenceError.
+    """
     if gate is None:
         return
     require_sensors(plan.layout.model, gate)
@@ -75,10 +79,11 @@ def decide(
 ) -> list[Measured]:
     """Gate the measurements of a step; returns them with rejected ones masked out.
 
-    `parts` are the sensors' readings, `seen` the same as linearised. The predicted belief has a
-    mean (n, *batch) and a covariance (n, n, *batch); where a flat prior leaves anything unknown,
-    `diffuse` is the covariance instead, with the runs first. The readings and the plan's sensors
-    are masked, too, and the decisions recorded.
+    `parts` are the readings, one a sensor, `seen` the same as linearised, in the same order, which
+    the result has, too. The predicted belief has a mean (n, *batch) and a covariance
+    (n, n, *batch); where a flat prior leaves anything unknown, `diffuse` is the covariance instead,
+    with the runs first. The readings and the plan's sensors are masked, too, and the decisions
+    recorded.
     """
     return [
         part_seen
@@ -141,8 +146,8 @@ def _decided(
 def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured | None:
     """Gate one sighting of one run, with one or two components, all measured: the usual case.
 
-    An accepted one is recorded, and returned. None where it may have to be rejected, has more
-    components, or S is nearly singular: then `_decided` goes on.
+    An accepted sighting is recorded, and returned as it is. None where it may have to be rejected,
+    has more components, or S is nearly singular: then `_decided` goes on.
     """
     sensor, record = part.sensor, part.sensor.gated
     if not sensor.whole:
@@ -183,7 +188,8 @@ _WELL = 1e-6
 def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:
     """νᵀS⁻¹ν of a sensor's `count` sightings, and their numbers of components, (count, *batch).
 
-    The predicted belief over the slice has a mean (n, *batch) and a covariance (n, n, *batch).
+    Components that were not measured are in neither, so that νᵀS⁻¹ν is 0 where none was. The
+    predicted belief over the slice has a mean (n, *batch) and a covariance (n, n, *batch).
     """
     sensor, height = seen.sensor, len(seen.value) // count
     if not sensor.whole:

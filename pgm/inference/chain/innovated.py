@@ -22,7 +22,7 @@ class Innovated(ABC):
     """Base of results that hold a forward pass; computes innovations and such when asked for.
 
     `_planned` is the plan as it stands, whose linearisations may not all be kept; `associations`
-    are those of sightings that left open what was seen, by sensor.
+    are the decisions about sightings that left open what was seen, by the sensor's variable.
     """
 
     _planned: ChainPlan
@@ -41,13 +41,13 @@ class Innovated(ABC):
     @cached_property
     @quiet()
     def innovations(self) -> Mapping[Variable, Innovations]:
-        """The innovations of each sensor with evidence."""
+        """The innovations of each sensor with evidence, by the sensor's variable."""
         plan, forward = self._plan, self._forward
         return BySensor({s.variable: innovations(plan, s, forward) for s in plan.sensors})
 
     @property
     def rejected(self) -> Mapping[Variable, Rejections]:
-        """The decisions of the schedule's gates, by sensor."""
+        """The decisions of the schedule's gates, by the variable of each sensor that has a gate."""
         plan = self._planned
         return RejectionsBySensor(
             {

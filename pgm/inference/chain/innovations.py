@@ -23,8 +23,8 @@ from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner,
 class Innovations(Shown, NoArray):
     """The innovations of one sensor, one row a sighting, in the order of the evidence.
 
-    Where measurements were linearised several times they are those of the last linearisation,
-    z − (F x⁻ + b), at the predicted mean x⁻; not z − h(x⁻).
+    Where measurements z were linearised several times, the innovations are those of the last
+    linearisation F x + b, z − (F x⁻ + b), at the predicted mean x⁻; not z − h(x⁻).
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Innovations(Shown, NoArray):
 
 
 class BySensor(EachSensor[Innovations]):
-    """The innovations of each sensor that was read."""
+    """A mapping of the variables of sensors to their innovations."""
 
     _what = "innovations"
 
@@ -89,7 +89,10 @@ class BySensor(EachSensor[Innovations]):
 
 
 def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovations:
-    """The innovations of a sensor, as it was linearised, at the predicted beliefs of a sweep."""
+    """The innovations of a sensor of a plan, as linearised, at the predicted beliefs of a sweep.
+
+    Their NIS and degrees of freedom are of this sensor alone.
+    """
     family, parents, lead = sensor.family, sensor.parents, plan.lead
     mean = forward.predicted_mean[family.step][..., parents]
     residual = sensor.moved - family.value(slice(None), mean)
@@ -147,8 +150,9 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
 def whitened(innovations: Innovations) -> Array:
     """The innovations of a sensor by step, each whitened by its own S = L Lᵀ: L⁻¹ν.
 
-    They are (steps, runs, k, d), k being the most sightings of a step, with zeros for what is
-    missing or rejected. Steps of zeros alone are left out.
+    L is lower triangular. The result is (steps, runs, k, d), k being the largest number of
+    sightings of a step, with zeros for what is missing or rejected. Steps at which all is zero are
+    left out.
     """
     shape = innovations.residual.shape
     runs = math.prod(shape[:-2])
@@ -170,8 +174,9 @@ def whitened(innovations: Innovations) -> Array:
 def autocorrelation(now: Array, later: Array) -> tuple[float, float]:
     """The correlation of whitened innovations with later ones, and its standard deviation if white.
 
-    Rows of `now` and `later`, (steps, runs, k, d), are pairs; both results are NaN if no pair of
-    sightings has been taken.
+    A step of `now` and the same row of `later`, both (steps, runs, k, d) as `whitened` gives them,
+    are a pair, and so are their sightings at the same place of k. Both results are NaN if there is
+    no pair of sightings that were both taken.
     """
     met = inner(now, now) * inner(later, later) > 0.0
     now, later = now[met], later[met]
