@@ -57,7 +57,7 @@ def forward(
 
 
 def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int = EVERY) -> None:
-    """Fill rows (steps, states, [runs]) with backward messages, last to first; the last is given.
+    """Fill rows (steps, states, [runs]) with backward messages, from the last row, which is given.
 
     Row t − 1 is the transposed transition into step t applied to weights × row t; after every
     `every` steps a row is scaled to mass one. Each of `applies`, that of the last step first, is a

@@ -84,7 +84,10 @@ def update(
 
 
 def joseph(cov: Array, gain: Array, matrix: Array, noise: Array) -> tuple[Array, Array]:
-    """The factor I − G H and the covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ, for any gain."""
+    """The factor I − G H and the covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ, for any gain G.
+
+    Both are (..., n, n); G is `gain` (..., n, d), H `matrix` (..., d, n), and P `cov`.
+    """
     keep = one_minus(multiply(gain, matrix))
     return keep, make_symmetric(sandwich(keep, cov) + sandwich(gain, noise))
 
@@ -124,9 +127,9 @@ def reverse(
 ) -> Conditional:
     """Bayes' rule for y = A x + c + n, n ~ N(0, noise): p(x | y) from x ~ N(mean, cov).
 
-    With y ~ N(m_y, P_y), which are `forward_mean` and `forward_cov`, and the gain G = P Aᵀ P_y⁺:
-    x = G y + (m − G m_y) + e, where e has the covariance (I − GA) P (I − GA)ᵀ + G noise Gᵀ, which
-    subtracts nothing.
+    A is `matrix` (..., d, n), `noise` (..., d, d). With y ~ N(m_y, P_y), m_y = `forward_mean` and
+    P_y = `forward_cov`, and the gain G = P Aᵀ P_y⁺, it is x = G y + (m − G m_y) + e. The covariance
+    of e, (I − GA) P (I − GA)ᵀ + G noise Gᵀ, subtracts nothing from P.
     """
     cross = transpose(times_symmetric(matrix, cov))
     # The rest is right for any gain: only what is no more than rounding has to go.

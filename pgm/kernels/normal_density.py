@@ -55,7 +55,7 @@ def whitener(lower: Array) -> Array | None:
 
 
 def _without(gone: Mask, vectors: Array) -> Array:
-    """Vectors (..., S, d) with zero in the components that are `gone`."""
+    """Vectors (..., S, d) with zero in the components that `gone` (..., d) marks."""
     return np.where(gone[..., None, :], 0.0, vectors)
 
 

@@ -37,7 +37,7 @@ _CHUNK = 2**20
 
 
 class Behind(Protocol):
-    """The slices of a chain, as far as backward messages need them.
+    """A chain of slices of finitely many states, as far as backward messages need it.
 
     Beliefs and messages are (*states, *runs), the states of a slice on one axis or on several, the
     runs flattened to one axis, or none of one run.
@@ -54,10 +54,10 @@ class Behind(Protocol):
         ...
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """The weights of a step's measurements and their log-scale; no weights, if there are none.
+        """The weights of a step's measurements, and their log-scale; None where nothing is measured.
 
         p(z_t | x) is the weights, which broadcast with a belief, times the exponential of the
-        scale.
+        scale, (*runs) or one number.
         """
         ...
 
@@ -74,9 +74,10 @@ class Slices(Behind, Protocol):
         ...
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise `EvidenceError`: under a predicted belief, a step's measurements are impossible.
+        """Raise `EvidenceError` for a step's measurements, which are impossible in some run.
 
-        `run` counts the flattened runs.
+        belief: The predicted belief under which they have probability zero, (*states, *runs).
+        run: Such a run, by its place among the flattened runs.
         """
         ...
 
@@ -84,7 +85,8 @@ class Slices(Behind, Protocol):
 class BackwardChain:
     """The backward messages of a chain whose filtered beliefs are known.
 
-    known: The filtered beliefs by step, (*states, *runs), each of sum one.
+    known: The filtered beliefs by step, (*states, *runs), each of sum one, in entries of the
+        semiring; empty until the caller sets them.
     batch: The number of axes of runs, 1 or 0.
     """
 
@@ -102,19 +104,19 @@ class BackwardChain:
         return np.full(self.known[-1].shape, self.semiring.one)
 
     def message(self, step: int, message: Array) -> Array:
-        """The backward message β to a step, made from that to the next one, and of sum one."""
+        """The backward message β to a step, of sum one, from `message`, β of the step after it."""
         found = self._passed(step, message)
         return self._scaled(found)
 
     def _scaled(self, message: Array) -> Array:
-        """A message divided by its sum over the states, so that no product of many underflows."""
+        """A message divided by its sum over the states, so that it stays within float64's range."""
         scaled: Array = self.semiring.over(message, self.total(message))
         return scaled
 
     def _passed(self, step: int, message: Array) -> Array:
-        """The backward message to a step before scaling, from that to the next one.
+        """The backward message to a step, not scaled, from `message`, that to the step after it.
 
-        It takes in the measurements of the next step.
+        It takes in the measurements of the step after it.
         """
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
@@ -124,9 +126,9 @@ class BackwardChain:
     def back(self, step: int, message: Array) -> Array:
         """The backward message to a step, of sum one, but zero where the filtered belief is zero.
 
-        It is made from the message to the next step. For posteriors it makes no difference; but
-        states that are possible are not lost beside impossible ones for which later measurements
-        speak.
+        `message` is that to the step after it. Posteriors are the same without these zeros; with
+        them, states that are possible are not lost beside impossible ones for which later
+        measurements speak.
         """
         found, zero = self._passed(step, message), self.semiring.zero
         return self._scaled(np.where(self.known[step] > zero, found, zero))
@@ -150,8 +152,8 @@ class StateChain(BackwardChain):
 
     For `sweep.forward` it is both the family (`Onwards`) and the `Record`.
 
-    dtype: Of the beliefs that are kept, float64 or float32.
-    log_density: ln p(z_t | z_0..t−1) by step, (steps + 1, *runs).
+    dtype: The type of the numbers in the beliefs that are kept, float64 or float32.
+    log_density: ln p(z_t | z_0..t−1) by step, (T + 1, *runs), filled by `run`.
     """
 
     slices: Slices
@@ -239,7 +241,8 @@ class StateChain(BackwardChain):
     def gathered(self, beliefs: Iterable[tuple[int, Array]]) -> Array | list[Array]:
         """Beliefs, given as pairs (step, belief) in any order, as one array by step.
 
-        Where there are controls it is a list, since the belief of step 0 has another shape.
+        There is one of each step 0..T. Where there are controls, which begin at step 1, the result
+        is a list, since the belief of step 0 has another shape.
         """
         if isinstance(self.known, list):
             found = dict(beliefs)
@@ -254,7 +257,7 @@ class StateChain(BackwardChain):
         return self.gathered(self.smoothed())
 
     def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
-        """The steps from 0 to T, and the belief of each given measurements up to a lag later."""
+        """The steps from 0 to T, and the belief of each given measurements up to `lag` steps later."""
         for step in counted(range(self.slices.steps + 1), "back"):
             message = np.full(self.known[step].shape, self.semiring.one)
             last = min(step + lag, self.slices.steps)

@@ -36,7 +36,7 @@ class OnlineTables(InCode, Immutable):
     Made by ``OnlineFilter(model)``, of a network of tables. It is immutable, and so are its
     beliefs.
 
-    lag: In steps, of ``belief.lagged``; None in a filter without it.
+    lag: How many steps ``belief.lagged`` is behind; None in a filter without smoothed beliefs.
     """
 
     model: DynamicBayesianNetwork

@@ -110,16 +110,16 @@ class DirectChain(StateChain):
         return self._latest[1]
 
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
-        """For each step of a part, in its order, the product by the transition; see `_apply`."""
+        """The functions `_apply` returns for each step of a part, in the order of the part."""
         if self.slices.constant is not None:
             return repeat(self._apply(part[0], back), len(part))
         return (self._apply(step, back) for step in part)
 
     def _apply(self, step: int, back: bool) -> markov.Apply:
-        """The product of a vector v with the transition into a step: Σ_x' p(x | x') v(x').
+        """A function that multiplies vectors v by the transition into a step: Σ_x' p(x | x') v(x').
 
-        With `back` it is Σ_x p(x | x') v(x). It is a function of the vector,
-        (states, [runs]), and of the array that gets the product.
+        With `back` the product is Σ_x p(x | x') v(x). The function takes a vector, (states,
+        [runs]), and the array that the product is put into.
         """
         transition = self._map(step)
         if not isinstance(transition, Dense):
@@ -153,7 +153,8 @@ class DirectChain(StateChain):
     def _messages(self, found: Array) -> Iterator[slice]:
         """Fill `found` with the backward messages to all steps, last to first.
 
-        Yields slices of rows that are done and from which no further message is made.
+        Yields slices of rows of `found` that the caller may overwrite: they are filled, and no
+        further message is made from them.
         """
         if self._blocks is not None:
             self._blocks.backward(found)
