@@ -41,8 +41,8 @@ class Update(NamedTuple):
     """The belief N(mean, cov) after a measurement, and the factors of S = U diag(pivots) Uᵀ.
 
     `mean` is (n, runs) and `cov` (n, n, runs); `log_density` (runs,) is ln N(r; 0, S). `pivots` is
-    (d, runs), and the entries of `unit` (d, d, runs) below its diagonal are those of U; the others
-    are not. `mild`: whether the measurement is known to be mild in all runs.
+    (d, runs). Below the diagonal the entries of `unit` (d, d, runs) are those of U; on and above it
+    they are not. `mild`: whether the measurement is known to be mild in all runs.
     """
 
     mean: Array
@@ -217,8 +217,9 @@ def _lower(unit: Array, root: Array) -> Array:
 def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
     """Whether each pivot of S = U D Uᵀ is above `least` times S's diagonal entry, in all runs.
 
-    `pivots` (d, runs) are the diagonal of D. `unit` (d, d, runs) is as `_eliminate` leaves it: U below its diagonal, D Uᵀ above it. Entry j of the
-    diagonal of S is pivot j plus Σₖ U_jk (D Uᵀ)_kj, k < j, which elimination has taken from it.
+    `pivots` (d, runs) are the diagonal of D. `unit` (d, d, runs) is as `_eliminate` leaves it: U
+    below its diagonal, D Uᵀ above it. Entry j of the diagonal of S is pivot j plus
+    Σₖ U_jk (D Uᵀ)_kj, k < j, which elimination has taken from it.
     """
     for j, pivot in enumerate(pivots):
         taken = sum(unit[j, k] * unit[k, j] for k in range(j))

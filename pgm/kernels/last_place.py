@@ -32,8 +32,8 @@ def rounding(mean: Array, std: Array, largest: Array) -> Array:
 def may_count(mean: Array, variance: Array, share: float) -> bool:
     """Whether u(m) of some mean (..., n) may be more than `share` standard deviations.
 
-    `variance` (..., n) are the variances of the means. The answer is from a bound that takes little time: the farthest mean of each component is compared with its
-    least variance that is not zero.
+    `variance` (..., n) are the variances of the means. The answer is from a bound that takes little
+    time: the farthest mean of each component is compared with its least variance that is not zero.
     """
     axes = tuple(range(mean.ndim - 1))
     farthest = np.maximum(mean.max(axis=axes, initial=0.0), -mean.min(axis=axes, initial=0.0))

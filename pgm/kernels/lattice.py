@@ -70,9 +70,10 @@ def kernels(shift: Array, variance: Array | float) -> Kernels:
 def _solved(k: Array, mean: Array, excess: Array) -> Array:
     """Weights (n, taps) of whole numbers `k` (taps,), with E k = `mean`, E k(k − 1) = `excess`.
 
-    `k` ascends by one, through 0 and 1; `mean` (n,) is in [0, ½], `excess` (n,) not negative. They are wₖ ∝ exp(a k − b k(k − 1)), or without an excess those of the
-    two points 0 and 1. Newton's method ends when both conditions hold to rounding, no step comes
-    nearer, or after 60 steps.
+    `k` ascends by one, through 0 and 1; `mean` (n,) is in [0, ½], `excess` (n,) not negative. The
+    weights are wₖ ∝ exp(a k − b k(k − 1)), or without an excess those of the two points 0 and 1.
+    Newton's method ends when both conditions hold to rounding, no step comes nearer, or after 60
+    steps.
     """
     weights = np.zeros((mean.size, k.size))
     zero = int(-k[0])

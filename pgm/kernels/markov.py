@@ -37,11 +37,11 @@ def forward(
 ) -> Masses:
     """Fill rows with forward messages; returns their masses, and those of the beliefs before.
 
-    Row t is weights[t] times the transition applied to the belief before: that is row t − 1, or,
-    after every `every` steps, row t − 1 scaled to mass one. Each of `applies`, one a step, is a
-    function of a belief and an array, into which it puts the belief's product by the transition
-    into the step; `weights` and `rows` are (steps, states, [runs]); `belief` (states, [runs]), of
-    mass one, is that before the first step.
+    Row t is weights[t] times the transition applied to the belief before it: row t − 1, which is
+    scaled to mass one for this, not in `rows`, after every `every` steps. Each of `applies`, one a
+    step, is a function of a belief and an array, into which it puts the belief's product by the
+    transition into the step; `weights` and `rows` are (steps, states, [runs]); `belief` (states,
+    [runs]), of mass one, is the belief before the first step.
     """
     before = np.ones((len(rows), *belief.shape[1:]))
     for k, (apply, weight, row) in enumerate(zip(applies, weights, rows, strict=False)):

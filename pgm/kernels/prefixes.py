@@ -32,7 +32,7 @@ _CHUNK = 3072
 def by_rows(array: Array, *, copy: bool = False) -> Array:
     """A stack (T, R, ...) with each component a row of steps and runs in memory.
 
-    The array itself where it lies so already, unless `copy`; else a copy.
+    It is the array itself where that lies so already, unless `copy` is true; else a copy.
     """
     axes = array.ndim
     along, across = array.strides[:2]
@@ -116,7 +116,7 @@ def _rows(parts: Any, steps: slice) -> Any:
 
 
 def _merge(first: Any, second: Any, steps: int, here: slice, there: slice) -> Any:
-    """Two named tuples of stacks as one of so many steps: `first` at `here`, `second` at `there`.
+    """Two named tuples of stacks as one of `steps` steps: `first` at `here`, `second` at `there`.
 
     A part that is None in either is None.
     """

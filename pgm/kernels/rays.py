@@ -59,8 +59,8 @@ def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
 def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array) -> None:
     """Put the distances of `cast` into `found` (n,), at rays that enter a stop within `most`.
 
-    The entries of all other rays stay. Each ray is followed in a frame of its own, mirrored so that it goes up along both axes, from
-    the edge of one box of free cells to that of the next.
+    The entries of all other rays stay. Each ray is followed in a frame of its own, mirrored so that
+    it goes up along both axes, from the edge of one box of free cells to that of the next.
     """
     height, width = clear.shape
     sizes, strides = np.array([[width], [height]]), np.array([[1.0], [width]])
@@ -174,8 +174,8 @@ def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask)
 
     `table` (rows, columns) is contiguous; ends beyond its edge count as in the cell on the edge.
     `poses` (m, 3) are column and row in cells and heading in radians; `units` (2, beams) are the
-    beams' directions in the frame of the pose. `ranges`, in cells, and `seen`, the beams that
-    count, are (m, beams), or (1, beams) where all poses share one scan.
+    beams' directions in the frame of the pose. `ranges`, in cells, and `seen`, which marks the
+    beams whose ends are summed over, are (m, beams), or (1, beams) where all poses share one scan.
     """
     shared = len(ranges) == 1
     if shared:

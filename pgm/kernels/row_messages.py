@@ -89,9 +89,10 @@ def steady(old: Rows, new: Rows) -> Rows:
 
 
 def choose(active: Mask, new: Rows, old: Rows) -> Rows:
-    """The new messages in the `active` runs (runs,), the old ones in the others.
+    """The new messages in the runs that `active` (runs,) marks, the old messages in all other runs.
 
-    Where runs share a matrix, V = 1, that is the new one for all, and only right sides are chosen.
+    Where runs share a matrix, V = 1, the new matrix is taken for all runs, and only right sides are
+    chosen. There are no exact relations in the result unless both `new` and `old` have some.
     """
     shared = new.matrix.shape[0] == 1
     each = active[:, None, None, None]

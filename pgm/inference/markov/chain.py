@@ -54,7 +54,7 @@ class Behind(Protocol):
         ...
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """The weights of a step's measurements, and their log-scale; None where nothing is measured.
+        """The weights of a step's measurements, and their log-scale; None without measurements.
 
         p(z_t | x) is the weights, which broadcast with a belief, times the exponential of the
         scale, (*runs) or one number.
@@ -234,7 +234,7 @@ class StateChain(BackwardChain):
         return min(smallest(flat[at : at + _CHUNK]) for at in range(0, flat.size, _CHUNK))
 
     def smoothed(self) -> Iterator[tuple[int, Array]]:
-        """The steps from T to 0, and the belief of each given all measurements."""
+        """The steps from T down to 0, each with its belief given all measurements."""
         for step, message in sweep.backward(self, self.slices.steps, self.unit()):
             yield step, self.posterior(step, message)
 
@@ -257,7 +257,7 @@ class StateChain(BackwardChain):
         return self.gathered(self.smoothed())
 
     def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
-        """The steps from 0 to T, and the belief of each given measurements up to `lag` steps later."""
+        """The steps 0 to T, each with its belief given the measurements up to `lag` steps later."""
         for step in counted(range(self.slices.steps + 1), "back"):
             message = np.full(self.known[step].shape, self.semiring.one)
             last = min(step + lag, self.slices.steps)

@@ -166,7 +166,7 @@ class RowTables:
         )
 
     def _factor(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Any:
-        """The table or map at the states `key` of the observed parents, from a cache if it can be."""
+        """The table or map at the states `key` of the observed parents, kept in a cache."""
         name = (*key, semiring.linear, as_map)
         found = self.index.get(name)
         if found is None:
@@ -222,9 +222,9 @@ class TableSlices:
     """The slices of a discrete dynamic network: `Slices` whose numbers are tables.
 
     first: The step of row 0 of the transition; 1, of recorded evidence.
-    semiring: Of the entries: `SUM_PRODUCT`, unless made by `within`.
+    semiring: That of all entries: `SUM_PRODUCT`, unless the slices were made by `within`.
     rows: The tables of each transition CPD.
-    weights: Those of each sensor's measurements.
+    weights: The weights of states by each sensor's measurements.
     of_runs: Advice that an error for impossible measurements adds where there are axes of runs.
     lost: ([runs]), from `until`: the step from which on a run's measurements are left out; T + 1 of
         a run that keeps all. None if all do.

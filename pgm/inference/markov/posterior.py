@@ -156,8 +156,10 @@ class StatePosterior(Posterior):
 
         Raises
         ------
-        EvidenceError, ModelError
-            If one is not hidden, has no such step or stands twice, or none is given.
+        EvidenceError
+            If none is given, or one is not hidden, is without a step, or does not stand there.
+        ModelError
+            If one stands twice.
         GraphError
             If the table, or one on the way, would not fit.
         """
@@ -180,11 +182,11 @@ class StatePosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> Table:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
-        Its log-scale carries the evidence that went into it. Backward messages, from a later cluster
-        to an earlier one, are sent by smoothing alone; without it they raise GraphError. One may
-        have zeros for states that are impossible given the measurements up to its step: where later
-        measurements speak so much for these that the possible states' entries would be too small
-        for numbers.
+        Its log-scale carries the evidence that went into it. Backward messages, from a later
+        cluster to an earlier one, are sent by smoothing alone; without it they raise GraphError.
+        One may have zeros for states that are impossible given the measurements up to its step:
+        where later measurements speak so much for these that the possible states' entries would be
+        too small for numbers.
         """
         source, target = self.graph.index(source), self.graph.index(target)
         scope = discrete(self.graph.sepsets[source, target])
@@ -228,8 +230,8 @@ class StatePosterior(Posterior):
     def messages_back(self) -> Iterator[tuple[Array, Array]]:
         """The backward messages to the slices T, T − 1, .., 0, each made from the last one yielded.
 
-        For each slice the pair of the values over the states of its slice, (sizes..., [runs]), and the log-scale; see
-        `_scaled_back`.
+        Each is a pair: the values over the states of the slice, (sizes..., [runs]), and the
+        log-scale; see `_scaled_back`.
         """
         chain, last = self._chain, self.graph.steps
         plain = chain.unit()

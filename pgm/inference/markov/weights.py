@@ -86,8 +86,8 @@ class Weights:
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
         """The weights of a measurement, (*slice, [runs]), the semiring's one in runs without it.
 
-        `row` is the measurement's. The result is None if the measurement is missing, and there is
-        one run or all share the measurement. Entries are those of the semiring; as numbers, the
+        The result is None if the measurement at this row is missing, not soft, and of the only run
+        or of all runs together. Entries are those of the semiring; as numbers, the
         weights of soft evidence are to be multiplied by the exponential of `log_scale`.
         """
         values, taken = self.reading.values[row], self.reading.taken[row]
