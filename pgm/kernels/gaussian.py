@@ -81,10 +81,10 @@ def divide(matrix: Array, lower: Array) -> Array:
 def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float) -> bool:
     """Whether N(mean, cov) is well conditioned, and not far narrower than the covariance `before`.
 
-    `mean` is (n, *batch), `cov` and `before` (n, n, *batch). In all of the batch, each component is
-    to keep a share above `least` of its variance given those before it, to have at least that share
-    of its variance in `before`, and a finite mean of a square up to `far` variances. A component
-    without a variance passes if it had none before.
+    `mean` is (n, *batch), `cov` and `before` (n, n, *batch). In all of the batch, given the earlier
+    components each one is to keep more than the share `least` of its variance; its variance is to
+    be at least `least` times that in `before`, and its mean finite, with a square of at most `far`
+    variances. A component without a variance passes if it has none in `before`.
     """
     if cov.ndim == 2:
         written = checking(len(cov), least, far)

@@ -171,9 +171,9 @@ class Blocks:
     def _starts(self, belief: Array) -> Array:
         """The belief before each block, (blocks, states), of sum one, by the transfer matrices.
 
-        `belief` (states,) is that before the first. Scales are applied in logarithms, since those
-        of two rows may be further apart than float64 holds. If a block is impossible, all later
-        ones get the belief before it: its own sweep will find a mass of zero.
+        `belief` (states,) is that before the first block. Scales are applied in logarithms, since
+        two rows' scales may be further apart than float64 holds. If a block is impossible, all
+        later blocks get the belief before it: its own sweep will find a mass of zero.
         """
         found = np.empty(self.scale.shape)
         for k, (own, logs) in enumerate(zip(self.transfer, self.scale, strict=True)):

@@ -104,7 +104,10 @@ def spread(matrix: Array, cov: Array, noise: Array) -> Array:
 
 
 def certain(cov: Array, rounding: Array) -> Array:
-    """A covariance with zero rows and columns where a variance is at most `rounding`, (..., n)."""
+    """Covariances (..., n, n), with zero rows and columns for variances of at most `rounding`.
+
+    `rounding` (..., n) has a bound for each variance.
+    """
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) > rounding
     if open_.all():
         return cov
@@ -140,7 +143,7 @@ def reverse(
 
 
 def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
-    """The mean and covariance of F x + b + n for x ~ N(mean, cov) and a conditional (F, b, n)."""
+    """The mean and covariance of F x + b + n for x ~ N(mean, cov); F, b and n of a conditional."""
     matrix, offset, noise = conditional
     return apply(matrix, mean) + offset, make_symmetric(sandwich(matrix, cov) + noise)
 

@@ -80,8 +80,9 @@ def in_chunks(kernel: Callable[..., Any], *stacks: Any) -> Any:
 def levels(segments: Segments, compose: Callable[[Segments, Segments], Segments]) -> list[Segments]:
     """Up the tree: row k of level l is the composition of the segments k 2ˡ to (k + 1) 2ˡ − 1.
 
-    ``compose(first, then)`` composes stacks of left and of right neighbours. Level 0 is `segments`;
-    a segment without a neighbour, at the end of a level, is in none above; the last has one row.
+    ``compose(first, then)`` composes stacks of left and of right neighbours. Returns the levels,
+    from 0, which is `segments`, up to one of a single row; a segment without a right neighbour, at
+    the end of a level, is in no level above.
     """
     tree = [segments]
     while (pairs := tree[-1][0].shape[0] // 2) > 0:

@@ -27,9 +27,8 @@ def regress(
     """The regression line through values (..., N, d) at points s (..., N, n) of N(0, I).
 
     Returns the slope J (..., d, n), the line's value at s = 0, (..., d), and the covariance of the
-    residuals, (..., d, d). A column of J is zero where the same column of L = `lower` (..., n, n)
-    is zero.
-    The mean and covariance of s are those of the sample, or, where `known`, 0 and I; then the
+    residuals, (..., d, d). A column of J is zero where that of L = `lower`, (..., n, n), is zero.
+    The mean and covariance of s are those of the sample, or, if `known`, 0 and I; then the
     residual covariance may be indefinite.
     """
     value_mean, s_mean = mean_weights @ values, mean_weights @ s

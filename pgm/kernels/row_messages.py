@@ -74,9 +74,9 @@ def change(old: Rows, new: Rows, against: Rows) -> Array:
 def steady(old: Rows, new: Rows) -> Rows:
     """The new messages, with the old exact relations where the new ones differ by rounding alone.
 
-    That is for messages whose relations differ by less than 10⁻¹² in units of the frame, in all
-    runs that share them. Loops feed certainties back to themselves, and can amplify their rounding
-    without end.
+    A message keeps the old relations if they differ from the new ones by less than 10⁻¹² in units
+    of the frame, for all the right sides that share a matrix. Loops feed certainties back to
+    themselves, and can amplify their rounding without end.
     """
     found = _relations(old, new)
     if found is None:

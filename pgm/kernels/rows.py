@@ -67,7 +67,7 @@ def eliminate(factor: Rows, count: int) -> Eliminated:
 
 
 def triangular(matrix: Array, right: Array) -> Array:
-    """The triangular factor R of a QR factorisation of [A | r], (..., rows, n + N).
+    """The upper triangular factor R of a QR factorisation of [A | r], (..., rows, n + N).
 
     `matrix` A is (..., k, n), `right` r (..., k, N). R has min(max(k, n), n + N) rows, n or more;
     rows of [A | r] are taken by size, the largest first, which keeps digits.
@@ -102,11 +102,11 @@ def largest_first(correlation: Array) -> Integers:
 
 
 def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
-    """Integrate the first `count` variables out of rows without exact relations.
+    """Integrate the first `count` variables x out of rows without exact relations.
 
     A QR factorisation makes the rows [E F; 0 G; 0 0], with right sides [e; g; q]: the rest is G
-    with g, and the variables are E⁻¹ (e − F s) + noise of covariance E⁻¹ E⁻ᵀ, given the others s.
-    The log-scale is ½ count ln 2π − ln |det E| − ½ ‖q‖². NaN where E is singular but for rounding.
+    with g, and given all other variables s, x is E⁻¹ (e − F s) + noise of covariance E⁻¹ E⁻ᵀ. The
+    log-scale is ½ count ln 2π − ln |det E| − ½ ‖q‖². NaN where E is singular but for rounding.
     """
     size = matrix.shape[-1]
     factor = triangular(matrix, right)
@@ -152,7 +152,7 @@ def _eliminate_exact(
     """Integrate the first `count` variables x out of rows with exact relations C_x x + C_s s = c.
 
     With the singular value decomposition C_x = U S Vᵀ, the relations determine x by s along V₁, the
-    directions of nonzero singular values; along the others x is left to the rows, as in
+    directions of nonzero singular values; along all other directions x is left to the rows, as in
     `_eliminate_proper`. The relations in which no x is left, U₂ᵀ (C_s s − c) = 0, go to the rest.
     """
     sepset = matrix.shape[-1] - count

@@ -18,7 +18,7 @@ Axes = int | tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class Semiring:
-    """A product and a sum of entries of tables, and their neutral entries.
+    """A semiring of the entries of tables: a product and a sum, and their neutral entries.
 
     `times` and `over` multiply and divide entries; `zero` and `one` are neutral for sum and
     product. ``total(values, axes, out)`` sums along one or more axes, into `out` if that is not

@@ -50,7 +50,7 @@ class Behind(Protocol):
     lead: tuple[int, ...]
 
     def backward(self, step: int, message: Array) -> Array:
-        """The sum Σ_x p(x | x') message(x): from the slice of a step to the one before, x'."""
+        """The sum Σ_x p(x | x') message(x), x being the slice of `step` and x' the one before."""
         ...
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
@@ -70,7 +70,7 @@ class Slices(Behind, Protocol):
         ...
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The sum Σ_x' p(x | x') belief(x'): to the slice of step t ≥ 1 from the one before, x'."""
+        """The sum Σ_x' p(x | x') belief(x'), x being the slice of `step` ≥ 1, x' the one before."""
         ...
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
@@ -199,8 +199,8 @@ class StateChain(BackwardChain):
     ) -> tuple[Array, Array]:
         """What `take` goes on with where measurements are impossible in some run.
 
-        belief: Of the step, predicted, (*states, *runs).
-        joint: It times the weights of the measurements.
+        belief: The predicted belief of the step, (*states, *runs).
+        joint: The product of `belief` and the weights of the measurements.
         totals: The sums of `joint` over the states, (*runs), some of them zero.
 
         Returns `joint` and `totals`, or others in their place; here an `EvidenceError` is raised.
@@ -211,7 +211,7 @@ class StateChain(BackwardChain):
         """Keep the filtered belief of a step and its log-density; the predicted belief is dropped.
 
         Where there are controls, which begin at step 1, the belief of step 0 has another shape, and
-        `known` is a list.
+        the beliefs kept are a list.
         """
         if not step:
             self.known = self.room(known)

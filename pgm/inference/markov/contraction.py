@@ -60,7 +60,7 @@ class Step(NamedTuple):
 
 
 class Contraction(NamedTuple):
-    """The steps from an array over some variables to one over others.
+    """A plan of sums: the steps that lead from an array over some variables to one over others.
 
     steps: The multiplications, in turn.
     summed: The axes of the first array that are summed out before the steps: their variables are in
@@ -131,9 +131,10 @@ class Contraction(NamedTuple):
     ) -> Step:
         """The step that multiplies one table in: as a map along an axis, or as a table.
 
-        A table of two variables becomes a map if the one on the array's side, the parent, or with
-        `back` the child, is needed by nothing else, and the array does not have the other one yet.
-        `waiting` are the tables still to come, this one included, `last` the wanted variables.
+        A table of two variables becomes a map if it may, by `map_`, if the array has its parent,
+        which no other table needs nor the result, and if the array lacks its child; with `back`
+        parent and child change places. `array` are the variables of the array's axes, `waiting` the
+        tables still to come, table `factor` included, and `last` the wanted variables.
         """
         labels = waiting[factor]
         needed = {x for k, table in waiting.items() if k != factor for x in table} | set(last)
@@ -189,7 +190,7 @@ def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool
 
 
 def _mapped(each: Transition, array: Array, axis: int, semiring: Semiring, back: bool) -> Array:
-    """A transition applied along one axis, `back` or forward, to probabilities or logarithms."""
+    """The entries of an array after a transition, or if `back` its transpose, along one axis."""
     if not semiring.linear:
         return each.logs(array, axis, semiring, back=back)
     return each.backward(array, axis) if back else each.forward(array, axis)

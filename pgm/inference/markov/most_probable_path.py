@@ -66,8 +66,8 @@ def _with_controls(plan: SlicePlan, before: Array, states: Integers) -> Integers
     """The states of the whole slice, (variables, runs): of controls the best at the given states.
 
     before: The log-belief over the slice, (runs, *slice).
-    states: Those of the state variables, (state variables, runs), which is the whole slice where
-        there are no controls.
+    states: The given states, of the state variables alone, (state variables, runs). They are
+        returned as they are where there are no controls.
     """
     if not plan.controls:
         return states

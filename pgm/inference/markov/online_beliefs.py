@@ -202,6 +202,6 @@ class _Window:
         return self.held[step].weights, 0.0
 
     def backward(self, step: int, message: Array) -> Array:
-        """The sum Σ_x p(x | x') message(x): from the slice of a step to the one before, x'."""
+        """The sum Σ_x p(x | x') message(x), x being the slice of `step` and x' the one before."""
         ahead = self.ahead[step - 1].within(self.semiring)
         return ahead.backward(ahead.first, message)  # whose only row is of its own step

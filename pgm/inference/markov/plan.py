@@ -139,7 +139,8 @@ class RowTables:
     def factor(self, row: int, semiring: Semiring, *, as_map: bool) -> Factor:
         """The table of a row as entries of a semiring, (size of each hidden variable..., [runs]).
 
-        With `as_map` it is a `Move` instead.
+        The axis of runs is there only if tables differ by run. With `as_map` it is a `Move`, of
+        numbers whatever the semiring.
         """
         if self.cpd.function is not None:
             return self._called(row, semiring, as_map)
@@ -291,9 +292,9 @@ class TableSlices:
         return self.plan.onward.apply(belief, self.factors(step, "onward"), self.semiring)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The sum Σ_x p(x | x') message(x): from the slice of a step to the one before, x'.
+        """The sum Σ_x p(x | x') message(x), x being the slice of `step` and x' the one before.
 
-        Controls before, which x does not depend on, get axes of length one.
+        The controls of x', which x does not depend on, get axes of length one.
         """
         if self.plan.controls:
             rest = message.shape[len(self.plan.shape) :]

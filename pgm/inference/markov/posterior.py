@@ -34,8 +34,8 @@ from pgm.variables import Variable
 class StatePosterior(Posterior):
     """The beliefs of a chain of tables after a schedule of messages.
 
-    ``posterior[x]`` is a stacked `Table` whose last leading axis is of steps: states at 0..T,
-    hidden controls at 1..T; ``posterior[x.at(3)]`` is that of one step. Leading axes are runs.
+    ``posterior[x]`` is a stacked `Table` with the user's axes of runs, then one of steps: 0..T for
+    a state, 1..T for a hidden control; ``posterior[x.at(3)]`` is the table of one step.
 
     With ``impossible="allow"``, a run whose measurements have probability zero has a log-evidence
     of −∞ and NaN for each belief, joint or message that knows the first impossible one: filtered

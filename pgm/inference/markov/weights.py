@@ -213,7 +213,7 @@ class Weights:
 
     @property
     def smallest(self) -> float:
-        """The smallest product of positive weights that the measurements of one step may have.
+        """A lower bound of the product of a step's positive weights, one of each measurement.
 
         Where a function gives the table, only the rows called up to now count.
         """
