@@ -12,7 +12,7 @@ from pgm.kernels.roots import NEGLIGIBLE
 
 
 def square_within(probability: float, dimension: Integers) -> Array:
-    """The chi-square quantile q: νᵀ S⁻¹ ν < q with `probability`, of ν of `dimension` components."""
+    """The chi-square quantile q: νᵀ S⁻¹ ν < q with `probability`, ν of `dimension` components."""
     from scipy.special import chdtri  # here, since it is slow to import
 
     return np.asarray(chdtri(dimension, 1.0 - probability), dtype=np.float64)
