@@ -258,7 +258,10 @@ def independent(cov: Array, seen: Mask) -> Array:
 
 
 def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kind]:
-    """Some runs of an array along its axis of runs; an array with one run for all stays whole."""
+    """An array cut to some runs along its axis `axis`, of runs; of length one, it stays whole.
+
+    An axis of length one stands for all runs.
+    """
     return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]
 
 

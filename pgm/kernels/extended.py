@@ -144,7 +144,7 @@ def eliminated(
 
 
 def solve_unit(unit: Twofold, right: Twofold) -> Twofold:
-    """The X with U X = B, (..., n, m), for a lower U with 1 on its diagonal."""
+    """The X with U X = B, (..., n, m), for a lower triangular U with ones on its diagonal."""
     solution = right.copy()
     for j in range(1, unit.shape[-1]):
         known = unit[..., j : j + 1, :j] @ solution[..., :j, :]
@@ -153,9 +153,10 @@ def solve_unit(unit: Twofold, right: Twofold) -> Twofold:
 
 
 def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
-    """A solution X of U D Uᵀ X = B, (..., n, m), for a B in its range.
+    """A solution X of U diag(D) Uᵀ X = B, (..., n, m), for a B in the range of U diag(D) Uᵀ.
 
-    It keeps the digits that a product with the inverse, whose entries are larger, would lose.
+    U (..., n, n) is unit lower triangular, D = `pivots` (..., n), as `eliminated` gives them. X
+    keeps the digits that a product with the inverse, whose entries are larger, would lose.
     """
     solution = _divided(solve_unit(unit, right), pivots)
     upper = unit.mT
@@ -166,12 +167,15 @@ def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
 
 
 def inverse_unit(unit: Twofold) -> Twofold:
-    """The inverse of a lower U with 1 on its diagonal."""
+    """The inverse (..., n, n) of a lower triangular U with ones on its diagonal."""
     return solve_unit(unit, eye(unit.shape))
 
 
 def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
-    """A generalised inverse U⁻ᵀ D⁺ U⁻¹ of U D Uᵀ, exact on its range."""
+    """A generalised inverse U⁻ᵀ D⁺ U⁻¹ of A = U diag(D) Uᵀ, (..., n, n), exact on A's range.
+
+    U and D = `pivots` are as `eliminated` gives them; D⁺ is zero where D is.
+    """
     back = inverse_unit(unit)
     return back.mT @ _divided(back, pivots)
 

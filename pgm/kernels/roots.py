@@ -106,10 +106,10 @@ def smallest_pivot(lower: Array) -> float:
 
 
 def is_regular(cov: Array, least: float) -> bool:
-    """Whether each component keeps over `least` of its variance given those before it.
+    """Whether each component keeps more than `least` times its variance given those before it.
 
-    That is in all covariances (..., n, n); a component without a variance passes, an indefinite
-    matrix does not.
+    All covariances (..., n, n) of the stack are to pass; a component without a variance passes, an
+    indefinite matrix does not.
     """
     pivots = np.diagonal(root(cov), axis1=-2, axis2=-1)
     variance = variances(cov)

@@ -23,7 +23,8 @@ Beliefs = Sequence[Array] | Array
 class StateMarginals(Shown, NoArray):
     """The marginals of the hidden variables of a discrete chain over all steps, by variable.
 
-    beliefs: Over the slice, by step, (*states, *runs).
+    plan: The plan of the model, which has the axes of variables in a belief.
+    beliefs: The beliefs over the slice by step, (*states, *runs) each.
     lead: The user's axes of runs.
     kind: Which measurements the beliefs know.
     """

@@ -226,7 +226,8 @@ class TableSlices:
     semiring: That of all entries: `SUM_PRODUCT`, unless the slices were made by `within`.
     rows: The tables of each transition CPD.
     weights: The weights of states by each sensor's measurements.
-    of_runs: Advice that an error for impossible measurements adds where there are axes of runs.
+    of_runs: The end of an error's text for impossible measurements where there are axes of runs; it
+        goes on after `ADVICE`, such as "; leave those runs out".
     lost: ([runs]), from `until`: the step from which on a run's measurements are left out; T + 1 of
         a run that keeps all. None if all do.
     """
@@ -368,7 +369,7 @@ class TableSlices:
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
         """The weights of a step's measurements, and their log-scale; None without measurements.
 
-        The weights are entries of the semiring, (*slice, [runs]), without those from `lost` on.
+        The weights are entries of the semiring, (*slice, [runs]), and one in runs lost by then.
         p(z_t | x) is the weights, which broadcast with a belief, times the exponential of the
         scale.
         """

@@ -96,7 +96,7 @@ class DirectChain(StateChain):
 
     @cached_property
     def _parts(self) -> list[range]:
-        """The steps 1..T in consecutive parts, each as long as its weights have `ROOM` entries.
+        """The steps 1..T in consecutive parts, each with at most `ROOM` entries of weights.
 
         A part has one step where a step's weights alone have more.
         """
