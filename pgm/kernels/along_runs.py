@@ -41,8 +41,8 @@ class Update(NamedTuple):
     """The belief N(mean, cov) after a measurement, and the factors of S = U diag(pivots) Uᵀ.
 
     `mean` is (n, runs) and `cov` (n, n, runs); `log_density` (runs,) is ln N(r; 0, S). `pivots` is
-    (d, runs), and the entries of `unit` (d, d, runs) below its diagonal are those of U; the others
-    are not. `mild`: whether the measurement is known to be mild in all runs.
+    (d, runs). Below the diagonal the entries of `unit` (d, d, runs) are those of U; on and above it
+    they are not. `mild`: whether the measurement is known to be mild in all runs.
     """
 
     mean: Array
@@ -54,7 +54,7 @@ class Update(NamedTuple):
 
     @property
     def lower(self) -> Array:
-        """The Cholesky factor of S, (d, d, runs)."""
+        """The lower triangular Cholesky factor L of S = L Lᵀ, (d, d, runs)."""
         return _lower(self.unit, np.sqrt(self.pivots))
 
 
@@ -63,8 +63,8 @@ def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
 
     `noise` is R, (d, d, runs or 1). Since S ≥ R, a smaller det S leaves S at most 1000 R in every
     direction: P − G S Gᵀ then loses at most three of sixteen digits, and S is regular. The bound is
-    0, so that no measurement counts as mild, where a pivot of R is not above 1000 `least` of its
-    diagonal entry, or det R is too small a number.
+    0, so that no measurement counts as mild, where a pivot of R is at most 1000 · `least` times its
+    diagonal entry, or det R is no more than the smallest normal float64.
     """
     pivots = _eliminate(noise.copy())
     regular = (pivots > _MILD * least * np.einsum("iir->ir", noise)).all(axis=0)
@@ -89,9 +89,10 @@ def update(
     The mean is m + G r with the gain G = P Hᵀ S⁻¹. The covariance is P − G S Gᵀ if the measurement
     is mild in all runs, else (I − G H) P (I − G H)ᵀ + G R Gᵀ, which keeps more digits. `mean` is m
     (n, runs), `cov` P (n, n, runs), `matrix` H (d, n, runs), `residual` r (d, runs) and `noise` R
-    (d, d, runs or 1). The new moments are written into `out`, (n, runs) and (n, n, runs), if given.
-    `sharp` is `sharpness(noise, least)`, computed here if None. S is singular where a pivot is at
-    most `least` of its diagonal entry.
+    (d, d, runs or 1). The new moments are written into `out`, if given: a mean (n, runs) and a
+    covariance (n, n, runs), other arrays than `mean` and `cov`. `sharp` is the result of
+    `sharpness(noise, least)`, computed here if None. S is singular in a run where one of its pivots
+    is at most `least` times its diagonal entry, unless the measurement is mild in all runs.
     """
     size, runs, height = len(cov), cov.shape[-1], len(residual)
     new_mean, new_cov = (np.empty((size, runs)), np.empty_like(cov)) if out is None else out
@@ -214,10 +215,11 @@ def _lower(unit: Array, root: Array) -> Array:
 
 
 def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
-    """Whether each pivot of S = U D Uᵀ is above `least` of its diagonal entry of S, in all runs.
+    """Whether each pivot of S = U D Uᵀ is above `least` times S's diagonal entry, in all runs.
 
-    `unit` is as `_eliminate` leaves it: U below its diagonal, D Uᵀ above it. Entry j of the
-    diagonal of S is pivot j plus Σₖ U_jk (D Uᵀ)_kj, k < j, which elimination has taken from it.
+    `pivots` (d, runs) are the diagonal of D. `unit` (d, d, runs) is as `_eliminate` leaves it: U
+    below its diagonal, D Uᵀ above it. Entry j of the diagonal of S is pivot j plus
+    Σₖ U_jk (D Uᵀ)_kj, k < j, which elimination has taken from it.
     """
     for j, pivot in enumerate(pivots):
         taken = sum(unit[j, k] * unit[k, j] for k in range(j))

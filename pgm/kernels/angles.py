@@ -17,7 +17,10 @@ def wrap(angle: Array) -> Array:
 
 
 def difference(a: Array, b: Array, angles: Mask) -> Array:
-    """The difference a − b, (..., d), with the components that are angles wrapped to [−π, π)."""
+    """The difference a − b, (..., d), wrapped to [−π, π) in the components that are angles.
+
+    `angles` (d,) marks these components.
+    """
     delta = np.asarray(a - b)
     for k in np.flatnonzero(angles):
         delta[..., k] = wrap(delta[..., k])
@@ -27,7 +30,8 @@ def difference(a: Array, b: Array, angles: Mask) -> Array:
 def nearest_branch(value: Array, reference: Array, angles: Mask) -> Array:
     """The value, (..., d), its angles moved by whole turns to within π of those of `reference`.
 
-    `angles` (d,) marks the components that are angles; the others stay as they are.
+    `angles` (d,) marks the components that are angles; other components stay as they are. The
+    reference is (..., d) and broadcasts with the value.
     """
     places = np.flatnonzero(angles)
     if not places.size:

@@ -30,7 +30,7 @@ _FAR = _MANY * np.dtype(np.float64).itemsize
 
 
 def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """Zeros of shape (*lead, *shape), in memory with the last leading axis, of runs, fastest.
+    """Zeros of shape (*lead, *shape), in memory with the last axis of `lead`, the runs, fastest.
 
     Kernels go along contiguous rows of runs; element-wise results and `multiply` keep that layout.
     """
@@ -96,7 +96,7 @@ def block_diagonal(blocks: Array) -> Array:
 
 
 def transpose(matrix: Array) -> Array:
-    """Swap the last two axes."""
+    """The matrices (..., m, n) transposed, (..., n, m), as a view."""
     return matrix.swapaxes(-1, -2)
 
 
@@ -166,7 +166,7 @@ def _along_runs(product: str, a: Array, b: Array, width: int) -> Array:
 
 
 def distinct(matrix: Array) -> Array:
-    """The matrix (m, n) of a stack (R, m, n) that only repeats it as a view; else the stack."""
+    """The one matrix (m, n) that a stack (R, m, n) repeats as a view; any other stack itself."""
     return matrix[0] if matrix.ndim == 3 and matrix.strides[0] == 0 else matrix
 
 
@@ -197,7 +197,7 @@ def variances(cov: Array) -> Array:
 
 
 def deviation(cov: Array) -> Array:
-    """Standard deviations, (..., n); zero where rounding has left a variance below zero."""
+    """The standard deviations (..., n) of covariances (..., n, n); zero for negative variances."""
     return np.sqrt(np.maximum(variances(cov), 0.0))
 
 
@@ -250,12 +250,18 @@ def block(matrix: Array, rows: Index, columns: Index) -> Array:
 
 
 def independent(cov: Array, seen: Mask) -> Array:
-    """Covariances in which components not `seen`, (..., n), have unit variance, no correlation."""
+    """Covariances (..., n, n) with unit variance and no correlation of each component not `seen`.
+
+    `seen` (..., n) marks the components whose variances and covariances stay.
+    """
     return np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
 
 
 def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kind]:
-    """Some runs of an array along its axis of runs; an array with one run for all stays whole."""
+    """An array cut to some runs along its axis `axis`, of runs; of length one, it stays whole.
+
+    An axis of length one stands for all runs.
+    """
     return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]
 
 

@@ -66,7 +66,10 @@ def from_moments(mean: Array, cov: Array, log_weight: Array) -> Canonical:
 
 
 def to_moments(precision: Array, h: Array, g: Array) -> tuple[Array, Array, Array]:
-    """The mean K⁻¹h, the covariance K⁻¹ and ln ∫ C(x; K, h, g) dx; NaN unless K is definite."""
+    """The mean K⁻¹h, the covariance K⁻¹ and ln ∫ C(x; K, h, g) dx, (...).
+
+    All three are NaN where K = `precision` is not positive definite.
+    """
     size = h.shape[-1]
     lower = strict_root(precision)
     cov = symmetric(solving.solve(lower, np.broadcast_to(np.eye(size), precision.shape)))
@@ -158,8 +161,9 @@ def backward(
 def _split(root: Array, vector: Array) -> tuple[Array, Array]:
     """The q and r, (..., n), with vector = R q + r; r is zero for a vector in the range of R.
 
-    R = `root` is lower triangular with a zero column for each determined component: there q is
-    zero, and r is what the open components leave. Less than 10⁻⁹ of the summands is rounding: zero.
+    R = `root` (..., n, n) is lower triangular with a zero column for each determined component. At
+    these q is zero, and r is `vector` less R q, or zero where that is at most 10⁻⁹ of its summands'
+    sizes, which is rounding. At all other components r is zero.
     """
     fixed = roots.determined(root)
     found = solving.solve_lower(root, _column(vector))[..., 0]

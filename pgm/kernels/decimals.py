@@ -53,12 +53,12 @@ def floats(array: Decimals) -> Array:
 
 
 def sqrt(array: Decimals) -> Decimals:
-    """The square roots; within `precision`, NaN for negative numbers."""
+    """The square roots; of a negative number NaN, if called in the context of `precision`."""
     return np.asarray(_root(array), dtype=object).reshape(np.shape(array))
 
 
 def product(a: Decimals, b: Decimals) -> Decimals:
-    """The product of stacked matrices, which may be empty."""
+    """The product A B of stacked matrices (..., m, k) and (..., k, n); zeros where k is zero."""
     if a.shape[-1]:
         return np.asarray(np.matmul(a, b), dtype=object)
     lead = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
@@ -72,5 +72,5 @@ def log(number: Decimal) -> float:
 
 
 def total(a: Decimals) -> Decimals:
-    """The sums over the last axis, which may be empty."""
+    """The sums over the last axis, (...) of (..., n); zero where n is zero."""
     return np.asarray(a.sum(axis=-1) if a.shape[-1] else zeros(*a.shape[:-1]), dtype=object)

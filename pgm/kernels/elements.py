@@ -66,9 +66,10 @@ def compose(first: Element, then: Element) -> Element:
     """The element of two segments, the second beginning where the first ends.
 
     With M = (I + Σ₁K₂)⁻¹: F = F₂MF₁, b = F₂M(b₁ + Σ₁h₂) + b₂, Σ = F₂MΣ₁F₂ᵀ + Σ₂, K = F₁ᵀK₂MF₁ + K₁,
-    h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁. With Σ₁ = L Lᵀ, U a root of I + LᵀK₂L and X = U⁻¹Lᵀ, MΣ₁ is XᵀX, M is
-    I − XᵀXK₂, and K₂M is MᵀK₂M + GᵀG with G = U⁻ᵀXK₂: sums of semidefinite terms, so that sharp
-    evidence after a vague noise costs no digits. g is None if either segment's is.
+    h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁. With Σ₁ = L Lᵀ, the lower triangular root U of I + LᵀK₂L = U Uᵀ, and
+    X = U⁻¹Lᵀ, MΣ₁ is XᵀX, M is I − XᵀXK₂, and K₂M is MᵀK₂M + GᵀG with G = U⁻ᵀXK₂: sums of
+    semidefinite terms, so that sharp evidence after a vague noise costs no digits. g is None if
+    either segment's is.
     """
     white, upper = _meet(first.cov, then.K)
     reach = multiply(multiply(white, then.K), first.F)
@@ -91,9 +92,11 @@ def compose(first: Element, then: Element) -> Element:
 
 
 def _meet(cov: Array, precision: Array) -> tuple[Array, Array]:
-    """The matrices X = U⁻¹Lᵀ and U, a root of I + LᵀKL, of a covariance P = L Lᵀ and information K.
+    """The matrices X = U⁻¹Lᵀ and U, (..., n, n) both; U is the lower triangular root of I + LᵀKL.
 
-    The covariance of the product of the two is XᵀX = (I + PK)⁻¹P.
+    L is the lower triangular root of a covariance P = `cov`, and K = `precision` the information of
+    a likelihood, both (..., n, n); U Uᵀ = I + LᵀKL. The product of N(m, P) and the likelihood has
+    the covariance XᵀX = (I + PK)⁻¹P.
     """
     lower = roots.root(cov)
     back = transpose(lower)
@@ -125,10 +128,11 @@ def push(belief: Belief, element: Element) -> Belief:
 
 
 class Known(NamedTuple):
-    """A belief N(m, P) after a likelihood with K and h: its mean (..., n), and its covariance XᵀX.
+    """The product of a belief N(m, P) and a likelihood with K and h: its mean, its covariance XᵀX.
 
-    With P = L Lᵀ, U is a root of I + LᵀKL, and X = U⁻¹Lᵀ; `white` is X (h − K m), (..., n).
-    `log_weight` (...) is the log-integral of the product of the two; None if either has no scale.
+    `mean` is (..., n). With P = L Lᵀ, U is the lower triangular root of I + LᵀKL = U Uᵀ, and X =
+    U⁻¹Lᵀ, (..., n, n) both; `white` is X (h − K m), (..., n). `log_weight` (...) is the logarithm
+    of the product's integral; None if belief or likelihood has no log-scale.
     """
 
     mean: Array

@@ -17,9 +17,10 @@ _CUT = 134217729.0
 
 
 class Twofold:
-    """Stacked numbers hi + lo, with |lo| at most half a unit in the last place of hi.
+    """An array of numbers hi + lo, with |lo| at most half a unit in the last place of hi.
 
-    `@` is the product of stacked matrices; operands may be float64.
+    `hi` and `lo` are of one shape; `lo` is zero if None. `@` is the product of stacked matrices;
+    operands may be float64.
     """
 
     __array_ufunc__ = None  # so that an array leaves the operation to this class
@@ -31,7 +32,7 @@ class Twofold:
 
     @classmethod
     def zeros(cls, shape: tuple[int, ...]) -> Twofold:
-        """Zeros of a shape."""
+        """An array of zeros of this shape."""
         return cls(np.zeros(shape), np.zeros(shape))
 
     @property
@@ -93,13 +94,13 @@ class Twofold:
         return Twofold(*_sum(*_product(a.hi, a.lo, b.hi, b.lo)))
 
     def dot(self, other: Twofold) -> Twofold:
-        """The inner products of stacked vectors, (...)."""
+        """The inner products (...) of two stacks of vectors (..., n)."""
         product = self * other
         return Twofold(*_sum(product.hi[..., None], product.lo[..., None]))[..., 0]
 
 
 def where(mask: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
-    """A where the mask holds, else b."""
+    """The numbers of `a` where the mask holds, and those of `b` elsewhere."""
     a, b = _twofold(a), _twofold(b)
     return Twofold(np.where(mask, a.hi, b.hi), np.where(mask, a.lo, b.lo))
 
@@ -114,10 +115,10 @@ def eliminated(
 ) -> tuple[Twofold, Twofold]:
     """The factors U (..., n, n) and D (..., n) of symmetric A = U diag(D) Uᵀ, U unit lower.
 
-    A pivot D_j of size at most `negligible` times that of the diagonal entry A_jj is rounding: D_j
-    and the column of U below it are zero. With `rounding` (..., n), bounds of the rounding in the
-    A_jj, the limit is `negligible` times these instead, to each of which elimination adds U_jk²
-    times that of every earlier pivot k.
+    A pivot of |D_j| ≤ `negligible` · |A_jj| is rounding: D_j and the entries of U below U_jj are
+    zero. With `rounding` (..., n), bounds ρ_j of the rounding in the A_jj, the limit is
+    `negligible` · ρ_j instead, to which elimination adds: ρ_j grows by U_jk² ρ_k for each earlier
+    pivot k.
     """
     left = _twofold(matrix).copy()
     size = left.shape[-1]
@@ -143,7 +144,7 @@ def eliminated(
 
 
 def solve_unit(unit: Twofold, right: Twofold) -> Twofold:
-    """The X with U X = B, (..., n, m), for a lower U with 1 on its diagonal."""
+    """The X with U X = B, (..., n, m), for a lower triangular U with ones on its diagonal."""
     solution = right.copy()
     for j in range(1, unit.shape[-1]):
         known = unit[..., j : j + 1, :j] @ solution[..., :j, :]
@@ -152,9 +153,10 @@ def solve_unit(unit: Twofold, right: Twofold) -> Twofold:
 
 
 def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
-    """A solution X of U D Uᵀ X = B, (..., n, m), for a B in its range.
+    """A solution X of U diag(D) Uᵀ X = B, (..., n, m), for a B in the range of U diag(D) Uᵀ.
 
-    It keeps the digits that a product with the inverse, whose entries are larger, would lose.
+    U (..., n, n) is unit lower triangular, D = `pivots` (..., n), as `eliminated` gives them. X
+    keeps the digits that a product with the inverse, whose entries are larger, would lose.
     """
     solution = _divided(solve_unit(unit, right), pivots)
     upper = unit.mT
@@ -165,12 +167,15 @@ def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
 
 
 def inverse_unit(unit: Twofold) -> Twofold:
-    """The inverse of a lower U with 1 on its diagonal."""
+    """The inverse (..., n, n) of a lower triangular U with ones on its diagonal."""
     return solve_unit(unit, eye(unit.shape))
 
 
 def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
-    """A generalised inverse U⁻ᵀ D⁺ U⁻¹ of U D Uᵀ, exact on its range."""
+    """A generalised inverse U⁻ᵀ D⁺ U⁻¹ of A = U diag(D) Uᵀ, (..., n, n), exact on A's range.
+
+    U and D = `pivots` are as `eliminated` gives them; D⁺ is zero where D is.
+    """
     back = inverse_unit(unit)
     return back.mT @ _divided(back, pivots)
 
@@ -224,7 +229,7 @@ def _add(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
 
 
 def _sum(high: Array, low: Array) -> tuple[Array, Array]:
-    """Sums over the last axis but one of (..., k, m), as high and low parts (..., m).
+    """Sums of high + low, (..., k, m), over the last axis but one, as high and low parts (..., m).
 
     Halves of the axis are added to one another, so that errors grow with log₂ of the number of
     summands.

@@ -81,10 +81,10 @@ def divide(matrix: Array, lower: Array) -> Array:
 def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float) -> bool:
     """Whether N(mean, cov) is well conditioned, and not far narrower than the covariance `before`.
 
-    `mean` is (n, *batch), `cov` and `before` (n, n, *batch). In all of the batch, each component is
-    to keep a share above `least` of its variance given those before it, to have at least that share
-    of its variance in `before`, and a finite mean of a square up to `far` variances. A component
-    without a variance passes if it had none before.
+    `mean` is (n, *batch), `cov` and `before` (n, n, *batch). In all of the batch, given the earlier
+    components each one is to keep more than the share `least` of its variance; its variance is to
+    be at least `least` times that in `before`, and its mean finite, with a square of at most `far`
+    variances. A component without a variance passes if it has none in `before`.
     """
     if cov.ndim == 2:
         written = checking(len(cov), least, far)
@@ -182,10 +182,10 @@ class Update(NamedTuple):
     """A belief N(mean, cov) given a measurement, and the measurement's log-density (*batch).
 
     Measured components that those before them determine add nothing to the density; `left`
-    (d, *batch) has their distances from the values determined, and zero for the others; None if
-    none is determined. `regular`: no pivot of S is below 10⁻⁶ of its diagonal entry, or in a batch
-    below the `least` given, where the noise is not `exact`. `mild`: the measurement is known to
-    shrink no variance more than a thousand times.
+    (d, *batch) has their distances from the values determined, and zero for all others; None if
+    none is determined. `regular`: S is not nearly singular, so that its pivots are at least 10⁻⁶ of
+    its diagonal entries, or of a batch above the `least` of these that `update` was given. `mild`:
+    the measurement is known to shrink no variance more than a thousand times.
     """
 
     mean: Array
@@ -215,10 +215,10 @@ def update(
     `cov` P (n, n, *batch), exactly symmetric, `residual` (d, *batch); of `matrix` H (d, n, *batch)
     and `noise` (d, d, *batch) the batch may be of length one.
 
-    `out`, a mean and a covariance, may be used for the new moments of a batch. With `exact` the
-    noise is singular, and zeros are told from rounding. A batch goes to `moments` if a pivot of S
-    is at most `least` of its diagonal entry; `sharp` is `along_runs.sharpness(noise, least)`,
-    computed if None.
+    `out`, a mean and a covariance other than those given, may be overwritten with a batch's new
+    moments. `exact` says that the noise may be singular: `moments` then tells zeros from rounding.
+    A batch goes there, too, if a pivot of S is at most `least` times its diagonal entry. `sharp` is
+    the result of `along_runs.sharpness(noise, least)`, computed if None.
     """
     if not exact:
         if cov.ndim > 2:
@@ -245,9 +245,10 @@ def update(
 def update_one(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
 ) -> tuple[Array, Array, float] | None:
-    """Condition one Gaussian as `update` does: its mean, covariance and log-density.
+    """Condition one Gaussian: the new mean (n,), covariance (n, n) and log-density of `update`.
 
-    None if a pivot of S is below 10⁻⁶ of its diagonal entry.
+    The arguments are those of `update`, without a batch. None if a pivot of S is at most 10⁻⁶ of
+    its diagonal entry.
     """
     written = updating(len(mean), len(residual), NEARLY_SINGULAR)
     if written is not None:

@@ -18,9 +18,10 @@ _MEAN, _VARIANCE = 1.1605, 2.406
 
 
 def draws_needed(bins: int, epsilon: float, delta: float) -> int:
-    """The number n of draws that represents a distribution over occupied `bins`; 1 for one bin.
+    """The number n of draws that represents a distribution over so many `bins`; 1 for one bin.
 
-    With n draws, KL(empirical ‖ true) is at most `epsilon` nats with probability 1 − `delta`.
+    `bins` counts the bins that draws have occupied. With n draws, KL(empirical ‖ true) is at most
+    `epsilon` nats with probability 1 − `delta`.
     """
     if bins <= 1:
         return 1

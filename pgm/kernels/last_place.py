@@ -19,7 +19,8 @@ def rounding(mean: Array, std: Array, largest: Array) -> Array:
     """The largest ½ u(m) / σ of the components of means and deviations (..., n), as (...).
 
     `largest` (..., n) are the largest deviations that the components ever had, of which 10⁻⁹ is the
-    least σ to count in. A component that is certain, or of which nothing is known, has none.
+    least σ to count in. A component whose deviation is zero or infinite, or whose mean is not
+    finite, counts as zero.
     """
     open_ = (std > 0.0) & (std < np.inf) & np.isfinite(mean)
     half = 0.5 * np.spacing(np.abs(np.where(open_, mean, 0.0)))
@@ -29,10 +30,10 @@ def rounding(mean: Array, std: Array, largest: Array) -> Array:
 
 
 def may_count(mean: Array, variance: Array, share: float) -> bool:
-    """Whether u(m) of some mean (..., n) may be over the part `share` of its deviation.
+    """Whether u(m) of some mean (..., n) may be more than `share` standard deviations.
 
-    It is a bound that takes little time: the farthest mean of each component is compared with its
-    least variance that is not zero.
+    `variance` (..., n) are the variances of the means. The answer is from a bound that takes little
+    time: the farthest mean of each component is compared with its least variance that is not zero.
     """
     axes = tuple(range(mean.ndim - 1))
     farthest = np.maximum(mean.max(axis=axes, initial=0.0), -mean.min(axis=axes, initial=0.0))

@@ -68,11 +68,12 @@ def kernels(shift: Array, variance: Array | float) -> Kernels:
 
 
 def _solved(k: Array, mean: Array, excess: Array) -> Array:
-    """Weights (n, taps) over whole numbers `k` (taps,), with E k = `mean`, E k(k − 1) = `excess`.
+    """Weights (n, taps) of whole numbers `k` (taps,), with E k = `mean`, E k(k − 1) = `excess`.
 
-    `mean` (n,) is in [0, ½]. They are wₖ ∝ exp(a k − b k(k − 1)), or without an excess those of the
-    two points 0 and 1. Newton's method ends when both conditions hold to rounding, no step comes
-    nearer, or after 60 steps.
+    `k` ascends by one, through 0 and 1; `mean` (n,) is in [0, ½], `excess` (n,) not negative. The
+    weights are wₖ ∝ exp(a k − b k(k − 1)), or without an excess those of the two points 0 and 1.
+    Newton's method ends when both conditions hold to rounding, no step comes nearer, or after 60
+    steps.
     """
     weights = np.zeros((mean.size, k.size))
     zero = int(-k[0])
@@ -165,17 +166,20 @@ def _norm(residual: tuple[Array, Array], excess: Array) -> Array:
 
 
 class Span(NamedTuple):
-    """The `length` cells of an axis from `first` on; on a periodic one, past its end too."""
+    """An interval of an axis: `length` cells from `first` on, on a periodic axis past its end too.
+
+    Past the end of a periodic axis the cells go on with cell 0.
+    """
 
     first: int
     length: int
 
 
 def reached(low: int, high: int, cells: int, periodic: bool) -> Span:
-    """The cells from `low` up to, but without, `high`, of an axis of so many cells, as a span.
+    """The span from cell `low` up to, but without, cell `high`, of an axis of so many `cells`.
 
-    On a periodic axis it begins at low modulo `cells`; for `cells` or more it is the whole axis,
-    from 0 on. On others it is cut to the axis, and has at least one cell.
+    On a periodic axis it begins at `low` modulo `cells`; one of `cells` or more is the whole axis,
+    from 0 on. On any other axis it is cut to the axis, and has at least one cell.
     """
     if periodic:
         return Span(0, cells) if high - low >= cells else Span(low % cells, high - low)
@@ -232,7 +236,8 @@ def along(matrix: Array, array: Array, axis: int, by: tuple[int, ...]) -> Array:
     """The array with each of its lines along `axis`, of source cells, multiplied by a matrix.
 
     `matrix` is (n, target cells, source cells), one for each of the n cells of the other axes `by`,
-    ascending, in C order; without such axes n is one. The result has target cells along the axis.
+    ascending, in C order; without such axes n is one. Lines that differ in further axes only share
+    a matrix. The result has target cells along the axis.
     """
     rest = tuple(k for k in range(array.ndim) if k not in (axis, *by))
     last = axis == array.ndim - 1 and by + rest + (axis,) == tuple(range(array.ndim))

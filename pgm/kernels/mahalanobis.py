@@ -12,7 +12,7 @@ from pgm.kernels.roots import NEGLIGIBLE
 
 
 def square_within(probability: float, dimension: Integers) -> Array:
-    """The chi-square quantile: with `probability` νᵀ S⁻¹ ν of `dimension` components is less."""
+    """The chi-square quantile q: νᵀ S⁻¹ ν < q with `probability`, ν of `dimension` components."""
     from scipy.special import chdtri  # here, since it is slow to import
 
     return np.asarray(chdtri(dimension, 1.0 - probability), dtype=np.float64)
@@ -21,8 +21,8 @@ def square_within(probability: float, dimension: Integers) -> Array:
 def squares(residual: Array, cov: Array) -> Array:
     """The distances νᵀ S⁻¹ ν, (k, *batch), of k innovations ν (k, d, *batch), S (k, d, d, *batch).
 
-    Components are eliminated one after another, in the whole stack at once. One that those before
-    it determine, by a pivot of S of at most 10⁻¹³ of its variance, adds nothing.
+    Components are eliminated one after another, in the whole stack at once. A component that
+    earlier ones determine, its pivot in S at most 10⁻¹³ of its variance, adds nothing.
     """
     size = residual.shape[1]
     if size == 1:

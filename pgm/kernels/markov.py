@@ -37,11 +37,11 @@ def forward(
 ) -> Masses:
     """Fill rows with forward messages; returns their masses, and those of the beliefs before.
 
-    Row t is weights[t] times the transition applied to the belief before: that is row t − 1, or,
-    after every `every` steps, row t − 1 scaled to mass one. Each of `applies`, one a step, is a
-    function of a belief and an array, into which it puts the belief's product by the transition
-    into the step; `weights` and `rows` are (steps, states, [runs]); `belief` (states, [runs]), of
-    mass one, is that before the first step.
+    Row t is weights[t] times the transition applied to the belief before it: row t − 1, which is
+    scaled to mass one for this, not in `rows`, after every `every` steps. Each of `applies`, one a
+    step, is a function of a belief and an array, into which it puts the belief's product by the
+    transition into the step; `weights` and `rows` are (steps, states, [runs]); `belief` (states,
+    [runs]), of mass one, is the belief before the first step.
     """
     before = np.ones((len(rows), *belief.shape[1:]))
     for k, (apply, weight, row) in enumerate(zip(applies, weights, rows, strict=False)):
@@ -57,7 +57,7 @@ def forward(
 
 
 def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int = EVERY) -> None:
-    """Fill rows (steps, states, [runs]) with backward messages, last to first; the last is given.
+    """Fill rows (steps, states, [runs]) with backward messages, from the last row, which is given.
 
     Row t − 1 is the transposed transition into step t applied to weights × row t; after every
     `every` steps a row is scaled to mass one. Each of `applies`, that of the last step first, is a
@@ -171,9 +171,9 @@ class Blocks:
     def _starts(self, belief: Array) -> Array:
         """The belief before each block, (blocks, states), of sum one, by the transfer matrices.
 
-        `belief` (states,) is that before the first. Scales are applied in logarithms, since those
-        of two rows may be further apart than float64 holds. If a block is impossible, all later
-        ones get the belief before it: its own sweep will find a mass of zero.
+        `belief` (states,) is that before the first block. Scales are applied in logarithms, since
+        two rows' scales may be further apart than float64 holds. If a block is impossible, all
+        later blocks get the belief before it: its own sweep will find a mass of zero.
         """
         found = np.empty(self.scale.shape)
         for k, (own, logs) in enumerate(zip(self.transfer, self.scale, strict=True)):

@@ -84,7 +84,10 @@ def update(
 
 
 def joseph(cov: Array, gain: Array, matrix: Array, noise: Array) -> tuple[Array, Array]:
-    """The factor I − G H and the covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ, for any gain."""
+    """The factor I − G H and the covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ, for any gain G.
+
+    Both are (..., n, n); G is `gain` (..., n, d), H `matrix` (..., d, n), and P `cov`.
+    """
     keep = one_minus(multiply(gain, matrix))
     return keep, make_symmetric(sandwich(keep, cov) + sandwich(gain, noise))
 
@@ -101,7 +104,10 @@ def spread(matrix: Array, cov: Array, noise: Array) -> Array:
 
 
 def certain(cov: Array, rounding: Array) -> Array:
-    """A covariance with zero rows and columns where a variance is at most `rounding`, (..., n)."""
+    """Covariances (..., n, n), with zero rows and columns for variances of at most `rounding`.
+
+    `rounding` (..., n) has a bound for each variance.
+    """
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) > rounding
     if open_.all():
         return cov
@@ -124,9 +130,9 @@ def reverse(
 ) -> Conditional:
     """Bayes' rule for y = A x + c + n, n ~ N(0, noise): p(x | y) from x ~ N(mean, cov).
 
-    With y ~ N(m_y, P_y), which are `forward_mean` and `forward_cov`, and the gain G = P Aᵀ P_y⁺:
-    x = G y + (m − G m_y) + e, where e has the covariance (I − GA) P (I − GA)ᵀ + G noise Gᵀ, which
-    subtracts nothing.
+    A is `matrix` (..., d, n), `noise` (..., d, d). With y ~ N(m_y, P_y), m_y = `forward_mean` and
+    P_y = `forward_cov`, and the gain G = P Aᵀ P_y⁺, it is x = G y + (m − G m_y) + e. The covariance
+    of e, (I − GA) P (I − GA)ᵀ + G noise Gᵀ, subtracts nothing from P.
     """
     cross = transpose(times_symmetric(matrix, cov))
     # The rest is right for any gain: only what is no more than rounding has to go.
@@ -137,7 +143,7 @@ def reverse(
 
 
 def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
-    """The mean and covariance of F x + b + n for x ~ N(mean, cov) and a conditional (F, b, n)."""
+    """The mean and covariance of F x + b + n for x ~ N(mean, cov); F, b and n of a conditional."""
     matrix, offset, noise = conditional
     return apply(matrix, mean) + offset, make_symmetric(sandwich(matrix, cov) + noise)
 

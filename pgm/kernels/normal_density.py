@@ -55,7 +55,7 @@ def whitener(lower: Array) -> Array | None:
 
 
 def _without(gone: Mask, vectors: Array) -> Array:
-    """Vectors (..., S, d) with zero in the components that are `gone`."""
+    """Vectors (..., S, d) with zero in the components that `gone` (..., d) marks."""
     return np.where(gone[..., None, :], 0.0, vectors)
 
 
@@ -76,9 +76,9 @@ def log_density(lower: Array, white: Array) -> Array:
 def off(lower: Array, left: Array, error: Array) -> Mask:
     """Whether residuals, wrong by at most `error`, are off the range of L, (..., S).
 
-    There the noise never gets: the density is zero. `left` (..., S, d) is what `whitened` leaves at
-    determined components; a residual is off where any of it exceeds |L⁻¹| error, with L's zero
-    pivots as ones, plus `SLACK` standard deviations. `error` is (..., S, d).
+    Off the range the density is zero. `left` (..., S, d) is what `whitened` leaves at determined
+    components. A residual is off if some |left| exceeds |L⁻¹| error, L having ones for its zero
+    pivots, by more than `SLACK` standard deviations of the component. `error` is (..., S, d).
     """
     # What is left depends linearly on the residuals: by this matrix.
     spread = np.abs(solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))

@@ -32,7 +32,7 @@ _CHUNK = 3072
 def by_rows(array: Array, *, copy: bool = False) -> Array:
     """A stack (T, R, ...) with each component a row of steps and runs in memory.
 
-    The array itself where it lies so already, unless `copy`; else a copy.
+    It is the array itself where that lies so already, unless `copy` is true; else a copy.
     """
     axes = array.ndim
     along, across = array.strides[:2]
@@ -80,8 +80,9 @@ def in_chunks(kernel: Callable[..., Any], *stacks: Any) -> Any:
 def levels(segments: Segments, compose: Callable[[Segments, Segments], Segments]) -> list[Segments]:
     """Up the tree: row k of level l is the composition of the segments k 2ˡ to (k + 1) 2ˡ − 1.
 
-    ``compose(first, then)`` composes stacks of left and of right neighbours. Level 0 is `segments`;
-    a segment without a neighbour, at the end of a level, is in none above; the last has one row.
+    ``compose(first, then)`` composes stacks of left and of right neighbours. Returns the levels,
+    from 0, which is `segments`, up to one of a single row; a segment without a right neighbour, at
+    the end of a level, is in no level above.
     """
     tree = [segments]
     while (pairs := tree[-1][0].shape[0] // 2) > 0:
@@ -116,7 +117,7 @@ def _rows(parts: Any, steps: slice) -> Any:
 
 
 def _merge(first: Any, second: Any, steps: int, here: slice, there: slice) -> Any:
-    """Two named tuples of stacks as one of so many steps: `first` at `here`, `second` at `there`.
+    """Two named tuples of stacks as one of `steps` steps: `first` at `here`, `second` at `there`.
 
     A part that is None in either is None.
     """

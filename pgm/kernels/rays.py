@@ -57,10 +57,10 @@ def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
 
 
 def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array) -> None:
-    """Put the distances of `cast` into `found` (n,) for rays that enter a stop; leave the others.
+    """Put the distances of `cast` into `found` (n,), at rays that enter a stop within `most`.
 
-    Each ray is followed in a frame of its own, mirrored so that it goes up along both axes, from
-    the edge of one box of free cells to that of the next.
+    The entries of all other rays stay. Each ray is followed in a frame of its own, mirrored so that
+    it goes up along both axes, from the edge of one box of free cells to that of the next.
     """
     height, width = clear.shape
     sizes, strides = np.array([[width], [height]]), np.array([[1.0], [width]])
@@ -99,8 +99,8 @@ def _advance(rays: Array, step: Array) -> None:
     `rays` (13, n) has a ray in each column, in its own frame. Its rows are, for x and y each, where
     the ray begins, its direction, one over that, the stride of the flat grid and the cell; then the
     flat index of cell (0, 0), the distance so far and where it ends. Distance and cell change.
-    Along each axis the edge ahead is `step` (n,) cells from the near edge of the cell; the ray
-    crosses that which it reaches first.
+    The square's edge ahead along each axis is `step` (n,) cells from the near edge of the ray's
+    cell; the ray goes to the first of these two edges that it reaches.
     """
     x, y, across, along, by_across, by_along, _, _, column, row, _, distance, _ = rays
     edge, other = column + step, row + step
@@ -114,7 +114,10 @@ def _advance(rays: Array, step: Array) -> None:
 
 
 def _between(low: Array, place: Array, edge: Array) -> Array:
-    """The cell indices of places (n,), clipped to `low` ≤ cell < `edge` against rounding."""
+    """The cell indices ⌊place⌋ (n,), clipped to `low` ≤ cell < `edge` against rounding.
+
+    `place` (n,) is a coordinate of each ray, and is overwritten.
+    """
     cells = np.floor(place, out=place)
     np.maximum(cells, low, out=cells)
     np.minimum(cells, edge - 1.0, out=cells)
@@ -171,8 +174,8 @@ def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask)
 
     `table` (rows, columns) is contiguous; ends beyond its edge count as in the cell on the edge.
     `poses` (m, 3) are column and row in cells and heading in radians; `units` (2, beams) are the
-    beams' directions in the frame of the pose. `ranges`, in cells, and `seen`, the beams that
-    count, are (m, beams), or (1, beams) where all poses share one scan.
+    beams' directions in the frame of the pose. `ranges`, in cells, and `seen`, which marks the
+    beams whose ends are summed over, are (m, beams), or (1, beams) where all poses share one scan.
     """
     shared = len(ranges) == 1
     if shared:
@@ -209,10 +212,10 @@ def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask)
 
 
 class _Work:
-    """Work space of `summed`: columns and rows of ends (poses, beams), read from a table.
+    """Work space of `summed`: arrays for the ends of beams, and for the table's entries there.
 
-    The caller fills `column` and `row`, and `taken` reads the table there. `shape` is the largest
-    number of poses and beams.
+    The caller fills `column` and `row` (poses, beams), the coordinates of ends in cells, and
+    `taken` reads the table there. `shape` is the largest number of poses, and that of beams.
     """
 
     def __init__(self, table: Single, shape: tuple[int, int]) -> None:

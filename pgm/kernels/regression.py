@@ -27,8 +27,8 @@ def regress(
     """The regression line through values (..., N, d) at points s (..., N, n) of N(0, I).
 
     Returns the slope J (..., d, n), the line's value at s = 0, (..., d), and the covariance of the
-    residuals, (..., d, d). The slope is zero by components of s with a zero column in L = `lower`.
-    The mean and covariance of s are those of the sample, or, where `known`, 0 and I; then the
+    residuals, (..., d, d). A column of J is zero where that of L = `lower`, (..., n, n), is zero.
+    The mean and covariance of s are those of the sample, or, if `known`, 0 and I; then the
     residual covariance may be indefinite.
     """
     value_mean, s_mean = mean_weights @ values, mean_weights @ s
@@ -53,9 +53,9 @@ def regress(
 class Fit(NamedTuple):
     """The regression on fixed points, as one matrix to multiply values Y (N, d) with.
 
-    The product of `rows` (N, N) and Y has, row by row: the line's value at s = 0; the transposed
-    slope Jᵀ, n rows; and N − n − 1 rows R, by which the covariance of the residuals is
-    Rᵀ diag(signs) R. `signs` (N − n − 1,) are ±1; None stands for all +1.
+    For N points of n components, the product of `rows` (N, N) and Y has, row by row: the line's
+    value at s = 0; the transposed slope Jᵀ, n rows; and N − n − 1 rows R, by which the covariance
+    of the residuals is Rᵀ diag(signs) R. `signs` (N − n − 1,) are ±1; None stands for all +1.
     """
 
     rows: Array

@@ -92,7 +92,10 @@ def _edges(weights: Array, count: int) -> Array:
 
 
 def _between(below: Array | Integers) -> Integers:
-    """How many draws each particle gets, (n,), from the number of draws below each edge."""
+    """How many draws each particle gets, (n,), from the numbers of draws `below` each edge, (n,).
+
+    Edge i is the upper one of particle i, as `_edges` gives them.
+    """
     ends, counts = below.astype(np.intp), np.empty(len(below), dtype=np.intp)
     counts[:1] = ends[:1]
     np.subtract(ends[1:], ends[:-1], out=counts[1:])

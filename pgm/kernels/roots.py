@@ -29,7 +29,8 @@ def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIB
     """The lower triangular root (..., n, n); NaN where a matrix is indefinite or not finite.
 
     A pivot of at most `negligible` times `scale` (..., n) is rounding: it and its column are zero.
-    The scale is the diagonal if None; else the size of the terms whose sum the diagonal is.
+    `scale` is the sum of the sizes of the terms that the diagonal was summed from; if None, it is
+    the diagonal itself.
     """
     diagonal = variances(matrix) if scale is None else scale
     if by_runs(matrix):
@@ -48,10 +49,10 @@ def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIB
 
 
 def regular_root(matrix: Array, least: float, scale: Array | None = None) -> Array | None:
-    """The roots of positive definite matrices (n, n, *batch), or None.
+    """The lower roots (n, n, *batch) of positive definite matrices (n, n, *batch), or None.
 
-    None if any pivot of the batch is not above `least` times the diagonal, or `scale` (n, *batch).
-    It is fast where the batch stands together in memory.
+    None if a pivot, of any matrix, is at most `least` times its entry of `scale` (n, *batch), which
+    is the diagonal if None. It is fast where the batch stands together in memory.
     """
     lower = np.zeros_like(matrix)
     with np.errstate(invalid="ignore", divide="ignore"):  # such pivots are not proper: see below
@@ -105,10 +106,10 @@ def smallest_pivot(lower: Array) -> float:
 
 
 def is_regular(cov: Array, least: float) -> bool:
-    """Whether each component keeps over `least` of its variance given those before it.
+    """Whether each component keeps more than `least` times its variance given those before it.
 
-    That is in all covariances (..., n, n); a component without a variance passes, an indefinite
-    matrix does not.
+    All covariances (..., n, n) of the stack are to pass; a component without a variance passes, an
+    indefinite matrix does not.
     """
     pivots = np.diagonal(root(cov), axis1=-2, axis2=-1)
     variance = variances(cov)

@@ -18,9 +18,9 @@ STEADY = 1e-12
 
 
 def product(a: Rows, b: Rows) -> Rows:
-    """The products of two stacks of factors, one by one: their rows below one another.
+    """The product of each factor of a stack with the same one of another: the rows of both.
 
-    Without exact relations where either stack has None.
+    The rows of `a` come first. The product has no exact relations if `a` or `b` has None.
     """
     parts = zip(a, b, strict=True)
     return Rows._make(None if p is None or q is None else _together(p, q) for p, q in parts)
@@ -32,9 +32,10 @@ def first(stack: Rows) -> Rows:
 
 
 def damped(old: Rows, new: Rows, damping: float) -> Rows:
-    """The weighted geometric mean old^damping · new^(1 − damping) of messages, in s rows.
+    """The weighted geometric mean old^damping · new^(1 − damping) of messages, with s rows each.
 
-    Information matrices and vectors are added with these shares; exact relations are the new ones.
+    Information matrices and vectors are added with the shares `damping` and 1 − `damping`; the
+    exact relations are those of `new`.
     """
     kept, taken = np.sqrt(damping), np.sqrt(1.0 - damping)
     size = new.matrix.shape[-1]
@@ -48,11 +49,11 @@ def damped(old: Rows, new: Rows, damping: float) -> Rows:
 def change(old: Rows, new: Rows, against: Rows) -> Array:
     """The relative change of sepsets' beliefs by new messages in place of the old ones, (B, runs).
 
-    K and h are the information of a message; the new one times the message `against` it, which goes
-    the opposite way, is the sepset's belief, with means m and standard deviations D. The change is
-    the largest entry of D |ΔK| D, of information; of (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, the move of
-    the mean in standard deviations less its rounding; and of the difference of exact relations. It
-    is infinite where the belief does not exist.
+    A message has the information K and h; ΔK and Δh are those of `new` less those of `old`. The new
+    message times `against`, the message the opposite way, is the sepset's belief, with means m and
+    standard deviations on the diagonal of D. The change is the largest entry of D |ΔK| D; of
+    (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, the move of the mean in standard deviations less its rounding;
+    and of the difference of exact relations. It is infinite where the belief does not exist.
     """
     belief = eliminate(product(new, against), new.matrix.shape[-1])
     std = np.sqrt(np.maximum(np.diagonal(belief.noise, axis1=-2, axis2=-1), 0.0))[..., None]
@@ -73,9 +74,9 @@ def change(old: Rows, new: Rows, against: Rows) -> Array:
 def steady(old: Rows, new: Rows) -> Rows:
     """The new messages, with the old exact relations where the new ones differ by rounding alone.
 
-    That is for messages whose relations differ by less than 10⁻¹² in units of the frame, in all
-    runs that share them. Loops feed certainties back to themselves, and can amplify their rounding
-    without end.
+    A message keeps the old relations if they differ from the new ones by less than 10⁻¹² in units
+    of the frame, for all the right sides that share a matrix. Loops feed certainties back to
+    themselves, and can amplify their rounding without end.
     """
     found = _relations(old, new)
     if found is None:
@@ -88,9 +89,10 @@ def steady(old: Rows, new: Rows) -> Rows:
 
 
 def choose(active: Mask, new: Rows, old: Rows) -> Rows:
-    """The new messages in the `active` runs (runs,), the old ones in the others.
+    """The new messages in the runs that `active` (runs,) marks, the old messages in all other runs.
 
-    Where runs share a matrix, V = 1, that is the new one for all, and only right sides are chosen.
+    Where runs share a matrix, V = 1, the new matrix is taken for all runs, and only right sides are
+    chosen. There are no exact relations in the result unless both `new` and `old` have some.
     """
     shared = new.matrix.shape[0] == 1
     each = active[:, None, None, None]

@@ -40,13 +40,14 @@ class Rows(NamedTuple):
 class Eliminated(NamedTuple):
     """A factor over (x, s) as a conditional p(x | s), times the factor over s that is left.
 
-    p(x | s) is x = gain s + offset + n, n ~ N(0, noise), with a column of the offset for each right
-    side. `rest` is the factor over s, with a triangular square A; `log_scale` (..., N) is its g
-    less that of the given factor. `contradiction` (..., N) marks right sides whose exact relations
-    contradict one another; None if there are none. `largest` measures the digits that exact
-    relations cost: the largest entry of the rows after x was solved for in them, or the largest
-    reciprocal of a singular value divided by; infinite where it is not certain which relations are
-    independent, 0 if there are none.
+    p(x | s) is x = gain s + offset + n, n ~ N(0, noise); for x of d variables and s of e, `gain` is
+    (..., d, e), `offset` (..., d, N), a column for each right side, and `noise` (..., d, d). `rest`
+    is the factor over s, with an upper triangular A (..., e, e); `log_scale` (..., N) is its g less
+    that of the given factor. `contradiction` (..., N) marks right sides whose exact relations
+    contradict one another; None if there are no relations. `largest` measures the digits that exact
+    relations cost, as the largest of all factors: an entry of the rows after x was solved for in
+    them, or the reciprocal of a singular value divided by; infinite where it is not certain which
+    relations are independent, 0 if there are none.
     """
 
     gain: Array
@@ -59,14 +60,14 @@ class Eliminated(NamedTuple):
 
 
 def eliminate(factor: Rows, count: int) -> Eliminated:
-    """Integrate the first `count` variables x out of a factor, keeping p(x | the others)."""
+    """Integrate the first `count` variables x out of a factor over (x, s), keeping p(x | s)."""
     if factor.exact is None or factor.exact_right is None or not factor.exact.shape[-2]:
         return _eliminate_proper(factor.matrix, factor.right, count)
     return _eliminate_exact(factor.matrix, factor.right, factor.exact, factor.exact_right, count)
 
 
 def triangular(matrix: Array, right: Array) -> Array:
-    """The triangular factor R of a QR factorisation of [A | r], (..., rows, n + N).
+    """The upper triangular factor R of a QR factorisation of [A | r], (..., rows, n + N).
 
     `matrix` A is (..., k, n), `right` r (..., k, N). R has min(max(k, n), n + N) rows, n or more;
     rows of [A | r] are taken by size, the largest first, which keeps digits.
@@ -101,11 +102,11 @@ def largest_first(correlation: Array) -> Integers:
 
 
 def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
-    """Integrate the first `count` variables out of rows without exact relations.
+    """Integrate the first `count` variables x out of rows without exact relations.
 
     A QR factorisation makes the rows [E F; 0 G; 0 0], with right sides [e; g; q]: the rest is G
-    with g, and the variables are E⁻¹ (e − F s) + noise of covariance E⁻¹ E⁻ᵀ, given the others s.
-    The log-scale is ½ count ln 2π − ln |det E| − ½ ‖q‖². NaN where E is singular but for rounding.
+    with g, and given all other variables s, x is E⁻¹ (e − F s) + noise of covariance E⁻¹ E⁻ᵀ. The
+    log-scale is ½ count ln 2π − ln |det E| − ½ ‖q‖². NaN where E is singular but for rounding.
     """
     size = matrix.shape[-1]
     factor = triangular(matrix, right)
@@ -151,7 +152,7 @@ def _eliminate_exact(
     """Integrate the first `count` variables x out of rows with exact relations C_x x + C_s s = c.
 
     With the singular value decomposition C_x = U S Vᵀ, the relations determine x by s along V₁, the
-    directions of nonzero singular values; along the others x is left to the rows, as in
+    directions of nonzero singular values; along all other directions x is left to the rows, as in
     `_eliminate_proper`. The relations in which no x is left, U₂ᵀ (C_s s − c) = 0, go to the rest.
     """
     sepset = matrix.shape[-1] - count
@@ -191,13 +192,13 @@ def _eliminate_exact(
 def _independent(
     exact: Array, right: Array, size: Array
 ) -> tuple[Array, Array, Array, Mask, float]:
-    """Exact relations C x = c as orthonormal rows, without those that the others imply.
+    """Exact relations C x = c as orthonormal rows, none of them implied by the remaining ones.
 
     `exact` is C (..., m, n), `right` c (..., m, N), and `size` (..., N) the size of the numbers
     that c is computed from. Returns the new C and c, with rows of zeros for what is left out; the
-    sum of ln of the singular values of C that they were divided by, (...); the mask (..., N) of c
-    that contradict themselves, where an implied relation is missed by more than 10⁻⁷ `size`; and
-    the largest reciprocal of those values, infinite where what is implied may be independent.
+    sum of ln of the singular values of C that they were divided by, (...); the mask (..., N) of
+    right sides that miss an implied relation by more than 10⁻⁷ `size`, a contradiction; and the
+    largest of 1 and all 1 / singular value, infinite where what is implied may be independent.
     """
     independent, solved, left, log_size, doubt = _solved(exact, right)
     far = np.abs(left).max(axis=-2, initial=0.0)
@@ -210,9 +211,10 @@ def _solved(matrix: Array, right: Array) -> tuple[Array, Array, Array, Array, fl
     """The equations A x = B, (..., m, n) and (..., m, N), solved by the decomposition A = U S Vᵀ.
 
     They are equal to V₁ᵀ x = S₁⁻¹ U₁ᵀ B and 0 = U₂ᵀ B, with V₁, S₁, U₁ those of the singular values
-    that are not rounding, and U₂ the rest of U. Returns V₁ᵀ, S₁⁻¹ U₁ᵀ B and U₂ᵀ B, each with rows
-    of zeros in the places of the others; the sum of ln S₁, (...); and max(1, 1 / the least of S₁),
-    infinite if a value left out may be more than rounding.
+    that are not rounding, and U₂ the rest of U. Returns V₁ᵀ (..., k, n) and S₁⁻¹ U₁ᵀ B (..., k, N),
+    k = min(m, n), with zeros for rows of rounding; U₂ᵀ B (..., m, N), with zeros for the rows of
+    U₁; the sum of ln S₁, (...); and the number max(1, 1 / the least of S₁) over the stack, infinite
+    if a value left out may be more than rounding.
     """
     u, values, vt = _svd(matrix)
     count = values.shape[-1]
@@ -228,7 +230,10 @@ def _solved(matrix: Array, right: Array) -> tuple[Array, Array, Array, Array, fl
 
 
 def _svd(matrix: Array) -> tuple[Array, Array, Array]:
-    """The decomposition A = U S Vᵀ with square U, also of no columns; NaN if A is not finite."""
+    """The U (..., m, m), diagonal of S and Vᵀ (..., n, n) of A = U S Vᵀ; NaN if A is not finite.
+
+    A (..., m, n) may have no rows or no columns.
+    """
     if matrix.size:
         try:
             return np.linalg.svd(matrix, full_matrices=True)

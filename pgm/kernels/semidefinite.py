@@ -18,8 +18,8 @@ def semidefinite(cov: Array, largest: float) -> Array:
     """Covariances (..., n, n) without the asymmetry and negative eigenvalues left by rounding.
 
     The eigenvalues are those of the correlations. Negative ones become zero where the least is
-    between −`largest` and −10⁻¹²; a covariance with one at −`largest` or below, which is no
-    rounding, is only made symmetric, as are all if any entry is infinite or NaN.
+    between −`largest` and −10⁻¹². A covariance with an eigenvalue of −`largest` or less, which is
+    no rounding, is only made symmetric, and so are all if an entry of any is infinite or NaN.
     """
     cov = symmetric(cov)
     unit = deviation(cov)

@@ -18,7 +18,7 @@ Axes = int | tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class Semiring:
-    """A product and a sum of entries of tables, and their neutral entries.
+    """A semiring of the entries of tables: a product and a sum, and their neutral entries.
 
     `times` and `over` multiply and divide entries; `zero` and `one` are neutral for sum and
     product. ``total(values, axes, out)`` sums along one or more axes, into `out` if that is not
@@ -33,7 +33,7 @@ class Semiring:
     linear: bool
 
     def divisor(self, values: Array) -> Array:
-        """The values with `one` for `zero`, so that as divisors they make 0/0 zero."""
+        """The values with `one` for each `zero`: as divisors they make zero over zero zero."""
         safe: Array = np.where(values == self.zero, self.one, values)
         return safe
 
@@ -62,7 +62,10 @@ def _maximum(values: Array, axis: Axes, out: Array | None) -> Array:
 
 
 def log_sum(values: Array, axis: Axes, out: Array | None = None) -> Array:
-    """The sums ln Σ exp(values) along axes, which are dropped; −∞ where all values are −∞."""
+    """The sums ln Σ exp(values) along axes, which are dropped; −∞ where all values are −∞.
+
+    They are put into `out` if that is given.
+    """
     top = np.maximum.reduce(values, axis, keepdims=True)
     top = np.where(top == -np.inf, 0.0, top)
     with np.errstate(divide="ignore", under="ignore"):
@@ -72,7 +75,10 @@ def log_sum(values: Array, axis: Axes, out: Array | None = None) -> Array:
 
 
 def exp(logs: Array, out: Array | None = None) -> Array:
-    """The exponentials of logarithms; zero, without a warning, where they are too small."""
+    """The exponentials of logarithms; zero, without a warning, where they are too small.
+
+    They are put into `out` if that is given.
+    """
     with np.errstate(under="ignore"):
         values: Array = np.exp(logs, out)
     return values

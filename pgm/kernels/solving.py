@@ -30,15 +30,19 @@ def _regular(lower: Array, fixed: Mask) -> Array:
 
 
 def solve_lower(lower: Array, right: Array) -> Array:
-    """The Y with L Y = B, (..., n, m), for the rows of all components that are not determined.
+    """The Y with L Y = B, (..., n, m), in the rows of all components that are not determined.
 
-    The row j of a determined component is what the others leave of B there: B_j − Σ_k L_jk Y_k.
+    L is `lower` (..., n, n), B `right` (..., n, m). The row j of a determined component is what
+    earlier components leave of B there: B_j − Σ_k L_jk Y_k, k < j.
     """
     return _solve(_regular(lower, determined(lower)), right, range(lower.shape[-1]))
 
 
 def solve_upper(lower: Array, right: Array) -> Array:
-    """The X with Lᵀ X = B, (..., n, m); rows of determined components are zero, B unused there."""
+    """The X with Lᵀ X = B, (..., n, m); rows of determined components are zero, B unused there.
+
+    L is the lower triangular `lower` (..., n, n), B `right` (..., n, m).
+    """
     fixed = determined(lower)
     if fixed.any():
         right = np.where(fixed[..., None], 0.0, right)

@@ -36,9 +36,10 @@ class Transition(ABC):
 
     @abstractmethod
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """What `forward`, or with `back` `backward`, makes of logarithms, as logarithms.
+        """The sum of `forward`, or if `back` that of `backward`, of logarithms, as logarithms.
 
-        `semiring` is one of logarithms; its sum takes the place of Σ, ln Σ exp or the maximum.
+        `values` are ln belief or ln message. `semiring` is one of logarithms; its own sum, ln Σ exp
+        or the maximum, takes the place of Σ.
         """
 
     @abstractmethod
@@ -271,9 +272,9 @@ class Product(Transition):
 
     @staticmethod
     def _joined(found: Array, like: Array, axis: int, size: int) -> Array:
-        """An array with the factors' axes made into one of `size` flat states again.
+        """An array with the factors' axes, from `axis` on, made into one of `size` flat states.
 
-        Its other axes are those of `like`, whose axis of flat states is `axis`.
+        All remaining axes are those that `like` has before and after its axis `axis`.
         """
         return found.reshape(*like.shape[:axis], size, *like.shape[axis + 1 :])
 

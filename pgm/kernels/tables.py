@@ -32,8 +32,8 @@ OUTSIDE = 3000.0
 def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
     """The same tables, as values and log-scale, with extreme largest entries divided out.
 
-    That is for a largest entry below 10⁻¹⁰⁰ or above 10¹⁰⁰, whose logarithm is added to the
-    log-scale. If any table is such, those that are all zero get a log-scale of zero.
+    A table whose largest entry is below 10⁻¹⁰⁰ or above 10¹⁰⁰ is divided by it, and its logarithm
+    is added to the log-scale. If there is any such table, tables of zeros get the log-scale zero.
     """
     top = largest(values, axes)
     extreme = (top < SMALL) | (top > LARGE)
@@ -101,7 +101,10 @@ def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
 
 
 def _instead(plain: Array, held: Mask, values: Array, log_scale: Array) -> tuple[Array, Array]:
-    """The `plain` tables, with log-scale zero, where `held` (...); the scaled ones elsewhere."""
+    """Tables and their log-scales: `plain` and zero where `held` (...), else those scaled.
+
+    The scaled tables are `values`, with `log_scale` (...).
+    """
     kept = _per_table(held, plain.ndim - held.ndim)
     return np.where(kept, plain, values), np.where(held, 0.0, log_scale)
 

@@ -67,7 +67,10 @@ def between(poses: Array) -> Array:
 
 
 def inverse(motions: Array) -> tuple[Array, Array]:
-    """The inverse motions (n, 3), and their Jacobians with respect to the motions, (n, 3, 3)."""
+    """The inverse motions (n, 3), and their Jacobians with respect to the motions, (n, 3, 3).
+
+    Entry (k, i, j) is the derivative of component i of inverse k by component j of motion k.
+    """
     ahead, left = turned(-motions[:, :2], -motions[:, 2]).T
     slope = np.zeros((len(motions), 3, 3))
     slope[:, 0, 0] = slope[:, 1, 1] = -np.cos(motions[:, 2])

@@ -37,7 +37,7 @@ _CHUNK = 2**20
 
 
 class Behind(Protocol):
-    """The slices of a chain, as far as backward messages need them.
+    """A chain of slices of finitely many states, as far as backward messages need it.
 
     Beliefs and messages are (*states, *runs), the states of a slice on one axis or on several, the
     runs flattened to one axis, or none of one run.
@@ -50,14 +50,14 @@ class Behind(Protocol):
     lead: tuple[int, ...]
 
     def backward(self, step: int, message: Array) -> Array:
-        """The sum Σ_x p(x | x') message(x): from the slice of a step to the one before, x'."""
+        """The sum Σ_x p(x | x') message(x), x being the slice of `step` and x' the one before."""
         ...
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """The weights of a step's measurements and their log-scale; no weights, if there are none.
+        """The weights of a step's measurements, and their log-scale; None without measurements.
 
         p(z_t | x) is the weights, which broadcast with a belief, times the exponential of the
-        scale.
+        scale, (*runs) or one number.
         """
         ...
 
@@ -70,13 +70,14 @@ class Slices(Behind, Protocol):
         ...
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The sum Σ_x' p(x | x') belief(x'): to the slice of step t ≥ 1 from the one before, x'."""
+        """The sum Σ_x' p(x | x') belief(x'), x being the slice of `step` ≥ 1, x' the one before."""
         ...
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise `EvidenceError`: under a predicted belief, a step's measurements are impossible.
+        """Raise `EvidenceError` for a step's measurements, which are impossible in some run.
 
-        `run` counts the flattened runs.
+        belief: The predicted belief under which they have probability zero, (*states, *runs).
+        run: Such a run, by its place among the flattened runs.
         """
         ...
 
@@ -84,7 +85,8 @@ class Slices(Behind, Protocol):
 class BackwardChain:
     """The backward messages of a chain whose filtered beliefs are known.
 
-    known: The filtered beliefs by step, (*states, *runs), each of sum one.
+    known: The filtered beliefs by step, (*states, *runs), each of sum one, in entries of the
+        semiring; empty until the caller sets them.
     batch: The number of axes of runs, 1 or 0.
     """
 
@@ -102,19 +104,19 @@ class BackwardChain:
         return np.full(self.known[-1].shape, self.semiring.one)
 
     def message(self, step: int, message: Array) -> Array:
-        """The backward message β to a step, made from that to the next one, and of sum one."""
+        """The backward message β to a step, of sum one, from `message`, β of the step after it."""
         found = self._passed(step, message)
         return self._scaled(found)
 
     def _scaled(self, message: Array) -> Array:
-        """A message divided by its sum over the states, so that no product of many underflows."""
+        """A message divided by its sum over the states, so that it stays within float64's range."""
         scaled: Array = self.semiring.over(message, self.total(message))
         return scaled
 
     def _passed(self, step: int, message: Array) -> Array:
-        """The backward message to a step before scaling, from that to the next one.
+        """The backward message to a step, not scaled, from `message`, that to the step after it.
 
-        It takes in the measurements of the next step.
+        It takes in the measurements of the step after it.
         """
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
@@ -124,9 +126,9 @@ class BackwardChain:
     def back(self, step: int, message: Array) -> Array:
         """The backward message to a step, of sum one, but zero where the filtered belief is zero.
 
-        It is made from the message to the next step. For posteriors it makes no difference; but
-        states that are possible are not lost beside impossible ones for which later measurements
-        speak.
+        `message` is that to the step after it. Posteriors are the same without these zeros; with
+        them, states that are possible are not lost beside impossible ones for which later
+        measurements speak.
         """
         found, zero = self._passed(step, message), self.semiring.zero
         return self._scaled(np.where(self.known[step] > zero, found, zero))
@@ -150,8 +152,8 @@ class StateChain(BackwardChain):
 
     For `sweep.forward` it is both the family (`Onwards`) and the `Record`.
 
-    dtype: Of the beliefs that are kept, float64 or float32.
-    log_density: ln p(z_t | z_0..t−1) by step, (steps + 1, *runs).
+    dtype: The type of the numbers in the beliefs that are kept, float64 or float32.
+    log_density: ln p(z_t | z_0..t−1) by step, (T + 1, *runs), filled by `run`.
     """
 
     slices: Slices
@@ -197,8 +199,8 @@ class StateChain(BackwardChain):
     ) -> tuple[Array, Array]:
         """What `take` goes on with where measurements are impossible in some run.
 
-        belief: Of the step, predicted, (*states, *runs).
-        joint: It times the weights of the measurements.
+        belief: The predicted belief of the step, (*states, *runs).
+        joint: The product of `belief` and the weights of the measurements.
         totals: The sums of `joint` over the states, (*runs), some of them zero.
 
         Returns `joint` and `totals`, or others in their place; here an `EvidenceError` is raised.
@@ -209,7 +211,7 @@ class StateChain(BackwardChain):
         """Keep the filtered belief of a step and its log-density; the predicted belief is dropped.
 
         Where there are controls, which begin at step 1, the belief of step 0 has another shape, and
-        `known` is a list.
+        the beliefs kept are a list.
         """
         if not step:
             self.known = self.room(known)
@@ -232,14 +234,15 @@ class StateChain(BackwardChain):
         return min(smallest(flat[at : at + _CHUNK]) for at in range(0, flat.size, _CHUNK))
 
     def smoothed(self) -> Iterator[tuple[int, Array]]:
-        """The steps from T to 0, and the belief of each given all measurements."""
+        """The steps from T down to 0, each with its belief given all measurements."""
         for step, message in sweep.backward(self, self.slices.steps, self.unit()):
             yield step, self.posterior(step, message)
 
     def gathered(self, beliefs: Iterable[tuple[int, Array]]) -> Array | list[Array]:
         """Beliefs, given as pairs (step, belief) in any order, as one array by step.
 
-        Where there are controls it is a list, since the belief of step 0 has another shape.
+        There is one of each step 0..T. Where there are controls, which begin at step 1, the result
+        is a list, since the belief of step 0 has another shape.
         """
         if isinstance(self.known, list):
             found = dict(beliefs)
@@ -254,7 +257,7 @@ class StateChain(BackwardChain):
         return self.gathered(self.smoothed())
 
     def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
-        """The steps from 0 to T, and the belief of each given measurements up to a lag later."""
+        """The steps 0 to T, each with its belief given the measurements up to `lag` steps later."""
         for step in counted(range(self.slices.steps + 1), "back"):
             message = np.full(self.known[step].shape, self.semiring.one)
             last = min(step + lag, self.slices.steps)

@@ -27,10 +27,10 @@ Label = int
 
 
 class Move(NamedTuple):
-    """A table p(child | parent), to be applied as a matrix along the axis of one of the two.
+    """A table p(child | parent), to be applied as a matrix: along the parent's or the child's axis.
 
-    maps: Pairs of a matrix and its runs, given as indices (k,); each run is in one pair. None in a
-        single pair stands for all runs.
+    maps: Pairs (matrix, the indices (k,) of the runs it is for); each run is in one pair. Where one
+        matrix is for all runs there is one pair, with None in place of indices.
     """
 
     maps: tuple[tuple[Transition, Integers | None], ...]
@@ -43,7 +43,7 @@ Factor = Array | Move
 class Step(NamedTuple):
     """The multiplication by one table, and sums over the variables that are not needed any more.
 
-    Later tables and the result need the others.
+    A variable is needed as long as it is in a later table or in the result.
 
     factor: The place of the table among those of the contraction.
     labels: The variables of the table: parents, child.
@@ -60,7 +60,7 @@ class Step(NamedTuple):
 
 
 class Contraction(NamedTuple):
-    """The steps from an array over some variables to one over others.
+    """A plan of sums: the steps that lead from an array over some variables to one over others.
 
     steps: The multiplications, in turn.
     summed: The axes of the first array that are summed out before the steps: their variables are in
@@ -96,7 +96,7 @@ class Contraction(NamedTuple):
         *,
         back: bool = False,
     ) -> Contraction:
-        """Find the order in which tables are multiplied into an array over `first`.
+        """The contraction of an array over `first` to one over `last`, its order of tables found.
 
         first, last: The variables of the axes of the array that is given, and of the result.
         tables: The variables of each table: parents, child.
@@ -131,9 +131,10 @@ class Contraction(NamedTuple):
     ) -> Step:
         """The step that multiplies one table in: as a map along an axis, or as a table.
 
-        A table of two variables becomes a map if the one on the array's side, the parent, or with
-        `back` the child, is needed by nothing else, and the array does not have the other one yet.
-        `waiting` are the tables still to come, this one included, `last` the wanted variables.
+        A table of two variables becomes a map if it may, by `map_`, if the array has its parent,
+        which no other table needs nor the result, and if the array lacks its child; with `back`
+        parent and child change places. `array` are the variables of the array's axes, `waiting` the
+        tables still to come, table `factor` included, and `last` the wanted variables.
         """
         labels = waiting[factor]
         needed = {x for k, table in waiting.items() if k != factor for x in table} | set(last)
@@ -148,8 +149,9 @@ class Contraction(NamedTuple):
     def apply(self, array: Array, factors: Sequence[Factor], semiring: Semiring) -> Array:
         """The product of an array and the tables, summed over all variables that are not wanted.
 
-        array: (sizes of the first variables..., others..., [runs]); the axes behind are kept.
-        factors: Of each table its entries in the semiring, or its map if it is in `along`.
+        array: (sizes of the first variables..., further axes..., [runs]); all axes behind those of
+            the variables are kept.
+        factors: Of each table its entries in the semiring, or, at the places in `along`, its map.
         """
         if self.summed:
             array = semiring.total(array, self.summed, None)
@@ -173,8 +175,8 @@ class Contraction(NamedTuple):
 def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool) -> Array:
     """An array with one axis transformed by a `Transition`, that of all runs or that of each run.
 
-    An axis of the parent becomes one of the child, or with `back` one of the child becomes the
-    parent's; runs are the last axis.
+    The axis, of the parent's states, becomes one of the child's, or if `back` one of the child's
+    becomes one of the parent's; where runs have maps of their own, they are the last axis.
     """
     if move.maps[0][1] is None:
         return _mapped(move.maps[0][0], array, axis, semiring, back)
@@ -188,7 +190,7 @@ def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool
 
 
 def _mapped(each: Transition, array: Array, axis: int, semiring: Semiring, back: bool) -> Array:
-    """A transition applied along one axis, `back` or forward, to probabilities or logarithms."""
+    """The entries of an array after a transition, or if `back` its transpose, along one axis."""
     if not semiring.linear:
         return each.logs(array, axis, semiring, back=back)
     return each.backward(array, axis) if back else each.forward(array, axis)
@@ -216,7 +218,8 @@ def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> A
 def _spread(array: Array, labels: Sequence[Label], axes: Sequence[Label], behind: int) -> Array:
     """An array over `labels`, with an axis for each variable of `axes`, then `behind` more axes.
 
-    An axis that it lacks has length one; of the axes behind it lacks the first ones.
+    The axis of a variable not in `labels` has length one. If the array has fewer than `behind` axes
+    after those of `labels`, axes of length one are put before these.
     """
     own, rest = array.shape[: len(labels)], array.shape[len(labels) :]
     array = array.reshape((*own, *(1,) * (behind - len(rest)), *rest))

@@ -13,7 +13,8 @@ from pgm.kernels.arrays import Array, Integers
 def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Array]:
     """The expected number of times that each CPD's parents and child had their states.
 
-    cpds: Those of interest, whose tables are arrays of numbers, not functions.
+    cpds: The CPDs to count for, of the posterior's model; their tables are arrays of numbers, not
+        functions.
 
     Returns: By CPD, (size of each parent..., size of the child), summed over steps, sightings and
         runs.
@@ -96,8 +97,8 @@ def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, 
     axes: The axis of each hidden variable, counted from the first one of states; the states of
         other parents are the reading's inputs.
 
-    A state z that was measured gets p(parents). With soft evidence w of the sensor each state z
-    gets the share p(z | parents) w(z) / Σ_z p(z | parents) w(z) of it.
+    A state z that was measured gets p(parents | all measurements). With soft evidence w of the
+    sensor each state z gets its share p(z | parents) w(z) / Σ_z p(z | parents) w(z) instead.
     """
     cpd, runs = reading.cpd, len(belief)
     found = _marginal(belief, [axes[v] for v in cpd.given if v in axes])

@@ -39,9 +39,9 @@ class Search(StateChain):
     def contradicted(
         self, step: int, belief: Array, joint: Array, totals: Array
     ) -> tuple[Array, Array]:
-        """Note which runs are lost, and put the predicted belief in place of their joint.
+        """Note which runs are lost; returns the joint with the predicted belief in these, and sums.
 
-        The sums that are returned are of the new joint.
+        The arguments are those of `StateChain.contradicted`; the sums are of the joint returned.
         """
         lost = ~(totals > self.semiring.zero)
         self.lost = np.where(lost, np.minimum(self.lost, step), self.lost)
@@ -70,10 +70,10 @@ def first_lost(slices: TableSlices) -> Integers:
 
 
 def blank(values: Array, lost: Integers | None, last: int) -> Array:
-    """Values (..., [runs]), NaN in runs that are lost by the step `last`, up to which they know.
+    """Values (..., [runs]), NaN in runs that are lost at the step `last` or before.
 
-    `lost` is the step from which on each run is lost, ([runs]), T + 1 of one that is not; or None,
-    where none is.
+    `last` is the last step whose measurements the values know. `lost` ([runs]) is the step from
+    which on each run is lost, T + 1 of one that is not; or None, where no run is lost.
     """
     if lost is None:
         return values
@@ -81,10 +81,10 @@ def blank(values: Array, lost: Integers | None, last: int) -> Array:
 
 
 def blanked(beliefs: Beliefs, lost: Integers | None, kind: Kind, steps: int) -> Beliefs:
-    """Beliefs of a kind by step, (*states, [runs]) each, with NaN where they know too much.
+    """Beliefs of a kind by step, (*states, [runs]) each, NaN where they know the impossible.
 
-    That is in runs that are lost by the last step whose measurements a belief knows. `lost` is as
-    for `blank`, `steps` the last step T.
+    A belief is NaN in the runs that are lost at the last step whose measurements it knows, or
+    before. `lost` is as for `blank`, `steps` the last step T.
     """
     if lost is None:
         return beliefs

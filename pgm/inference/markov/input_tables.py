@@ -18,10 +18,11 @@ def smallest_entry(table: Array) -> float:
 
 
 class InputTables:
-    """The tables that the function of a CPD returns for the inputs of a row.
+    """The tables of a CPD that is a function of inputs, made row by row.
 
-    inputs: Of each variable, (rows, runs or 1, d), or of states (rows, runs or 1, 1).
-    step: The time step of a row, for the messages of errors.
+    inputs: The values of each input at all rows: of a vector (rows, runs or 1, d), of a discrete
+        variable the indices of its states, (rows, runs or 1, 1).
+    step: A function of a row that gives its time step, which errors name.
     smallest: The smallest positive entry of all tables returned up to now, at most 1.
     """
 

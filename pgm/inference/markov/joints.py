@@ -15,9 +15,11 @@ from pgm.kernels.arrays import Array
 
 
 def pair(chain: StateChain, plan: SlicePlan, step: int, message: Array) -> Array:
-    """The joint of the states before a step and its slice, (*states, *slice, *runs), of sum one.
+    """The joint of the states one step before and a step's slice, (*states, *slice, *runs).
 
-    step: 1 or later.
+    It is of probabilities, of sum one, given the measurements that `message` knows.
+
+    step: The step of the slice, 1 or later.
     message: The backward message to the slice of the step, from later measurements.
     """
     slices: Any = chain.slices
@@ -37,7 +39,7 @@ def potential(
 ) -> tuple[Array, Array | None, Array | float]:
     """The transition into a step, or the prior, and the weights of the step's measurements.
 
-    These are of the evidence as it was given, in runs where that is impossible too.
+    All measurements given count, also in runs whose impossible ones the chain has left out.
 
     Returns, in entries of the chain's semiring: p(slice | states before), (*states, *slice, *runs),
     or at step 0 p(states), (*slice, *runs); the weights, (*slice, *runs), None where nothing is
@@ -54,11 +56,12 @@ def potential(
 
 
 def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Array:
-    """The joint of variables at steps, (sizes..., *runs), in their order.
+    """The joint of variables at steps, (sizes..., *runs), in the order of `scope`.
 
-    A forward message goes from the first of their steps to the last; from the step of each variable
-    on it has one axis more, of that variable's state. The backward message to the last step ends
-    it, from the measurements that a belief of this kind knows there.
+    It is given the measurements that a belief of this `kind` at the latest of their steps knows. A
+    forward message goes from the first of the steps to the latest; from the step of each variable
+    on it has one axis more, of that variable's state. There it is multiplied by the backward
+    message.
     """
     slices: TableSlices = chain.slices  # type: ignore[assignment]
     semiring, axes = chain.semiring, len(plan.shape)
@@ -104,9 +107,10 @@ def _behind(values: Array, axes: int, passed: int) -> Array:
 
 
 def _kept(array: Array, axis: int, place: int, chain: StateChain) -> Array:
-    """An array with a copy of one axis as the new axis `place`: zero where their states differ.
+    """An array with a copy of its axis `axis` as the new axis `place`, which is behind it.
 
-    `place` is behind `axis`, which may then be summed out by the transition, while the copy stays.
+    Entries are the semiring's zero where the indices along the two axes differ. The transition may
+    then sum `axis` out, while its copy stays.
     """
     semiring, size = chain.semiring, array.shape[axis]
     same = np.where(np.eye(size, dtype=bool), semiring.one, semiring.zero)

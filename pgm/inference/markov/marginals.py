@@ -23,7 +23,8 @@ Beliefs = Sequence[Array] | Array
 class StateMarginals(Shown, NoArray):
     """The marginals of the hidden variables of a discrete chain over all steps, by variable.
 
-    beliefs: Over the slice, by step, (*states, *runs).
+    plan: The plan of the model, which has the axes of variables in a belief.
+    beliefs: The beliefs over the slice by step, (*states, *runs) each.
     lead: The user's axes of runs.
     kind: Which measurements the beliefs know.
     """
@@ -34,7 +35,11 @@ class StateMarginals(Shown, NoArray):
     kind: Kind
 
     def __getitem__(self, variable: Variable) -> Table:
-        """The marginal of ``x`` at all its steps, stacked; of ``x.at(3)`` at one, (*runs, size)."""
+        """The marginal of ``x`` at all its steps, (*lead, steps, size), or of ``x.at(3)`` at one.
+
+        At one step it is (*lead, size). The steps of a state are 0..T, those of a control 1..T. Any
+        variable but a hidden one, and a step that it lacks, raises `EvidenceError`.
+        """
         template, first = located(self.plan.layout, variable, len(self.beliefs) - 1)
         if variable.step is not None:
             values = self._summed(self.beliefs[variable.step], template)

@@ -20,8 +20,8 @@ def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
     No pointers are kept: of a state on the path the best one before it is the maximum over a single
     column, looked for on the way back.
 
-    Returns: Of each variable of the slice its states, (runs, T+1); of a control those at step 0 are
-    0. (runs,): ln p(path, measurements), with sensors summed over where they were not read.
+    Returns: A list of the states of each variable of the slice, (runs, T + 1), where controls have
+    0 at step 0; and ln p(path, measurements), (runs,), with sensors summed over where not read.
 
     Source: Viterbi, Error bounds for convolutional codes, 1967; Koller & Friedman, section 13.3.
     """
@@ -66,8 +66,8 @@ def _with_controls(plan: SlicePlan, before: Array, states: Integers) -> Integers
     """The states of the whole slice, (variables, runs): of controls the best at the given states.
 
     before: The log-belief over the slice, (runs, *slice).
-    states: Those of the state variables, (state variables, runs), which is the whole slice where
-        there are no controls.
+    states: The given states, of the state variables alone, (state variables, runs). They are
+        returned as they are where there are no controls.
     """
     if not plan.controls:
         return states

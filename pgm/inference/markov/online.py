@@ -36,7 +36,7 @@ class OnlineTables(InCode, Immutable):
     Made by ``OnlineFilter(model)``, of a network of tables. It is immutable, and so are its
     beliefs.
 
-    lag: In steps, of ``belief.lagged``; None in a filter without it.
+    lag: How many steps ``belief.lagged`` is behind; None in a filter without smoothed beliefs.
     """
 
     model: DynamicBayesianNetwork
@@ -98,7 +98,7 @@ class OnlineTables(InCode, Immutable):
         )
 
     def update(self, belief: OnlineStates, readings: Mapping[Variable, Any]) -> OnlineStates:
-        """The belief given measurements of its step; a further update goes on from the first.
+        """The belief given measurements of its step, and those of earlier updates at this step.
 
         belief: Of this filter; another filter's, or a smoothed one of `lagged`, raises
             `ModelError`.
@@ -211,8 +211,9 @@ def online_tables(
 ) -> OnlineTables:
     """The filter of a network of tables, made by ``OnlineFilter(model, ...)``.
 
-    A lineariser other than the default, a schedule other than `Filtering` or `FixedLag`, and both a
-    schedule and a lag raise `ModelError`.
+    Its lag, in steps, is `lag` or that of a schedule `FixedLag`; else it has none. A lineariser
+    other than the default, a schedule other than `Filtering` or `FixedLag`, and a schedule beside
+    a `lag` raise `ModelError`.
     """
     if lineariser != TAYLOR:
         raise ModelError(f"an online filter of tables linearises nothing: leave {lineariser!r} out")

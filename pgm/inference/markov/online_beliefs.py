@@ -34,7 +34,7 @@ class Held(NamedTuple):
     entries: (*states, *runs), numbers or logarithms.
     weights: ∝ p(measurements of the step | states), (*states, *runs), as `entries`; None, if there
         were none.
-    linear: Whether they are numbers.
+    linear: Whether entries and weights are numbers, not logarithms.
     """
 
     entries: Array
@@ -47,7 +47,10 @@ class Held(NamedTuple):
         return SUM_PRODUCT if self.linear else LOG_SUM_PRODUCT
 
     def within(self, semiring: Semiring) -> Held:
-        """The same belief in a semiring: its own, or one of logarithms if it has numbers."""
+        """The same belief in entries of a semiring, which is its own or one of logarithms.
+
+        A belief of logarithms cannot become one of numbers.
+        """
         if semiring.linear == self.linear:
             return self
         weights = None if self.weights is None else semiring.entries(self.weights)
@@ -78,9 +81,9 @@ class Passed(NamedTuple):
 class OnlineStates(Shown, NoArray, Immutable):
     """The belief of an online filter of a discrete network at one step.
 
-    log_evidence: (*runs): ln p of all measurements so far.
-    status: Tables need no iterations.
-    kind: Filtered after an update, predicted before; of `lagged`, fixed-lag.
+    log_evidence: (*lead): ln p of all measurements so far.
+    status: Converged in all runs, since tables need no iterations.
+    kind: Filtered after an update, predicted before; of a belief from `lagged`, fixed-lag.
     lead: The user's axes of runs.
     """
 
@@ -137,9 +140,10 @@ class OnlineStates(Shown, NoArray, Immutable):
 
     @property
     def lagged(self) -> OnlineStates:
-        """The smoothed belief `lag` steps back, or at step 0, given all measurements so far.
+        """The belief at the step the filter's lag back, given all measurements so far.
 
-        It is that at step 0 in the first steps. A filter without a lag raises `EvidenceError`.
+        In the first steps, up to the lag, it is that at step 0. A belief of a filter without a lag
+        raises `EvidenceError`.
         """
         if self._lag is None:
             raise EvidenceError(
@@ -168,7 +172,7 @@ class OnlineStates(Shown, NoArray, Immutable):
 
 
 class _Window:
-    """The last steps of an online filter with lag, for backward messages to the first of them.
+    """A window of the last steps of an online filter with lag, to be smoothed at its first step.
 
     For a `BackwardChain` it is a `Behind`, whose steps count from the first of the window.
 
@@ -198,6 +202,6 @@ class _Window:
         return self.held[step].weights, 0.0
 
     def backward(self, step: int, message: Array) -> Array:
-        """The sum Σ_x p(x | x') message(x): from the slice of a step to the one before, x'."""
+        """The sum Σ_x p(x | x') message(x), x being the slice of `step` and x' the one before."""
         ahead = self.ahead[step - 1].within(self.semiring)
         return ahead.backward(ahead.first, message)  # whose only row is of its own step

@@ -35,15 +35,15 @@ ADVICE = (
 
 
 class SlicePlan:
-    """The variables of a slice and of the one before, and the orders in which tables are summed.
+    """A plan of the sums over the slices of a model: variables with their axes, and contractions.
 
-    Found once for a model, whatever the evidence.
+    It is made once for a model, whatever the evidence.
 
     slice: The hidden variables of a step, states and controls: the axes of a belief. Controls have
         length one at step 0.
-    states: Those of the slice that are states, in its order.
-    labels: The number of each variable: of one in the slice its axis, of a state at the step before
-        one that is higher than all of these.
+    states: The variables of the slice that are states, in its order.
+    labels: A number for each variable: of one in the slice its axis; of each state at the step
+        before, ``x.previous``, in the order of `states`, the next number after those.
     sizes: The number of states by label.
     shape, first_shape: Of a belief without runs, at steps from 1 on and at step 0.
     """
@@ -116,9 +116,10 @@ class SlicePlan:
 
 
 class RowTables:
-    """A CPD of the transition at its rows: its table or its map for the inputs of each.
+    """The tables, or maps, of a CPD of the transition at all rows, for the inputs of each row.
 
-    Row k is of step `first` + k.
+    inputs: By variable the values at all rows, (rows, runs or 1, d), states with d = 1.
+    first: The step of row 0; row k is of step `first` + k.
 
     labels: The axes of its tables: hidden parents, child.
     observed: The parents that evidence gives.
@@ -138,7 +139,8 @@ class RowTables:
     def factor(self, row: int, semiring: Semiring, *, as_map: bool) -> Factor:
         """The table of a row as entries of a semiring, (size of each hidden variable..., [runs]).
 
-        With `as_map` it is a `Move` instead.
+        The axis of runs is there only if tables differ by run. With `as_map` it is a `Move`, of
+        numbers whatever the semiring.
         """
         if self.cpd.function is not None:
             return self._called(row, semiring, as_map)
@@ -165,7 +167,7 @@ class RowTables:
         )
 
     def _factor(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Any:
-        """The table or map at the states `key` of its observed parents; cached, as few differ."""
+        """The table or map at the states `key` of the observed parents, kept in a cache."""
         name = (*key, semiring.linear, as_map)
         found = self.index.get(name)
         if found is None:
@@ -221,10 +223,11 @@ class TableSlices:
     """The slices of a discrete dynamic network: `Slices` whose numbers are tables.
 
     first: The step of row 0 of the transition; 1, of recorded evidence.
-    semiring: Of the entries: `SUM_PRODUCT`, unless made by `within`.
+    semiring: That of all entries: `SUM_PRODUCT`, unless the slices were made by `within`.
     rows: The tables of each transition CPD.
-    weights: Those of each sensor's measurements.
-    of_runs: Advice that an error for impossible measurements adds where there are axes of runs.
+    weights: The weights of states by each sensor's measurements.
+    of_runs: The end of an error's text for impossible measurements where there are axes of runs; it
+        goes on after `ADVICE`, such as "; leave those runs out".
     lost: ([runs]), from `until`: the step from which on a run's measurements are left out; T + 1 of
         a run that keeps all. None if all do.
     """
@@ -260,7 +263,7 @@ class TableSlices:
 
     @property
     def smallest(self) -> float:
-        """The smallest positive factor of a step: of prior or transition times measurements.
+        """A lower bound of the positive factors of one step: prior or transition times weights.
 
         Tables that are functions of inputs count as far as they have been called.
         """
@@ -290,9 +293,9 @@ class TableSlices:
         return self.plan.onward.apply(belief, self.factors(step, "onward"), self.semiring)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The sum Σ_x p(x | x') message(x): from the slice of a step to the one before, x'.
+        """The sum Σ_x p(x | x') message(x), x being the slice of `step` and x' the one before.
 
-        Controls before, which x does not depend on, get axes of length one.
+        The controls of x', which x does not depend on, get axes of length one.
         """
         if self.plan.controls:
             rest = message.shape[len(self.plan.shape) :]
@@ -364,8 +367,9 @@ class TableSlices:
         return {}
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """The weights of a step's measurements and their log-scale; None without measurements.
+        """The weights of a step's measurements, and their log-scale; None without measurements.
 
+        The weights are entries of the semiring, (*slice, [runs]), and one in runs lost by then.
         p(z_t | x) is the weights, which broadcast with a belief, times the exponential of the
         scale.
         """

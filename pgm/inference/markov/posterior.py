@@ -34,8 +34,8 @@ from pgm.variables import Variable
 class StatePosterior(Posterior):
     """The beliefs of a chain of tables after a schedule of messages.
 
-    ``posterior[x]`` is a stacked `Table` whose last leading axis is of steps: states at 0..T,
-    hidden controls at 1..T; ``posterior[x.at(3)]`` is that of one step. Leading axes are runs.
+    ``posterior[x]`` is a stacked `Table` with the user's axes of runs, then one of steps: 0..T for
+    a state, 1..T for a hidden control; ``posterior[x.at(3)]`` is the table of one step.
 
     With ``impossible="allow"``, a run whose measurements have probability zero has a log-evidence
     of −∞ and NaN for each belief, joint or message that knows the first impossible one: filtered
@@ -156,8 +156,10 @@ class StatePosterior(Posterior):
 
         Raises
         ------
-        EvidenceError, ModelError
-            If one is not hidden, has no such step or stands twice, or none is given.
+        EvidenceError
+            If none is given, or one is not hidden, is without a step, or does not stand there.
+        ModelError
+            If one stands twice.
         GraphError
             If the table, or one on the way, would not fit.
         """
@@ -180,10 +182,11 @@ class StatePosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> Table:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
-        Its log-scale carries the evidence that went into it. A backward one, which smoothing alone
-        sends, may have zeros for states that are impossible given the measurements up to its step:
-        where later ones speak for impossible states so much that entries of the possible states
-        would be too small for numbers.
+        Its log-scale carries the evidence that went into it. Backward messages, from a later
+        cluster to an earlier one, are sent by smoothing alone; without it they raise GraphError.
+        One may have zeros for states that are impossible given the measurements up to its step:
+        where later measurements speak so much for these that the possible states' entries would be
+        too small for numbers.
         """
         source, target = self.graph.index(source), self.graph.index(target)
         scope = discrete(self.graph.sepsets[source, target])
@@ -207,10 +210,10 @@ class StatePosterior(Posterior):
     def _scaled_back(self, step: int, message: Array) -> tuple[Array, Array]:
         """The backward message to a step as values, (sizes..., [runs]), and its log-scale.
 
-        p(later measurements | states) is the values, whose largest is one, times exp(log-scale).
-        `message` is it up to a factor. Where later measurements speak for impossible states so much
-        that the others would be too small for numbers, it is made anew with zeros for the
-        impossible ones.
+        p(later measurements | states) is the values, whose largest is one, times exp(log-scale),
+        (*runs). `message`, (*states, *runs), is the same message up to a factor. Where later
+        measurements speak so much for impossible states that the possible ones' entries would be
+        too small for numbers, the message is made anew, with zeros for the impossible states.
         """
         chain = self._chain
         with np.errstate(invalid="ignore"):  # 0/0, where numbers hold none of the states
@@ -225,10 +228,10 @@ class StatePosterior(Posterior):
         return blank(message, self._lost, self.graph.steps), rest
 
     def messages_back(self) -> Iterator[tuple[Array, Array]]:
-        """The backward messages to slices T..0, each made from the one before.
+        """The backward messages to the slices T, T − 1, .., 0, each made from the last one yielded.
 
-        For each the values over the states of its slice, (sizes..., [runs]), and the log-scale; see
-        `_scaled_back`.
+        Each is a pair: the values over the states of the slice, (sizes..., [runs]), and the
+        log-scale; see `_scaled_back`.
         """
         chain, last = self._chain, self.graph.steps
         plain = chain.unit()
@@ -252,8 +255,9 @@ class StatePosterior(Posterior):
         return message, found, message.max(axis=tuple(range(message.ndim - chain.batch)))
 
     def _message_back(self, step: int, passed: Callable[[int, Array], Array]) -> Array:
-        """The message to the slice of a step from all later measurements that its belief knows.
+        """The message to the slice of a step, (*states, *runs), from measurements after the step.
 
+        It takes in those that a belief of the posterior's kind at this step knows.
         ``passed(step, message)`` makes the message to a step from that to the next one.
         """
         chain = self._chain
@@ -264,9 +268,9 @@ class StatePosterior(Posterior):
         return message
 
     def _states(self, values: Array, *, total: bool = True) -> Array:
-        """Values over a slice, without controls: their axes are summed, or if not `total` dropped.
+        """Values over a slice, (*states, *runs), without the axes of controls.
 
-        Axes that are dropped have length one.
+        With `total` these axes are summed; without it they have length one, and are dropped.
         """
         axes = self._plan.controls
         if not axes:
@@ -279,9 +283,10 @@ class StatePosterior(Posterior):
         return np.asarray(self._chain.log_density[: step + 1].sum(axis=0)).reshape(-1)
 
     def belief(self, cluster: int | Cluster) -> Table:
-        """The belief of a cluster over its hidden variables, unnormalised; refused where too large.
+        """The belief of a cluster over its hidden variables, unnormalised.
 
-        Its sum is the evidence that its messages know: all of it after smoothing.
+        Its sum is the probability of the measurements that its messages know: of all of them after
+        smoothing. A belief too large for memory raises GraphError.
         """
         step, plan = self.graph.index(cluster), self._plan
         last = self.kind.last(step, self.graph.steps)
@@ -301,8 +306,8 @@ class StatePosterior(Posterior):
     def potential(self, cluster: int | Cluster) -> Table:
         """The potential of a cluster: the product of its tables, with their evidence put in.
 
-        Over the states of the step before and the slice; of cluster 0 over its states. Refused
-        where it is too large.
+        It is over the states of the step before and the slice; that of cluster 0 is over its
+        states. A potential too large for memory raises GraphError.
         """
         step, plan, chain = self.graph.index(cluster), self._plan, self._chain
         if step:

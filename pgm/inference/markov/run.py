@@ -28,8 +28,9 @@ def run(
 ) -> StatePosterior:
     """The posterior after the messages of a filter, a fixed-lag smoother or a smoother.
 
-    Beliefs that would not fit memory are refused with a `GraphError`, impossible evidence with an
-    `ImpossibleEvidence` unless it is allowed; see `kind_of` for schedules.
+    Beliefs that would not fit memory raise `GraphError`, and so does a balanced tree. Impossible
+    evidence raises `ImpossibleEvidence` if `impossible` is "raise", and gives NaN if "allow". See
+    `kind_of` for schedules, of which None smooths.
     """
     allow = allows(impossible)
     kind = kind_of(schedule, "tables")
@@ -77,9 +78,10 @@ def _in_numbers(slices: TableSlices) -> StateChain | None:
 
 
 def _without_impossible(slices: TableSlices) -> StateChain:
-    """The chain whose lost runs go without the measurements from the first impossible ones on.
+    """The chain after its forward sweep, without a lost run's measurements from a step on.
 
-    At that step the log-density of the run is −∞; `chain.slices.lost` has the step of each run.
+    That is the step of the run's first impossible measurements, where its log-density is −∞;
+    `chain.slices.lost` has it for each run.
     """
     lost = first_lost(slices)
     chain = solved(slices.until(lost))

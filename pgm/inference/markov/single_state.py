@@ -68,9 +68,10 @@ class DirectChain(StateChain):
 
     @cached_property
     def _blocks(self) -> markov.Blocks | None:
-        """All steps in blocks that are worked at side by side; None where they are not.
+        """The sweeps of all steps in blocks, worked at side by side; None where there are none.
 
-        They are for one run of few states and many steps with a constant dense transition.
+        Blocks are made without an axis of runs, for few states and many steps (`FEW`, `MANY`) whose
+        transition is constant and dense.
         """
         steps, size = self.slices.steps, self.slices.plan.shape[0]
         if self.batch or size > FEW or steps < MANY or steps * size > ROOM:
@@ -89,13 +90,16 @@ class DirectChain(StateChain):
     def room(self, like: Array) -> Array:
         """An array for a belief like this one at each step, (steps + 1, states, *runs).
 
-        Its order in memory is that of `_by_runs`.
+        In memory the runs of a state lie side by side if `_by_runs`, else it is in C order.
         """
         return np.swapaxes(super().room(like.T), 1, 2) if self._by_runs else super().room(like)
 
     @cached_property
     def _parts(self) -> list[range]:
-        """The steps 1..T in parts, each of one step, or with weights of at most `ROOM` entries."""
+        """The steps 1..T in consecutive parts, each with at most `ROOM` entries of weights.
+
+        A part has one step where a step's weights alone have more.
+        """
         steps = self.slices.steps
         size = max(1, ROOM // max(1, self.known[0].size))
         return [range(at, min(at + size, steps + 1)) for at in range(1, steps + 1, size)]
@@ -110,16 +114,16 @@ class DirectChain(StateChain):
         return self._latest[1]
 
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
-        """For each step of a part, in its order, the product by the transition; see `_apply`."""
+        """The functions `_apply` returns for each step of a part, in the order of the part."""
         if self.slices.constant is not None:
             return repeat(self._apply(part[0], back), len(part))
         return (self._apply(step, back) for step in part)
 
     def _apply(self, step: int, back: bool) -> markov.Apply:
-        """The product of a vector v with the transition into a step: Σ_x' p(x | x') v(x').
+        """A function that multiplies vectors v by the transition into a step: Σ_x' p(x | x') v(x').
 
-        With `back` it is Σ_x p(x | x') v(x). It is a function of the vector,
-        (states, [runs]), and of the array that gets the product.
+        With `back` the product is Σ_x p(x | x') v(x). The function takes a vector, (states,
+        [runs]), and the array that the product is put into.
         """
         transition = self._map(step)
         if not isinstance(transition, Dense):
@@ -153,7 +157,8 @@ class DirectChain(StateChain):
     def _messages(self, found: Array) -> Iterator[slice]:
         """Fill `found` with the backward messages to all steps, last to first.
 
-        Yields slices of rows that are done and from which no further message is made.
+        Yields slices of rows of `found` that the caller may overwrite: they are filled, and no
+        further message is made from them.
         """
         if self._blocks is not None:
             self._blocks.backward(found)
@@ -203,8 +208,8 @@ class DirectChain(StateChain):
 def _joined(messages: Array, known: Array) -> bool:
     """Make backward messages posteriors, in place: times filtered beliefs, divided by sums.
 
-    Both are (steps, states, [runs]). False where numbers may lose a state: the result is not to be
-    used.
+    Both are (steps, states, [runs]), the filtered beliefs `known`. Returns True; or False where
+    numbers may lose a state, and then `messages` are not to be used.
     """
     if not markov.masses(messages).min() > TINY:
         return False

@@ -23,9 +23,11 @@ class Weights:
 
     A *row* is the place of a measurement among the sensor's, which are sorted by step.
 
+    runs: How many runs there are.
     batch: Whether beliefs have an axis of runs.
     observed: The sensor's parents that evidence gives.
-    shape: Of the weights without runs: the slice's, with 1 for variables that are no parents.
+    shape: That of the weights without runs: an axis for each variable of the slice, of length one
+        for a variable that is no parent.
     soft: Whether the measurements are soft evidence, weights of the sensor's states.
     """
 
@@ -82,11 +84,11 @@ class Weights:
         return turned.reshape(*turned.shape[: turned.ndim - len(self.order)], *self.shape)
 
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
-        """The weights of a measurement, (*slice, [runs]); one in runs where it is missing.
+        """The weights of a measurement, (*slice, [runs]), the semiring's one in runs without it.
 
-        None instead, if it is missing and there is one run, or it is stored once for all runs.
-        Entries are those of the semiring. As numbers, those of soft evidence are to be multiplied
-        by the exponential of `log_scale`.
+        The result is None if the measurement at this row is missing, not soft, and of the only run
+        or of all runs together. Entries are those of the semiring; as numbers, the
+        weights of soft evidence are to be multiplied by the exponential of `log_scale`.
         """
         values, taken = self.reading.values[row], self.reading.taken[row]
         if self.cpd.function is None:
@@ -112,8 +114,9 @@ class Weights:
     def picked(self, part: range) -> tuple[Array, Array] | None:
         """The weights of some steps, (steps, *slice, [runs]), and log-scales, picked in one go.
 
-        The largest of each step and run is one. None where there are several measurements of a
-        step, or where a measurement's weights are no column of one table.
+        The largest weight of each step and run is one; a step without a measurement has ones.
+        `part` are consecutive steps. None where a step has several measurements, or where the
+        weights are no column of a constant table: with observed parents, soft evidence, a function.
         """
         rows = self._rows(part)
         step = self.reading.step[rows.start : rows.stop] - part.start
@@ -166,7 +169,10 @@ class Weights:
                 scales[step] += self.log_scale(row)
 
     def log_scale(self, row: int) -> Array | float:
-        """The logarithm of the factor that the weights of a measurement, as numbers, lack."""
+        """The logarithm of the factor that the weights of a row, as numbers, lack; 0 if not soft.
+
+        It is (runs or 1,), or a number where beliefs have no axis of runs.
+        """
         if not self.soft:
             return 0.0
         logs: Array = np.log(self._tops[row])
@@ -207,7 +213,7 @@ class Weights:
 
     @property
     def smallest(self) -> float:
-        """The smallest product of positive weights that the measurements of one step may have.
+        """A lower bound of the product of a step's positive weights, one of each measurement.
 
         Where a function gives the table, only the rows called up to now count.
         """
