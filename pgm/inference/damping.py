@@ -78,7 +78,10 @@ Damping = float | LevenbergMarquardt
 
 
 def require_damping(schedule: object, damping: object) -> None:
-    """Refuse a damping that is neither a number in [0, 1) nor a `LevenbergMarquardt`."""
+    """Refuse a damping that is neither a number in [0, 1) nor a `LevenbergMarquardt`.
+
+    The error is a `ModelError`, whose text begins with the repr of `schedule`.
+    """
     if isinstance(damping, LevenbergMarquardt):
         return
     if not is_number(damping) or not 0.0 <= damping < 1.0:

@@ -51,17 +51,17 @@ class Point(NamedTuple):
         return np.sqrt(np.maximum(np.diagonal(self.known_cov, axis1=-2, axis2=-1), 0.0))
 
     def start(self, states: Index) -> tuple[Array, Array]:
-        """Mean (1, runs, k) and covariance (1, runs, k, k) of the k states of step 0.
+        """Mean (1, runs, k) and covariance (1, runs, k, k) of the states' k components at step 0.
 
-        `states` are their places in the slice.
+        `states` are the places of these components in the slice.
         """
         return self.mean[:1][..., states], block(self.cov[:1], states, states)
 
     def pairs(self, states: Index, places: Index) -> tuple[Array, Array]:
         """Means and covariances of some components of each pair, (steps − 1, runs, ...).
 
-        `states` are the places of the states in the slice, `places` those of the components in the
-        pair. `joint` has to be there if any of them is of the later slice.
+        `states` are the places of the states' components in the slice; `places` are those of the
+        wanted components in the pair. `joint` must not be None if a place is of the later slice.
         """
         before, cov = self.mean[:-1][..., states], self.cov[:-1]
         front = before.shape[-1]
@@ -187,10 +187,11 @@ def iterate(
     """Linearise and solve again until each run converges, or the schedule's iterations are used up.
 
     A run has converged when its residual (see `Iterated`) is within the tolerance and its robust
-    noise settled (`Problem.settled`); it then stays as it is. `solution` is the first, of one
-    linearisation; `first` the point where that was made, from which the step is controlled, too;
-    None if it was not all made at one. `converged` (runs,) are the runs in which nothing is to
-    iterate.
+    noise settled (`Problem.settled`); it then stays as it is. `solution` is that of the first
+    linearisation, which counts as an iteration. `first` is the point where this was made, and the
+    step from it to the solution is controlled; it is None, and the step is not controlled, if CPDs
+    were linearised one after another, as by a filter. `converged` (runs,) marks the runs in which
+    nothing is to iterate.
     """
     control = _Control(problem, schedule.damping, converged.size)
     residuals: list[Array] = []

@@ -154,7 +154,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
 
 
 def require_variable(variable: Variable) -> Variable:
-    """Refuse a key that is no variable, such as a name, or several, by an `EvidenceError`."""
+    """The same variable; any other key, as a name or several variables, is an `EvidenceError`."""
     if isinstance(variable, tuple | list | set):
         raise EvidenceError(
             f"{variable!r} is asked for where one variable was due: of several, ask for "

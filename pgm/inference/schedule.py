@@ -135,8 +135,8 @@ class Smoothing(Calibration):
         was linearised; 0 as of `Filtering`.
     iterations, damping, gate
         See `Filtering`; here for all CPDs. The gate is decided in the first forward pass and kept,
-        so that all iterations are of the same measurements; with a start, as everything is
-        linearised there.
+        so that all iterations are of the same measurements. With a start, CPDs are linearised
+        at it in that pass.
 
     References
     ----------
@@ -238,7 +238,7 @@ class FixedLag(InCode):
 
     @property
     def filtering(self) -> Filtering:
-        """The filter that is the same with a lag of zero."""
+        """The filter that this schedule equals if its lag is zero."""
         return Filtering(self.iterations, self.tolerance, self.damping, self.gate)
 
     @property

@@ -154,7 +154,10 @@ def figures(posterior: Any) -> Iterable[str]:
 
 
 def spread(values: Array, digits: int = 6) -> str:
-    """A number as text; of several runs the least and the largest."""
+    """A number as text, to so many significant digits; of several runs the least and the largest.
+
+    The least and the largest have four digits.
+    """
     if not values.ndim:
         return number(float(values), digits)
     if not values.size:

@@ -55,7 +55,10 @@ def forward(family: Onwards[B], steps: int, record: Record[B]) -> None:
 
 
 def backward(family: Backwards[B], steps: int, last: B) -> Iterator[tuple[int, B]]:
-    """The steps and beliefs from T down to 0, given the last one: each knows all evidence."""
+    """Pairs of a step and its belief given all evidence, from step T = `steps` down to 0.
+
+    `last` is the belief at T given all evidence.
+    """
     belief = last
     yield steps, belief
     for step in counted(range(steps - 1, -1, -1), "back"):
