@@ -128,7 +128,7 @@ class Model:
 
         `parents` are the means (CPDs, runs, n) and covariances (CPDs, runs, n, n) of the hidden
         parents, for each group; None for affine CPDs. `mean` (runs, size) are the means of all
-        components, to whose branches angles of evidence move.
+        components, to whose branches readings of angles are moved by whole turns.
         """
         for g, (family, at) in enumerate(zip(self.families, parents, strict=True)):
             if at is not None:
@@ -187,7 +187,10 @@ def _taken(group: Group, bound: BoundValues) -> Mask | None:
 def _stacked(
     variables: Sequence[Variable], rows: Mapping[Variable, npt.NDArray[Kind]]
 ) -> npt.NDArray[Kind]:
-    """The values of some variables, (variables, runs or 1, d)."""
+    """The values of some variables of d components each, (variables, runs or 1, d).
+
+    `rows` has (runs or 1, d) by variable.
+    """
     values = [rows[v] for v in variables]
     runs = max(value.shape[0] for value in values)
     return np.stack([np.broadcast_to(value, (runs, value.shape[1])) for value in values])

@@ -136,7 +136,8 @@ class GaussianPosterior(Posterior):
         """The message from one cluster to a neighbour, over their sepset.
 
         On a tree its g carries the evidence that went into it; on a graph with loops its scale
-        has no meaning. Where CPDs without noise determine it, it has no canonical form.
+        has no meaning. Where CPDs without noise determine a part of it, it has no canonical form,
+        which is a NumericalError.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         edges, edge = list(self.graph.sepsets), (min(i, j), max(i, j))
@@ -170,8 +171,8 @@ class GaussianPosterior(Posterior):
         """Rows A (V, k, n) and r in a frame's coordinates as a canonical form in the user's.
 
         It is K = AᵀA, h = Aᵀr and g = log_scale − ½ |r|², with A and r in the user's coordinates.
-        Exact relations, or numbers that are not finite, are a NumericalError; `what` names the
-        factor in it.
+        Exact relations, or numbers that are not finite, are a NumericalError that names the
+        `cluster`; its text begins with `what` ("the belief of cluster 2").
         """
         if factor.exact is not None and factor.exact.any():
             raise NumericalError(

@@ -344,7 +344,8 @@ def careful_belief(
 ) -> OnlineBelief:
     """A belief from moments in twice the digits, whose status tells how many digits means have.
 
-    `log_evidence` is (*runs); `status` is that of the step, to which the digits are added. Moments or a log-evidence that are not finite in float64 raise a `NumericalError`.
+    `log_evidence` is (*runs); `status` is that of the step, to which the digits are added. Moments
+    or a log-evidence that are not finite in float64 raise a `NumericalError`.
     """
     mean, cov = found.moments
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):

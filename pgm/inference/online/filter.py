@@ -194,8 +194,8 @@ class OnlineFilter(InCode, Immutable):
     def _filtering(self) -> Filtering:
         """The schedule by which an update linearises sensors.
 
-        It is the filter's own if that is a `Filtering`; of a `FixedLag` it is `first`, or with a lag
-        of zero `filtering`.
+        It is the filter's own if that is a `Filtering`; of a `FixedLag` it is `first`, or, if its
+        lag is zero, `filtering`.
         """
         schedule = self.schedule
         if isinstance(schedule, FixedLag):

@@ -141,8 +141,8 @@ class Layout:
 def _require_followed(family: Family) -> None:
     """Refuse, by `Uncompiled`, a function that calls float() on its input or has no trace.
 
-    Its branches may change later, and a trace has those that were taken when it was made. Jacobians may call float(): most do
-    so by writing into np.zeros, which they return.
+    Its branches may change later, and a trace has those that were taken when it was made. Jacobians
+    may call float(): most do so by writing into np.zeros, which they return.
     """
     assert family.template is not None
     assert family.template.tracer is not None
