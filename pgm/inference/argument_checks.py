@@ -88,7 +88,8 @@ def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
 def require_whole(cpd: CPD, taken: Mask, step: int) -> None:
     """Refuse a measurement with missing components of a CPD whose density has no marginals.
 
-    `taken` marks, of all sightings at `step`, the components that were measured; all may be.
+    `taken` marks the components that were measured, of all sightings at `step`. A CPD that is
+    `partial` has the marginals, and is never refused. The error is an `EvidenceError`.
     """
     if not taken.all() and not cpd.partial:
         raise EvidenceError(

@@ -32,7 +32,10 @@ _STEADY = 10
 
 
 def is_iterated(schedule: Schedule | None) -> bool:
-    """Whether a schedule iterates: one for loopy graphs, or of two or more linearisations."""
+    """Whether a schedule iterates: one for loopy graphs, or of two or more linearisations.
+
+    False for None, the default, which linearises once.
+    """
     if isinstance(schedule, Loopy):
         return True
     return schedule is not None and schedule.iterations > 1
@@ -79,7 +82,7 @@ def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
 
 
 def _diverged(status: Status, schedule: Loopy) -> bool:
-    """Whether messages of a run that did not settle diverged, so that no more were sent.
+    """Whether in some run that did not settle messages diverged, so that no more were sent.
 
     The run's last residual is then not finite, or more than 10⁴ times its least; or the schedule
     stopped before its last round, which it does for no other reason while a run is unsettled.

@@ -118,7 +118,7 @@ def runner(
     It takes, in this order, the graph, the bound evidence, and the schedule, lineariser, start,
     keep and executor of `infer`, and returns the posterior: of a grid or particles if `belief` is
     one, else of tables if the model is discrete, where `impossible` is as for `infer`, else of
-    Gaussians. A `ModelError` refuses what `require_points` does.
+    Gaussians. A `belief` or model that `require_points` refuses is a `ModelError`.
     """
     if belief is not None:
         require_points(belief, model)

@@ -91,10 +91,10 @@ class Family(Rows):
         """Lay out a CPD with its evidence bound; an affine one has F, b and Q at once.
 
         `hidden` are the parents without evidence; `step` (rows,) is the step of each row, `inputs`
-        are the other parents' values (rows, runs or 1, d) and `lead` the user's axes of runs, which
-        errors count from `first_run`. `timed` is False of a network without time. A nonlinear CPD
-        makes its own `template` if none is given, and its own lineariser, if it has one, is taken
-        in place of `lineariser`. A CPD neither affine nor nonlinear Gaussian is a `ModelError`.
+        are the other parents' values (rows, runs or 1, d) and `lead` the user's axes of runs. Errors
+        number the runs from `first_run`. `timed` is False of a network without time. A nonlinear
+        CPD makes its own `template` if none is given, and its own lineariser, if it has one, is
+        taken in place of `lineariser`. A CPD neither affine nor nonlinear is a `ModelError`.
         """
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
@@ -137,10 +137,10 @@ class Family(Rows):
         return vacant(self.shape[:2], self.shape[2:3])
 
     def of(self, runs: slice) -> Family:
-        """The family of some runs, with views of its evidence.
+        """The family of the runs in a slice, which has both ends, with views of its evidence.
 
-        An affine CPD keeps F and b; a nonlinear one is to be linearised anew, with Q in an array of
-        its own, so that the whole stays as it is.
+        An affine CPD keeps F and b; a nonlinear one has none until it is linearised anew. Where Q
+        has errors Ω it is copied, so that the whole stays as it is.
         """
         count = runs.stop - runs.start
         part = replace(
@@ -527,10 +527,10 @@ def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
 
 
 def cancellation(family: Family) -> float:
-    """The rounding of a linearisation, in units of that of one value; 0 if it is ten or less.
+    """The rounding error of a linearisation, as a multiple of that of one value of the function.
 
-    It is 0, too, of an affine CPD, without hidden parents, and of any lineariser but sigma-point
-    rules.
+    It is 0 if it is ten or less, of an affine CPD, of one without hidden parents, and of any
+    lineariser that is no sigma-point rule.
     """
     rule = family.lineariser
     if family.template is None or not family.hidden or not isinstance(rule, StatisticalRegression):

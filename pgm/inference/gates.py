@@ -16,7 +16,7 @@ from pgm.variables import Variable
 
 
 class Gates(Immutable, Mapping[Variable, float]):
-    """A gate for each of some sensors; every other sensor has none."""
+    """A hashable mapping from some sensors to their gates; sensors that it lacks have none."""
 
     _gates: dict[Variable, float]
 

@@ -218,7 +218,7 @@ def iterate(
 
 
 class _Control:
-    """The choice of the next point: the solution, a mixture with the present one, or by cost.
+    """The control of steps, which chooses the next point: the solution, a mixture, or by cost.
 
     Its results in runs that are not active are of no account. `weight` (runs,) is λ of the next
     try.

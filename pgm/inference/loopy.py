@@ -174,7 +174,10 @@ class _Growth:
         self.least = np.full(runs, np.inf)
 
     def grown(self, residual: Array) -> Mask:
-        """Whether the next residual is not finite, or 10⁴ times the least before it, (runs,)."""
+        """Whether the next residual is not finite, or over 10⁴ times the least before, (runs,).
+
+        `residual` (runs,) is the next one, which is kept if it is the least so far.
+        """
         found: Mask = ~np.isfinite(residual) | (residual > GROWN * self.least)
         self.least = np.fmin(self.least, residual)
         return found

@@ -173,7 +173,7 @@ class Smoothing(Calibration):
 @public
 @dataclass(frozen=True)
 class FixedLag(InCode):
-    r"""Forward messages, and backward ones over a lag: each belief knows the measurements up to it.
+    r"""Forward messages, and backward ones over a lag, so that a belief knows what follows in it.
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + L,\, T)})
 

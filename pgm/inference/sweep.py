@@ -33,7 +33,10 @@ class Record(Protocol[C]):
     """The record of a forward sweep."""
 
     def keep(self, step: int, predicted: C, known: C, log_density: Array | float) -> None:
-        """Keep a step: its beliefs before and after its measurements, and their log-density."""
+        """Keep a step: its beliefs, and the log-density of its measurements, (*runs).
+
+        `predicted` is the belief before these measurements, `known` the belief given them.
+        """
 
 
 class Backwards(Protocol[B]):

@@ -143,7 +143,7 @@ class Beliefs:
         return mean, self.cov[:, entries] * (scale[..., :, None] * scale[..., None, :])
 
     def components(self) -> tuple[Array, Array]:
-        """Means (runs, size) and standard deviations (V, size) of all components, of x, not ξ."""
+        """Means (runs, size) and standard deviations (V, size) of all components of x."""
         cluster, column = self.places.homes
         where = self.places.starts[cluster] + column
         size = np.array(self.places.sizes, dtype=np.intp)[cluster]
@@ -191,7 +191,7 @@ class Calibrated:
 
 
 def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
-    """Linearise every nonlinear CPD at its cluster's belief anew, for the `active` (runs,)."""
+    """Linearise every nonlinear CPD anew at its cluster's belief, in the `active` runs, (runs,)."""
 
     def moments(g: int) -> tuple[Array, Array]:
         where, entries = beliefs.places.families[g]
@@ -235,5 +235,8 @@ class Flat(NamedTuple):
         matrix: Array | float = 0.0,
         right: Array | float = 0.0,
     ) -> None:
-        """Store matrices and right sides at flat indices of `entries` and `rows`, or else zeros."""
+        """Store `matrix` at flat indices `entries` and `right` at flat indices `rows`.
+
+        Zeros are stored for one that is not given.
+        """
         self.matrix[:, entries], self.right[:, rows] = matrix, right

@@ -74,7 +74,7 @@ class Group:
         return int(self.child.shape[1] + self.parents.shape[1])
 
     def shape(self) -> tuple[bool, int, int]:
-        """What factors of equal shape have in common: observed children or not, rows, columns."""
+        """The triple `observed`, `height` and `width`, equal for groups whose factors stack."""
         return self.observed, self.height, self.width
 
 

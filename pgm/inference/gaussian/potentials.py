@@ -141,8 +141,8 @@ def _factor(model: Model, groups: list[int]) -> _Factor:
 
     The noise is divided by its standard deviations, its components are ordered so that the one with
     the largest conditional variance comes next, and its root is taken in that order. Exact rows are
-    scaled to unit length, so that relations in any units compare. One in which no variable is left
-    is evidence that is met or not: it is divided by the size of its summands.
+    scaled to unit length, so that relations in any units compare. An exact row in which no variable
+    is left is evidence that is met or not: its right side is divided by the size of its summands.
     """
     each = zip(*(_Linearised.of(model, g) for g in groups), strict=True)
     given = _Linearised(*map(np.concatenate, each))

@@ -106,7 +106,8 @@ class _Frontier:
     def add(self, places: Integers, across: Array, own: Array) -> None:
         """Take in the components at d places.
 
-        `own` (V, d, d) is their covariance, and `across` (V, d, slots) that with all slots before.
+        `own` (V, d, d) is their covariance, and `across` (V, d, slots) that of them with the
+        components in all slots so far.
         """
         while len(self.free) < len(places):
             size = self.cov.shape[-1]

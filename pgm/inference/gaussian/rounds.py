@@ -65,28 +65,28 @@ class Rounds:
 
     @cached_property
     def own_entries(self) -> Integers:
-        """The index of the first entry of each group of CPDs, and of the first message."""
+        """The index of each group's first entry, and of the first message's, (groups + 1,)."""
         groups = self.layout.groups
         return np.cumsum([0, *(len(g.cpds) * g.height * g.width for g in groups)])
 
     @cached_property
     def own_rows(self) -> Integers:
-        """The index of the first row of each group of CPDs, and of the first message."""
+        """The index of each group's first row, and of the first message's, (groups + 1,)."""
         return np.cumsum([0, *(len(g.cpds) * g.height for g in self.layout.groups)])
 
     @cached_property
     def entry_starts(self) -> Integers:
-        """The index of the first entry of each message, and of the zero."""
+        """The index of each message's first entry, and of the zero, (messages + 1,)."""
         return int(self.own_entries[-1]) + np.cumsum([0, *(self.sizes**2)])
 
     @cached_property
     def row_starts(self) -> Integers:
-        """The index of the first row of each message, and of the zero."""
+        """The index of each message's first row, and of the zero, (messages + 1,)."""
         return int(self.own_rows[-1]) + np.cumsum([0, *self.sizes])
 
     @cached_property
     def by_size(self) -> list[tuple[int, Integers]]:
-        """Pairs of a size of sepsets and the numbers of its messages."""
+        """Pairs (s, messages): the numbers of all messages over sepsets of s components."""
         every = np.unique(self.sizes).tolist()
         return [(size, np.flatnonzero(self.sizes == size)) for size in every]
 

@@ -111,8 +111,8 @@ def _solved(
 def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) -> Status:
     """The status with the digits that are left by what was `lost` and by the means' last place.
 
-    `lost` (runs,) is an error of means in their standard deviations; None if it leaves
-    enough digits: then the last place counts only where it is an error of over 10⁻⁶ standard deviations.
+    `lost` (runs,) is an error of means in their standard deviations; None if it leaves enough
+    digits: then the last place counts only if some error by it is over 10⁻⁶ standard deviations.
     """
     place = last_place.rounding(*beliefs.components(), model.frame.scale)
     if lost is not None:
@@ -187,7 +187,7 @@ def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
     """The means of all hidden components at a start, (runs, size).
 
-    They are NaN for a variable that the start lacks, which has to be without children, or is an
+    Of a variable that the start lacks they are NaN if it has no children; else it is an
     EvidenceError.
     """
     require_hidden(start, layout.places)

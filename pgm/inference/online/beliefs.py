@@ -254,7 +254,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
     def _watched(self) -> PageTest:
         """The state of the tests whether the belief is lost.
 
-        An `EvidenceError` says where the filter was made without ``watch=True``.
+        It is an `EvidenceError` if the filter was made without ``watch=True``.
         """
         if self.watch is None:
             raise EvidenceError(

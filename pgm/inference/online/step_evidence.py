@@ -44,12 +44,12 @@ class Place(Protocol):
 
     @property
     def step(self) -> int:
-        """The number of its step."""
+        """The number of the belief's step."""
         ...
 
     @property
     def lead(self) -> tuple[int, ...]:
-        """The user's axes of runs."""
+        """The user's axes of runs, as the belief's arrays have them."""
         ...
 
     @property

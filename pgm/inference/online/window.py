@@ -291,10 +291,10 @@ def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
 
 
 class Trail(NamedTuple):
-    """The transitions behind a belief, as many as the lag has steps; the last ends at its step.
+    """The latest transitions behind a belief, at most `lag` of them; the last is to its step.
 
-    One is None where the step was made in twice the digits; `imprecise` says that the measurements
-    of the belief's step were taken in so.
+    In `passed` a transition is None if it was made in twice the digits; `imprecise` says that the
+    measurements of the belief's step were taken in in twice the digits.
     """
 
     lag: int
