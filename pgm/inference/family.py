@@ -91,10 +91,10 @@ class Family(Rows):
         """Lay out a CPD with its evidence bound; an affine one has F, b and Q at once.
 
         `hidden` are the parents without evidence; `step` (rows,) is the step of each row, `inputs`
-        are the other parents' values (rows, runs or 1, d) and `lead` the user's axes of runs. Errors
-        number the runs from `first_run`. `timed` is False of a network without time. A nonlinear
-        CPD makes its own `template` if none is given, and its own lineariser, if it has one, is
-        taken in place of `lineariser`. A CPD neither affine nor nonlinear is a `ModelError`.
+        are the other parents' values (rows, runs or 1, d) and `lead` the user's axes of runs. Runs
+        have numbers from `first_run` on in errors. `timed` is False of a network without time. A
+        nonlinear CPD makes its own `template` if none is given, and its own lineariser, if it has
+        one, is taken in place of `lineariser`. A CPD of any other kind is a `ModelError`.
         """
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
@@ -457,7 +457,7 @@ class Family(Rows):
                 function.jacobian(x)
 
     def trace(self, means: Mapping[Variable, Array], judge: Judge | None) -> None:
-        """Choose how the function's trace is used, from which derivatives come that were not given.
+        """Choose how the function's trace is used: the derivatives not given are taken from it.
 
         A trace is the function as a graph of scalar operations (`pgm.tracing`). If there is none,
         it is made about `means` (d,) by the parents' templates (zeros, where there are none) and
@@ -482,9 +482,9 @@ class Family(Rows):
                 self.answers = self._asked(judge, template.tracer, centres)
 
     def trace_whole(self) -> Answers | str:
-        """The answers in machine code of the function's trace, with derivatives that were given.
+        """The record of the trace of the function and its given derivatives, for machine code.
 
-        They are kept as `compiled`. A text says why where there is no trace.
+        It is kept as `compiled`. Where there is no trace a text is returned that says why.
         """
         assert self.template is not None
         if self.judge is None or self.template.tracer is None:

@@ -64,7 +64,7 @@ class Room:
 
 
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
-    """Refuse a graph whose clusters take too much memory together, or one that has too many axes.
+    """Refuse a graph whose clusters take too much memory, or of which one has too many axes.
 
     `entries` has for each cluster the number of entries of its table or covariance; `what` names
     the arrays in the error's text ("tables", "covariances"). The error is a `GraphError`.

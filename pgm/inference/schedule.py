@@ -173,7 +173,7 @@ class Smoothing(Calibration):
 @public
 @dataclass(frozen=True)
 class FixedLag(InCode):
-    r"""Forward messages, and backward ones over a lag, so that a belief knows what follows in it.
+    r"""Messages forward, and back over a lag: a belief knows the measurements up to a lag later.
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + L,\, T)})
 

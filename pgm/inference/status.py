@@ -152,8 +152,9 @@ class Status(Shown, Immutable):
     def _losing(self, error: Array, cause: str) -> Status:
         """The same status with a further error (runs,) of means, in standard deviations.
 
-        It is added to the error that digits measured before stand for. Of its `cause` and the one
-        before that of the larger error is kept. No warning is given but by `_warn`, once a call.
+        It is added to the error that digits measured before stand for. Of `cause` and
+        the cause before, that of the larger error is kept. Only `_warn` gives a warning, once a
+        call.
         """
         past = np.zeros(error.shape)
         if self.digits is not None:

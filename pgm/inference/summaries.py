@@ -175,7 +175,7 @@ def _ends(
     kept: dict[int, Any] = {}
 
     def at(place: Place) -> Any:
-        """The belief of all runs at the step that a place, an index along `lead`, ends in."""
+        """The belief of all runs at a step: that of `place`, an index along `lead`."""
         step = steps[place[-1]]
         if step not in kept:
             kept[step] = beliefs[variable.at(step)]

@@ -48,7 +48,7 @@ class Potentials:
 def make_potentials(model: Model) -> Potentials:
     """Turn the linearised CPDs of a model into rows.
 
-    With Σ = L Lᵀ they are L⁻¹ [s_y, −F s_p], with the sides −L⁻¹ e. Where L has no pivot the
+    With Σ = L Lᵀ they are L⁻¹ [s_y, −F s_p]; right sides are −L⁻¹ e. Where L has no pivot the
     component of the noise is determined by those before, and the row is exact. An indefinite noise
     is a NumericalError.
     """
