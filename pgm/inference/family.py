@@ -208,7 +208,7 @@ class Family(Rows):
     def expects(self) -> bool:
         """Whether robust noise weighs residuals r by E[rᵀ R⁻¹ r], expected under the belief.
 
-        With `Taylor` it does not: the square is that of the residual at the belief's mean.
+        False with `Taylor`: r is then the residual at the belief's mean, and rᵀ R⁻¹ r its square.
         """
         return not isinstance(self.lineariser, Taylor)
 

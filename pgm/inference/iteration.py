@@ -256,11 +256,11 @@ class _Control:
     ) -> Array:
         """Means (steps, runs, n) whose cost is no higher than that of the point.
 
-        The solution's means are tried first. In runs whose cost they raise, the model is solved
-        again with an anchor at the point, its weight λ multiplied by `rule.factor` at each failure
-        (Levenberg, 1944; Marquardt, 1963). Where no try succeeds, the point's own means stay. A
-        success divides the λ of the next step by the factor; λ is kept between `rule.start` and
-        10¹².
+        They are the point's own in runs that are not active. The solution's means are tried first.
+        In runs whose cost they raise, the model is solved again with an anchor at the point, its
+        weight λ multiplied by `rule.factor` at each failure (Levenberg, 1944; Marquardt, 1963).
+        Where no try succeeds, the point's own means stay. A success divides the λ of the next step
+        by the factor; λ is kept between `rule.start` and 10¹².
         """
         cost = self.problem.cost(point)
         # A point outside a function's domain, where it has no cost, is worse than any other.

@@ -288,7 +288,8 @@ class Flooding(Loopy):
         the belief it makes, or in probability. With 0 all rounds are sent, and none is missed
         (no `ConvergenceWarning` unless messages diverge).
     damping : float
-        The share of the old message that is kept, in [0, 1): a new one is the geometric mean.
+        The share of the old message that is kept, in [0, 1): what is sent is the geometric mean of
+        the old message and the new one, with weights `damping` and 1 − `damping`.
 
     Examples
     --------

@@ -237,8 +237,9 @@ def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     The first `sides` columns of `joint.mean` are means. The others are the shifts that rounding
     errors of linearised values cause; without them all digits of float64 are correct. A run's shift
     is the larger of `moved` (V,), that of ln p, and that of a mean in posterior standard
-    deviations, of the worst component. If CPDs were linearised far from the posterior, since it was
-    the first time, it counts as many times as that is standard deviations of the prior.
+    deviations, of the worst component. If CPDs were linearised for the first time (`Model.first`),
+    it is multiplied by the distance of the posterior mean from the frame's mean in standard
+    deviations of the prior, of the farthest component, if that is more than one.
     """
     size = model.layout.size
     lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))

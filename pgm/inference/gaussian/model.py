@@ -34,10 +34,11 @@ class Model:
     `lead` are the user's axes of runs. Lists have an entry for each group. `readings` are the
     values of observed children, (CPDs, runs or 1, d), None of hidden ones; `moved` (CPDs, runs, d)
     are the same with angles on the branch nearest the CPD's value where it was linearised; `taken`
-    (CPDs, runs or 1, d) masks the components that were measured, None for all. `shared` says whether all runs have the same
-    matrices, covariances and components measured. `points` are the means and standard deviations,
-    (CPDs, runs, n), of hidden parents where CPDs were linearised last: while it is the `first`
-    time, at the prior's moments or a start, maybe far from the posterior.
+    (CPDs, runs or 1, d) masks the components that were measured, None for all. `shared` says
+    whether all runs have the same matrices, covariances and components measured. `points` are the
+    means and standard deviations, (CPDs, runs, n), of hidden parents where CPDs were linearised
+    last. `first` is True until `relinearise`: they are then the prior's moments or a start, maybe
+    far from the posterior.
     """
 
     layout: Layout

@@ -201,9 +201,10 @@ class GaussianPosterior(Posterior):
     def log_evidence(self) -> Array:
         """The value ln p(evidence), (...); see `log_evidence_kind`.
 
-        Exact measurements that repeat one another have no joint density; what is then given is that
-        of those that do not, in a unit that depends on the graph. Beyond the range of float64, some
-        10¹⁵⁰ standard deviations from the model, it is a NumericalError.
+        Exact measurements that repeat one another have no joint density; the value is then that of
+        measurements of which none repeats another, in a unit that depends on the graph. A value
+        beyond the range of float64, of measurements some 10¹⁵⁰ standard deviations from the model,
+        is a NumericalError.
         """
         value = self._done.log_evidence
         if not np.isfinite(value).all():

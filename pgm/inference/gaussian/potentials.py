@@ -122,9 +122,9 @@ class _Linearised(NamedTuple):
 class _Factor:
     """The rows of CPDs of one shape, (V, CPDs, d, w), with right sides (V, CPDs, d, N).
 
-    `matrix` and `right` have those with noise, `exact` and `exact_right` those without, zeros
-    elsewhere; `fixed` says whether some are exact. Log-scales are (V, CPDs, N); `coarse` is that of
-    `Potentials`.
+    `matrix` and `right` have the rows with noise, `exact` and `exact_right` those without, with
+    zeros in place of the other's rows; `fixed` says whether some are exact. Log-scales are (V,
+    CPDs, N); `coarse` is as for `Potentials`.
     """
 
     matrix: Array

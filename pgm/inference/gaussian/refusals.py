@@ -11,7 +11,7 @@ from pgm.inference.gaussian.model import Model
 def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
     """The error that measurements contradict CPDs without noise, naming the cluster and the run.
 
-    `cluster` and `run` are their numbers; the run is not named if the user's axes of runs are none.
+    `cluster` and `run` are their numbers; without axes of runs the run is not named.
     """
     scope = model.layout.graph.clusters[cluster].scope
     which = f", run {run}" if model.lead else ""

@@ -179,7 +179,7 @@ def _iterated(
 
 
 def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
-    """Solve the linearised network in as many decimals as its numbers need."""
+    """The beliefs of the linearised network, in as many decimals as its numbers need."""
     found = careful.solve(plan, model)
     return Calibrated(found.beliefs, found.log_evidence, found.digits)
 

@@ -275,9 +275,9 @@ class _Local:
 
 
 class _Layout(NamedTuple):
-    """A plan and its chain, its CPDs, and the values from which it was made.
+    """A layout: the plan of a step with its chain, its CPDs, and the values it was made from.
 
-    The values keep variables alive, which a key tells by identity.
+    The `values` are kept so that their variables live, whose identities are in the layout's key.
     """
 
     plan: ChainPlan
