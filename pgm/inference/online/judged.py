@@ -32,7 +32,7 @@ def of_update(
 
     `known` are the moments before the update. The watch is told the NIS at their mean, of one
     innovation stacked from all measured components that were taken in, with the sensors as they
-    were linearised last. It is None if `watch` is.
+    were linearised last. Without a `watch` None is returned for it.
     """
     gated = tuple(_decided(part) for part in parts if part.gated is not None)
     if watch is None or not parts:
@@ -65,7 +65,7 @@ def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...],
     """The decisions of gates at the newest step of a settled window, and the watch after it.
 
     The window has all measurements of the step, so that the watch's numbers of earlier updates of
-    the step are replaced. It is None if `watch` is.
+    the step are replaced. Without a `watch` None is returned for it.
     """
     plan, found, judged = window.plan, list[Decided](), list[tuple[Mask, Mask] | None]()
     for sensor in plan.sensors:
