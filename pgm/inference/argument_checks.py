@@ -1,8 +1,8 @@
 """Checks of arguments: numbers, linearisers, and the CPDs that a kind of belief can take.
 
 Each check returns nothing. It raises a `ModelError`, or an `EvidenceError` about a measurement,
-that names what is wrong. `owner` is the object whose text begins the message; `beliefs` names, in
-the plural, the beliefs that need the CPDs to be of some kind.
+that names what is wrong. `owner` is the object whose repr begins the error's text; `beliefs` names
+there, in the plural ("Gaussian beliefs"), the beliefs that need the CPDs to be of some kind.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from pgm.kernels.arrays import Mask
 
 
 def require_count(owner: object, name: str, value: object) -> None:
-    """Refuse a value that is no whole number of 1 or more; messages call it `name`."""
+    """Refuse a value that is no whole number of 1 or more; errors call it `name`."""
     if not is_whole(value) or value < 1:
         raise ModelError(f"{owner!r}: {name} must be a whole number, 1 or more, not {value!r}")
 
 
 def require_tolerance(owner: object, tolerance: object) -> None:
-    """Refuse a tolerance that is no number, NaN or negative."""
+    """Refuse a tolerance that is no number, or is NaN or negative."""
     if not is_number(tolerance) or not tolerance >= 0.0:
         raise ModelError(f"{owner!r}: a tolerance must be 0 or more, not {tolerance!r}")
 
@@ -88,7 +88,8 @@ def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
 def require_whole(cpd: CPD, taken: Mask, step: int) -> None:
     """Refuse a measurement with missing components of a CPD whose density has no marginals.
 
-    `taken` marks the components that were measured, of the sightings at a step.
+    `taken` marks the components that were measured, of all sightings at `step`. A CPD that is
+    `partial` has the marginals, and is never refused. The error is an `EvidenceError`.
     """
     if not taken.all() and not cpd.partial:
         raise EvidenceError(

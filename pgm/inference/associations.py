@@ -151,7 +151,10 @@ def by_density(bound: BoundEvidence) -> BoundEvidence:
 
 
 def unidentified(reading: Reading, parent: Variable, unknown: Unknown) -> UnidentifiedCPD:
-    """The CPD of a sensor's open sightings: a mixture over the candidates for its `parent`."""
+    """The CPD of a sensor's open sightings: a mixture over the candidates for a parent.
+
+    `parent` is the one whose value the evidence leaves open, and `unknown` its candidates.
+    """
     return UnidentifiedCPD(
         reading.cpd,
         parent,
@@ -168,9 +171,8 @@ def collected(
 ) -> tuple[Variable, Associations]:
     """The sensor of a reading, and its `Associations` in the order of the user's evidence.
 
-    `rows` are the probabilities (runs, candidates + 2) of each sighting, in the order of the
-    reading, which is sorted by step. `lead` are the user's axes of runs, to which the axis of runs
-    is reshaped.
+    `rows` yields for each sighting, in the reading's own order by step, the probabilities (runs,
+    `candidates` + 2). `lead` are the user's axes of runs, to which the axis of runs is reshaped.
     """
     ordered = np.empty((int(np.prod(lead)), len(reading.step), candidates + 2))
     for place, row in zip(reading.order.tolist(), rows, strict=True):

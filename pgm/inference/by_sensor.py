@@ -17,7 +17,7 @@ Value = TypeVar("Value")
 class EachSensor(Shown, Mapping[Variable, Value]):
     """A mapping from each sensor that was read to its results.
 
-    Any other key raises an `EvidenceError`, whose message calls the results `_what`.
+    Any other key raises an `EvidenceError`, in whose text the results are called `_what`.
     """
 
     _what: ClassVar[str] = "results"
@@ -31,7 +31,7 @@ class EachSensor(Shown, Mapping[Variable, Value]):
         return self._found[variable]
 
     def _absent(self, variable: Variable) -> str:
-        """The message of the error for a variable without results."""
+        """The text of the error for a variable without results."""
         return (
             f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
             f"{namesake(variable, self)}"

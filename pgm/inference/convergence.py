@@ -32,7 +32,10 @@ _STEADY = 10
 
 
 def is_iterated(schedule: Schedule | None) -> bool:
-    """Whether a schedule iterates: one for loopy graphs, or of two or more linearisations."""
+    """Whether a schedule iterates: one for loopy graphs, or of two or more linearisations.
+
+    False for None, the default, which linearises once.
+    """
     if isinstance(schedule, Loopy):
         return True
     return schedule is not None and schedule.iterations > 1
@@ -41,8 +44,8 @@ def is_iterated(schedule: Schedule | None) -> bool:
 def told(posterior: P, schedule: Schedule | None) -> P:
     """The same posterior, after a `ConvergenceWarning` if some run of it has not settled.
 
-    There is none of a single linearisation, with a tolerance of 0 (unless messages diverged), or of
-    grids and particles, which have warnings of their own.
+    No warning is given after a single linearisation, for a tolerance of 0 (unless messages
+    diverged), without a schedule, or of grids and particles, which have warnings of their own.
     """
     status = getattr(posterior, "status", None)
     # Grids and particles have a status, and warnings, of their own.
@@ -79,10 +82,10 @@ def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
 
 
 def _diverged(status: Status, schedule: Loopy) -> bool:
-    """Whether messages of a run that did not settle diverged, so that no more were sent.
+    """Whether in some run that did not settle messages diverged, so that no more were sent.
 
-    The last residual is then not finite, or 10⁴ times the least one; or the schedule has stopped
-    before its last round, which it does for no other reason while a run is unsettled.
+    The run's last residual is then not finite, or more than 10⁴ times its least; or the schedule
+    stopped before its last round, which it does for no other reason while a run is unsettled.
     """
     record = status.residuals.reshape(len(status.residuals), -1)[:, ~status.converged.reshape(-1)]
     grown = ~np.isfinite(record[-1]) | (record[-1] > GROWN * record.min(axis=0))
@@ -115,7 +118,8 @@ def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
 def _shrink_steadily(status: Status) -> bool:
     """Whether residuals shrank in each of the last ten rounds, in every run that did not settle.
 
-    Damping is for messages that swing or grow; as a rule it slows those that come steadily nearer.
+    False after ten or fewer rounds. Damping is for messages that swing or grow; as a rule it slows
+    those that come steadily nearer.
     """
     record: Array = status.residuals.reshape(len(status.residuals), -1)
     last = record[-1 - _STEADY :, ~status.converged.reshape(-1)]
@@ -159,10 +163,10 @@ def _otherwise(schedule: Filtering | FixedLag | Calibration) -> str:
 
 
 def _last(status: Status) -> tuple[str, str]:
-    """Two parts of a message: the last residual, and in how many runs iterations did not settle.
+    """Two parts of a warning's text: the last residual, and in how many runs it has not settled.
 
-    The residual is the largest of those runs, empty if none was recorded. The second part is empty
-    if there is only one run.
+    The first is the largest last residual of these runs, empty if none was recorded. The second,
+    such as " in 2 of 8 runs" with its blank, is empty if there is only one run.
     """
     unsettled = ~status.converged
     count, size = int(unsettled.sum()), unsettled.size

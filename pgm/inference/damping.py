@@ -32,11 +32,11 @@ class LevenbergMarquardt(InCode):
     may lower the cost: the means stay some hundredths of a standard deviation short of it, and
     `status` says not converged; a number as damping gets there.
 
-    The first solution of a smoother, the filter's linearisation, is not controlled. From a start,
-    or dead reckoning on a `Balanced` tree, the first step is: the cost of the start is never
-    exceeded. A start that does not obey the exact CPDs (linear, with singular noise) has no cost,
-    and is represented by its projection onto them; so is a filter's predicted belief beside an
-    exact measurement, by the belief given that alone.
+    A smoother's step from the filter's linearisation to its first solution is not controlled. The
+    first step from a start, or from dead reckoning on a `Balanced` tree, is: the cost of the start
+    is never exceeded. A start that does not obey the exact CPDs (linear, with singular noise) has
+    no cost, and is represented by its projection onto them. A filter's predicted belief, beside an
+    exact measurement, is represented by that belief given this measurement alone.
 
     Parameters
     ----------
@@ -78,7 +78,10 @@ Damping = float | LevenbergMarquardt
 
 
 def require_damping(schedule: object, damping: object) -> None:
-    """Refuse a damping that is neither a number in [0, 1) nor a `LevenbergMarquardt`."""
+    """Refuse a damping that is neither a number in [0, 1) nor a `LevenbergMarquardt`.
+
+    The error is a `ModelError`, whose text begins with the repr of `schedule`.
+    """
     if isinstance(damping, LevenbergMarquardt):
         return
     if not is_number(damping) or not 0.0 <= damping < 1.0:

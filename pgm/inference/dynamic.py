@@ -335,9 +335,9 @@ def send_over_time(
     progress: Progress = False,
     impossible: str = RAISE,
 ) -> TemporalPosterior:
-    """Compile a network and run a schedule on it, as `smooth` does.
+    """Compile a network and run a schedule on it; the other arguments are those of `smooth`.
 
-    There is no `ConvergenceWarning` here: callers of `filter` and `smooth` get it from these.
+    No `ConvergenceWarning` is given here: `filter` and `smooth` give it themselves.
     """
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True, compiled=compiled)

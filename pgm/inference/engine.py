@@ -73,7 +73,7 @@ def online_points(
 def require_points(belief: Any, model: Any) -> None:
     """Refuse a `belief` that is no `Grid` and no `Particles`, or a model that cannot have it.
 
-    The model has to be a dynamic network of continuous variables.
+    The model has to be a dynamic network of continuous variables. The error is a `ModelError`.
     """
     if not isinstance(belief, Grid | Particles):
         raise ModelError(f"belief= is a pgm.Grid(...) or pgm.Particles(...), not {titled(belief)}")
@@ -88,8 +88,8 @@ def require_points(belief: Any, model: Any) -> None:
 def require_no_others(belief: PointMasses, lineariser: Any, **given: Any) -> None:
     """Refuse arguments that only Gaussian beliefs have a use for, beside a grid or particles.
 
-    `given` are the arguments by name, None where they were left out; the lineariser has to be
-    `Taylor()`, the default.
+    `given` are arguments by name, each of which has to be None, as if left out; the lineariser has
+    to be `Taylor()`, the default. The error is a `ModelError`.
     """
     named = [name for name, value in given.items() if value is not None]
     if lineariser is not TAYLOR and lineariser != TAYLOR:
@@ -115,9 +115,10 @@ def runner(
 ) -> Callable[..., TemporalPosterior]:
     """The function that runs a schedule of a dynamic network with one kind of beliefs.
 
-    It takes the graph, the bound evidence, and the schedule, lineariser, start, keep and executor
-    of `infer`, and returns the posterior: of a grid or particles if `belief` is one, else of tables
-    if the model is discrete, else of Gaussians.
+    It takes, in this order, the graph, the bound evidence, and the schedule, lineariser, start,
+    keep and executor of `infer`, and returns the posterior: of a grid or particles if `belief` is
+    one, else of tables if the model is discrete, where `impossible` is as for `infer`, else of
+    Gaussians. A `belief` or model that `require_points` refuses is a `ModelError`.
     """
     if belief is not None:
         require_points(belief, model)
@@ -128,8 +129,8 @@ def runner(
 def require_tables(model: Any, impossible: str, belief: Any) -> None:
     """Refuse an argument `impossible` other than the default for a network that is not discrete.
 
-    `model` is a network or its graph. If `belief` is a `Particles`, the error, a `GraphError`,
-    tells that it has an argument of this name itself.
+    `model` is a network or its graph; the default is ``"raise"``. The error is a `GraphError`. If
+    `belief` is a `Particles`, its text tells that `Particles` has an argument of this name itself.
     """
     if impossible == RAISE or getattr(model, "network", model).discrete:
         return
@@ -153,7 +154,10 @@ def _run_points(
     keep: Keep | None,
     executor: Executor | None,
 ) -> PointPosterior:
-    """The posterior of a grid or particles; what only Gaussian beliefs can use is refused."""
+    """The posterior of a grid or particles; arguments of Gaussian beliefs alone are refused.
+
+    The error is that of `require_no_others`, or of `by_density` for the sightings.
+    """
     given = {"start": start, "keep": keep, "executor": executor}
     require_no_others(belief, lineariser, **given, compiled=graph.layout.compiled or None)
     bound = by_density(bound)
@@ -173,7 +177,10 @@ def _run_tables(
     *,
     impossible: str,
 ) -> StatePosterior:
-    """The posterior of a discrete network; what only Gaussian CPDs can use is refused."""
+    """The posterior of a discrete network; arguments for Gaussian CPDs alone are refused.
+
+    A start is an `EvidenceError`; keep, an executor, or a lineariser but `Taylor()` a `ModelError`.
+    """
     if start is not None:
         raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
     given = {"keep": keep, "executor": executor}

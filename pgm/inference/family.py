@@ -64,8 +64,9 @@ class Family(Rows):
 
     `noise` is Q, (rows, runs, d, d): a read-only view of `own_noise`, R, until some row has an
     error Ω, then (`approximate`) an array of its own. The `judge` of a call compares the values
-    and slopes that traces of functions gave (`trace`) with the functions, when the call is done;
-    `compiled` are those of the trace in machine code, derivatives that the user gave included.
+    and slopes that traces of functions gave (`trace`) with the functions, when the call is done.
+    `compiled` is the record of values and slopes that the trace gives in machine code, derivatives
+    that the user gave included (`trace_whole`); None without machine code.
     """
 
     noise: Array = field(init=False, repr=False)
@@ -90,10 +91,10 @@ class Family(Rows):
         """Lay out a CPD with its evidence bound; an affine one has F, b and Q at once.
 
         `hidden` are the parents without evidence; `step` (rows,) is the step of each row, `inputs`
-        are the other parents' values (rows, runs or 1, d) and `lead` the user's axes of runs. It is
-        not `timed` in a network without time. A nonlinear CPD makes its own `template` if none is
-        given, and its own lineariser goes before the one given. Any other CPD raises a
-        `ModelError`.
+        are the other parents' values (rows, runs or 1, d) and `lead` the user's axes of runs. Runs
+        have numbers from `first_run` on in errors. `timed` is False of a network without time. A
+        nonlinear CPD makes its own `template` if none is given, and its own lineariser, if it has
+        one, is taken in place of `lineariser`. A CPD of any other kind is a `ModelError`.
         """
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
@@ -136,10 +137,10 @@ class Family(Rows):
         return vacant(self.shape[:2], self.shape[2:3])
 
     def of(self, runs: slice) -> Family:
-        """The family of some runs, with views of its evidence.
+        """The family of the runs in a slice, which has both ends, with views of its evidence.
 
-        An affine CPD keeps F and b; a nonlinear one is to be linearised anew, with Q in an array of
-        its own, so that the whole stays as it is.
+        An affine CPD keeps F and b; a nonlinear one has none until it is linearised anew. Where Q
+        has errors Ω it is copied, so that the whole stays as it is.
         """
         count = runs.stop - runs.start
         part = replace(
@@ -182,7 +183,10 @@ class Family(Rows):
         return part
 
     def put(self, rows: slice | tuple[slice, slice], part: Family) -> None:
-        """Copy the linearisations of a part into some rows, or into some rows and runs."""
+        """Copy the linearisations of a part into some rows, or into some rows and runs.
+
+        `rows` is a slice of rows, or a pair of slices, of rows and of runs; `part` has just these.
+        """
         if not self.exact:
             self.matrix[rows], self.offset[rows] = part.matrix, part.offset
         if part.approximate:
@@ -204,7 +208,7 @@ class Family(Rows):
     def expects(self) -> bool:
         """Whether robust noise weighs residuals r by E[rᵀ R⁻¹ r], expected under the belief.
 
-        With `Taylor` it does not: the square is that of the residual at the belief's mean.
+        False with `Taylor`: r is then the residual at the belief's mean, and rᵀ R⁻¹ r its square.
         """
         return not isinstance(self.lineariser, Taylor)
 
@@ -257,8 +261,8 @@ class Family(Rows):
     def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
         """Store the linearisation of the rows of `at`, which were linearised as one.
 
-        For k rows F is (k d, n, *batch), b (k d, *batch), and Q (k d, k d, *batch), given only
-        where it is more than R.
+        For k rows `matrix` F is (k d, n, *batch), `offset` b (k d, *batch), and `noise` Q (k d,
+        k d, *batch), of which the diagonal blocks are kept; None leaves Q as it is.
         """
         first, last = at.first, at.last
         if noise is not None:
@@ -288,7 +292,10 @@ class Family(Rows):
         self.noise[first:last] = blocks.transpose(0, 3, 1, 2) if self.batch else blocks[:, None]
 
     def stored_at(self, first: int, last: int) -> At:
-        """The rows from `first` up to, not including, `last`, stacked, as they were linearised."""
+        """The rows from `first` up to, not including, `last`, with the stored F, b and Q, stacked.
+
+        Every F and b has to be stored already; see `matrix`.
+        """
         if self.template is None:
             at = self._affine_at(first, last)
             if self.approximate:  # of robust noise
@@ -324,10 +331,10 @@ class Family(Rows):
     def checked(
         self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
     ) -> Line:
-        """Linearise a function at beliefs (*batch, n) and (*batch, n, n).
+        """Linearise a function at means (..., n) and covariances (..., n, n).
 
-        The arrays of the line end in the batch. With `finite` a value of NaN or infinity raises a
-        `LinearisationError`.
+        The leading axes, as (runs,) or (rows, runs), are the last ones of the line's arrays. With
+        `finite` a NaN or an infinity in these raises a `LinearisationError`.
         """
         with quiet():  # what is not finite is refused
             at = components_first(mean, 1)
@@ -414,8 +421,9 @@ class Family(Rows):
     def to_chart(self, parents: Array, child: Array) -> None:
         """Move b by whole turns, in place, so that predicted angles lie within π of the child's.
 
-        The means of the parents are (rows, runs, n), of the child (rows, runs, d). Angles of
-        beliefs are not wrapped: they are numbers on one branch.
+        The means `parents` of the hidden parents are (rows, runs, n), those of the `child` (rows,
+        runs, d). Angles of beliefs are not wrapped: they are numbers on one branch. The b of an
+        affine CPD stays.
         """
         angles = self.cpd.child.angle_mask
         if self.template is not None and angles.any():
@@ -425,10 +433,10 @@ class Family(Rows):
     def probe(self, means: Mapping[Variable, Array]) -> None:
         """Call the function and its Jacobian on trial, to refuse wrong shapes before inference.
 
-        They are called at `means` of the parents (zeros, where there are none) and the first
-        evidence, repeated along two leading axes of lengths that no vector of components has: a
-        function that indexes an axis of runs for one of components then returns a wrong shape,
-        which raises a `ModelError`.
+        They are called at `means` (d,) by the parents' templates (zeros, where there are none) and
+        the first evidence, repeated along two leading axes of lengths that no vector of components
+        has: a function that indexes an axis of runs for one of components then returns a wrong
+        shape, which raises a `ModelError`.
         """
         if self.template is None or not self.step.size:
             return
@@ -449,12 +457,13 @@ class Family(Rows):
                 function.jacobian(x)
 
     def trace(self, means: Mapping[Variable, Array], judge: Judge | None) -> None:
-        """Choose how the function's trace is used, from which derivatives come that were not given.
+        """Choose how the function's trace is used: the derivatives not given are taken from it.
 
         A trace is the function as a graph of scalar operations (`pgm.tracing`). If there is none,
-        it is made about `means` of the parents (zeros, where there are none) and the first
-        evidence. With a judge its answers are compared with the function after the call; a judge
-        without trust does without the trace. With no judge each answer is compared at once.
+        it is made about `means` (d,) by the parents' templates (zeros, where there are none) and
+        the first evidence. With a judge that is `trusting` its answers are compared with the
+        function after the call; with one that is not, no trace is used. Without a judge each answer
+        is compared at once.
         """
         template = self.template
         if template is None:
@@ -473,9 +482,9 @@ class Family(Rows):
                 self.answers = self._asked(judge, template.tracer, centres)
 
     def trace_whole(self) -> Answers | str:
-        """The trace of the function with its given derivatives, for machine code.
+        """The record of the trace of the function and its given derivatives, for machine code.
 
-        Where there is none, the reason why.
+        It is kept as `compiled`. Where there is no trace a text is returned that says why.
         """
         assert self.template is not None
         if self.judge is None or self.template.tracer is None:
@@ -519,10 +528,10 @@ def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
 
 
 def cancellation(family: Family) -> float:
-    """The rounding of a linearisation, in units of that of one value; 0 if it is ten or less.
+    """The rounding error of a linearisation, as a multiple of that of one value of the function.
 
-    It is 0, too, of an affine CPD, without hidden parents, and of any lineariser but sigma-point
-    rules.
+    It is 0 if it is ten or less, of an affine CPD, of one without hidden parents, and of any
+    lineariser that is no sigma-point rule.
     """
     rule = family.lineariser
     if family.template is None or not family.hidden or not isinstance(rule, StatisticalRegression):

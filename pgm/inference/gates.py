@@ -16,7 +16,7 @@ from pgm.variables import Variable
 
 
 class Gates(Immutable, Mapping[Variable, float]):
-    """A gate for each of some sensors; every other sensor has none."""
+    """A hashable mapping from some sensors to their gates; sensors that it lacks have none."""
 
     _gates: dict[Variable, float]
 
@@ -45,7 +45,7 @@ Gate = float | Mapping[Variable, float] | None
 def as_gate(owner: str, gate: object) -> float | Gates | None:
     """A gate as schedules keep it: None, a float, or `Gates`; any other value is refused.
 
-    The error is a `ModelError`, whose message begins with `owner`.
+    The error is a `ModelError`, whose text begins with `owner`.
     """
     if gate is None:
         return None
@@ -60,7 +60,11 @@ def as_gate(owner: str, gate: object) -> float | Gates | None:
 
 
 def _probability(owner: str, value: object, of: str) -> float:
-    """A probability between 0 and 1, checked; `of` says in messages of which sensor it is."""
+    """One gate as a float above 0 and below 1; any other value is refused.
+
+    The error is a `ModelError`, whose text begins with `owner`. `of` follows "a gate" there: " of "
+    and the sensor's repr, or "" for the gate of all sensors.
+    """
     if not is_number(value) or not 0.0 < value < 1.0:
         none = "left out for no gate" if of else "or None for no gate"
         raise ModelError(

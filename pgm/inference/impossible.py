@@ -31,11 +31,11 @@ def allows(impossible: object) -> bool:
 
 
 class ImpossibleEvidence(EvidenceError):
-    """The error for evidence of probability zero; `lost`, (runs,), marks the runs that have it.
+    """The error for evidence of probability zero in some runs, which `lost`, (runs,), marks.
 
-    On a chain these are the runs in which the measurements up to the error's step have it. The
-    error's `run` is the first of them, None without axes of runs, `lead`; `where` are its other
-    attributes, as of `PgmError`.
+    On a chain a run is marked if its measurements up to the error's `step` have probability zero.
+    `lead` are the user's axes of runs: the error's `run` is the first that is marked, None if
+    `lead` is empty. `where` has the error's other attributes by name, as `PgmError` takes them.
     """
 
     def __init__(self, message: str, lost: Mask, lead: tuple[int, ...], **where: Any) -> None:

@@ -51,17 +51,17 @@ class Point(NamedTuple):
         return np.sqrt(np.maximum(np.diagonal(self.known_cov, axis1=-2, axis2=-1), 0.0))
 
     def start(self, states: Index) -> tuple[Array, Array]:
-        """Mean (1, runs, k) and covariance (1, runs, k, k) of the k states of step 0.
+        """Mean (1, runs, k) and covariance (1, runs, k, k) of the states' k components at step 0.
 
-        `states` are their places in the slice.
+        `states` are the places of these components in the slice.
         """
         return self.mean[:1][..., states], block(self.cov[:1], states, states)
 
     def pairs(self, states: Index, places: Index) -> tuple[Array, Array]:
         """Means and covariances of some components of each pair, (steps − 1, runs, ...).
 
-        `states` are the places of the states in the slice, `places` those of the components in the
-        pair. `joint` has to be there if any of them is of the later slice.
+        `states` are the places of the states' components in the slice; `places` are those of the
+        wanted components in the pair. `joint` must not be None if a place is of the later slice.
         """
         before, cov = self.mean[:-1][..., states], self.cov[:-1]
         front = before.shape[-1]
@@ -187,10 +187,11 @@ def iterate(
     """Linearise and solve again until each run converges, or the schedule's iterations are used up.
 
     A run has converged when its residual (see `Iterated`) is within the tolerance and its robust
-    noise settled (`Problem.settled`); it then stays as it is. `solution` is the first, of one
-    linearisation; `first` the point where that was made, from which the step is controlled, too;
-    None if it was not all made at one. `converged` (runs,) are the runs in which nothing is to
-    iterate.
+    noise settled (`Problem.settled`); it then stays as it is. `solution` is that of the first
+    linearisation, which counts as an iteration. `first` is the point where this was made, and the
+    step from it to the solution is controlled; it is None, and the step is not controlled, if CPDs
+    were linearised one after another, as by a filter. `converged` (runs,) marks the runs in which
+    nothing is to iterate.
     """
     control = _Control(problem, schedule.damping, converged.size)
     residuals: list[Array] = []
@@ -217,7 +218,7 @@ def iterate(
 
 
 class _Control:
-    """The choice of the next point: the solution, a mixture with the present one, or by cost.
+    """The control of steps, which chooses the next point: the solution, a mixture, or by cost.
 
     Its results in runs that are not active are of no account. `weight` (runs,) is λ of the next
     try.
@@ -255,11 +256,11 @@ class _Control:
     ) -> Array:
         """Means (steps, runs, n) whose cost is no higher than that of the point.
 
-        The solution's means are tried first. In runs whose cost they raise, the model is solved
-        again with an anchor at the point, its weight λ multiplied by `rule.factor` at each failure
-        (Levenberg, 1944; Marquardt, 1963). Where no try succeeds, the point's own means stay. A
-        success divides the λ of the next step by the factor; λ is kept between `rule.start` and
-        10¹².
+        They are the point's own in runs that are not active. The solution's means are tried first.
+        In runs whose cost they raise, the model is solved again with an anchor at the point, its
+        weight λ multiplied by `rule.factor` at each failure (Levenberg, 1944; Marquardt, 1963).
+        Where no try succeeds, the point's own means stay. A success divides the λ of the next step
+        by the factor; λ is kept between `rule.start` and 10¹².
         """
         cost = self.problem.cost(point)
         # A point outside a function's domain, where it has no cost, is worse than any other.

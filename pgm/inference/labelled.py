@@ -113,7 +113,8 @@ def _moments(
 def _at_all_steps(values: Any, axis: int, steps: int | None) -> Array:
     """Values at steps 0..T along an axis: a NaN first where variables begin at step 1.
 
-    T is `steps`; None without time, where values stay as they are.
+    `axis` is that of steps, counted from the end. T is `steps`; None without time, where values
+    stay as they are.
     """
     if steps is None or values.shape[axis] == steps + 1:
         return np.asarray(values)

@@ -33,16 +33,20 @@ LISTED = 8
 
 @dataclass(frozen=True)
 class Room:
-    """Limits on table entries times runs: computed at once, and kept by a posterior."""
+    """Limits on table entries times runs.
+
+    At most `batch` are computed at once, and at most `kept` are held by a posterior.
+    """
 
     batch: int
     kept: int
 
     @classmethod
     def of(cls, memory: float | None, graph: ClusterGraph) -> Room:
-        """The limits for so many bytes of memory, or the default ones, of 256 MiB.
+        """The limits for `memory` bytes; for None the default ones, of 256 MiB.
 
-        A `GraphError` refuses what is no positive number, or too little for a single run.
+        A `GraphError` refuses a value that is no finite positive number, or is too little for the
+        tables of a single run.
         """
         if memory is None:
             return cls(BATCH, KEPT)
@@ -60,10 +64,10 @@ class Room:
 
 
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
-    """Refuse a graph whose clusters take too much memory together, or one that has too many axes.
+    """Refuse a graph whose clusters take too much memory, or of which one has too many axes.
 
-    `entries` are the array entries of each cluster, of a table or a covariance; `what` names these.
-    The error is a `GraphError`.
+    `entries` has for each cluster the number of entries of its table or covariance; `what` names
+    the arrays in the error's text ("tables", "covariances"). The error is a `GraphError`.
     """
     total = sum(entries)
     if total <= LIMIT:
@@ -94,7 +98,7 @@ def _advice(graph: ClusterGraph) -> str:
 
 
 def _require_axes(graph: ClusterGraph) -> None:
-    """Refuse a cluster of more discrete variables than a NumPy array can have axes."""
+    """Refuse, by a `GraphError`, a cluster of more discrete variables than arrays can have axes."""
     # Of two states each, so many variables would be refused above: most of them have one.
     if len(graph.network.variables) <= AXES or graph.width < AXES:
         return
@@ -112,9 +116,10 @@ def _require_axes(graph: ClusterGraph) -> None:
 
 
 def require_runs(entries: int, runs: int, what: str) -> None:
-    """Refuse an answer of so many array entries a run that is too large for memory, beforehand.
+    """Refuse an answer of `entries` array entries a run, if those of all runs exceed `LIMIT`.
 
-    `what` names the answer; the error is a `GraphError`.
+    `what` names the answer in the error's text ("the joint of 3 variables"); the error is a
+    `GraphError`.
     """
     if entries * runs > LIMIT:
         many = f" for {runs} runs" if runs > 1 else ""

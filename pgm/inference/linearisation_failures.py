@@ -40,9 +40,11 @@ def _fault(
     more: str,
     kind: type[PgmError] = LinearisationError,
 ) -> PgmError:
-    """The error, of the class `kind`, that the lineariser did what `fault` says, and `more`.
+    """The error, of the class `kind`, for a fault of the lineariser.
 
-    It names the CPD, the step where there is one, and the runs of `mean` (n, *batch).
+    `fault` is the verb phrase after the lineariser's name in the text ("failed", "returned an F of
+    shape (2, 3)"), and `more` what was due, or the lineariser's own error, at the end. The text
+    names the CPD, the step where there is one, and the runs of `mean` (n, *batch).
     """
     step = function.step if rows.timed and isinstance(function.step, int) else None
     first = rows.first_run

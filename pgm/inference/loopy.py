@@ -27,9 +27,9 @@ Round = TypeVar("Round")
 
 @dataclass(frozen=True, eq=False)
 class Directed:
-    """The `source` and `target` clusters of a cluster graph's messages, (messages,) each.
+    """The numbered messages of a cluster graph: from which cluster to which each goes.
 
-    `clusters` is how many clusters there are.
+    `source` and `target` (messages,) are these clusters; `clusters` is how many the graph has.
     """
 
     source: Integers
@@ -78,12 +78,12 @@ class Messages(Protocol[Round]):
         """Whether no change can exceed one, as of probabilities: messages then never diverge."""
 
     def round(self, messages: Sequence[int]) -> Round:
-        """Lay out the computation of some messages, for `propose`, in batches of equal shape."""
+        """Lay out the computation of some messages, by number, in batches of equal shape."""
 
     def propose(self, round: Round) -> Array:
-        """Compute a round's messages from those that are kept, and return their changes.
+        """Compute a round's messages from the messages that are kept, and return their changes.
 
-        The changes are (messages, runs).
+        The changes are (messages, runs), in the order in which `round` was given the messages.
         """
 
     def accept(self, round: Round, active: Mask, lost: Mask) -> None:
@@ -174,7 +174,10 @@ class _Growth:
         self.least = np.full(runs, np.inf)
 
     def grown(self, residual: Array) -> Mask:
-        """Whether the next residual is not finite, or 10⁴ times the least before it, (runs,)."""
+        """Whether the next residual is not finite, or over 10⁴ times the least before, (runs,).
+
+        `residual` (runs,) is the next one, which is kept if it is the least so far.
+        """
         found: Mask = ~np.isfinite(residual) | (residual > GROWN * self.least)
         self.least = np.fmin(self.least, residual)
         return found

@@ -119,7 +119,7 @@ class PageTest(NamedTuple):
         return cls(np.zeros((2, runs)), both, np.zeros(runs, dtype=bool), *[nothing] * 3)
 
     def over(self, runs: int) -> PageTest:
-        """The same state for so many runs, repeated if it has one."""
+        """The same state for so many runs: it has these already, or one that is repeated."""
         wide: list[Any] = [np.broadcast_to(part, (*part.shape[:-1], runs)) for part in self]
         return PageTest(*wide)
 

@@ -129,8 +129,8 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
         """The potential of a cluster: the product of its CPDs, with their evidence put in.
 
         It is over the cluster's variables without evidence, nonlinear CPDs as they were linearised
-        last. Times all messages to the cluster it is the belief, where these were sent. Errors are
-        those of `belief`.
+        last. Its product with all messages to the cluster, if the schedule has sent these, is the
+        cluster's belief. Errors are those of `belief`.
         """
 
     @property
@@ -154,7 +154,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
 
 
 def require_variable(variable: Variable) -> Variable:
-    """Refuse a key that is no variable, such as a name, or several, by an `EvidenceError`."""
+    """The same variable; any other key, as a name or several variables, is an `EvidenceError`."""
     if isinstance(variable, tuple | list | set):
         raise EvidenceError(
             f"{variable!r} is asked for where one variable was due: of several, ask for "

@@ -45,9 +45,10 @@ class At(NamedTuple):
     last: int
 
     def bound(self, step: int, inputs: Sequence[Array | None]) -> At:
-        """The same rows with other inputs, at another step, of one run.
+        """The same rows with other inputs, at another step; there must be just one run.
 
-        `inputs` has a value for each argument of the function, None for a hidden parent.
+        `inputs` has a value for each argument of the function, None for a hidden parent: (d,) if
+        there is one row, else (rows, d). The function must not be None.
         """
         function = self.function
         assert function is not None
@@ -64,7 +65,7 @@ class Rows:
     zeros where there is no time (not `timed`); `inputs` (rows, runs or 1, d) the values of the
     other parents. `template` has the function, None of an affine CPD, whose F (d, n) and b (rows or
     1, runs or 1, d) are `affine`. `own_noise` (rows or 1, runs or 1, d, d) is the CPD's own noise
-    covariance. `batch` is (runs,), or () for one run; messages count runs from `first_run`.
+    covariance. `batch` is (runs,), or () for one run; errors count runs from `first_run`.
     `answers` records the values and slopes that the function's trace (`pgm.tracing`) gives in this
     call, where a judge compares them with the function.
     """
@@ -111,7 +112,7 @@ class Rows:
     def at(self, first: int, last: int) -> At:
         """The rows from `first` up to, not including, `last`, to be linearised as one.
 
-        They are all of one step.
+        They have to be of one and the same step.
         """
         if self.template is None:
             return self._affine_at(first, last)
@@ -266,7 +267,7 @@ def own_noise(
     """The CPD's own noise covariance at its rows, (rows or 1, runs or 1, d, d).
 
     It has one row if it does not depend on `inputs` (rows, runs or 1, d). `step` (rows,) is None
-    without time; `lead` are the user's axes of runs; messages count runs from `first_run`.
+    without time; `lead` are the user's axes of runs; errors count runs from `first_run`.
     """
     size = cpd.child.dimension
     if not isinstance(cpd.cov, Noise):

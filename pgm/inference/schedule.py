@@ -135,8 +135,8 @@ class Smoothing(Calibration):
         was linearised; 0 as of `Filtering`.
     iterations, damping, gate
         See `Filtering`; here for all CPDs. The gate is decided in the first forward pass and kept,
-        so that all iterations are of the same measurements; with a start, as everything is
-        linearised there.
+        so that all iterations are of the same measurements. With a start, CPDs are linearised
+        at it in that pass.
 
     References
     ----------
@@ -173,7 +173,7 @@ class Smoothing(Calibration):
 @public
 @dataclass(frozen=True)
 class FixedLag(InCode):
-    r"""Forward messages, and backward ones over a lag: each belief knows the measurements up to it.
+    r"""Messages forward, and back over a lag: a belief knows the measurements up to a lag later.
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + L,\, T)})
 
@@ -238,7 +238,7 @@ class FixedLag(InCode):
 
     @property
     def filtering(self) -> Filtering:
-        """The filter that is the same with a lag of zero."""
+        """The filter that this schedule equals if its lag is zero."""
         return Filtering(self.iterations, self.tolerance, self.damping, self.gate)
 
     @property
@@ -288,7 +288,8 @@ class Flooding(Loopy):
         the belief it makes, or in probability. With 0 all rounds are sent, and none is missed
         (no `ConvergenceWarning` unless messages diverge).
     damping : float
-        The share of the old message that is kept, in [0, 1): a new one is the geometric mean.
+        The share of the old message that is kept, in [0, 1): what is sent is the geometric mean of
+        the old message and the new one, with weights `damping` and 1 − `damping`.
 
     Examples
     --------

@@ -17,7 +17,10 @@ Start = Mapping[Variable, npt.ArrayLike]
 
 
 def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
-    """Refuse a start that is no mapping, or whose keys are not all hidden variables."""
+    """Refuse a start that is no mapping, or has a key that is not in `hidden`.
+
+    The error is an `EvidenceError`.
+    """
     if not isinstance(start, Mapping):
         raise EvidenceError(f"start maps variables to means; found {type(start).__name__}")
     for variable in start:
@@ -32,8 +35,9 @@ def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
 def over_runs(variable: Variable, means: Array, lead: tuple[int, ...], axes: int) -> Array:
     """A variable's means as (runs, ...), for all runs of the evidence.
 
-    They are given as (..., own axes), the last `axes` axes being their own, and broadcast to the
-    evidence's axes of runs, `lead`; if they do not, an `EvidenceError` says so.
+    The last `axes` axes of `means` are the variable's own. The axes before are broadcast to the
+    evidence's axes of runs, `lead`, and reshaped to one; means that do not broadcast are an
+    `EvidenceError`.
     """
     own, rest = means.shape[: means.ndim - axes], means.shape[means.ndim - axes :]
     try:

@@ -146,14 +146,15 @@ class Status(Shown, Immutable):
         return found
 
     def _measured(self, digits: Array, cause: str) -> Status:
-        """The same status with digits (*runs), and why the least of them are no more."""
+        """The same status with digits (*runs), and the `cause` that a warning gives for few."""
         return self._with(digits=digits, _cause=cause)
 
     def _losing(self, error: Array, cause: str) -> Status:
         """The same status with a further error (runs,) of means, in standard deviations.
 
-        It is added to that of digits measured before; the cause of the larger error stays. Nothing
-        is warned of until `_warn`, once a call.
+        It is added to the error that digits measured before stand for. Of `cause` and
+        the cause before, that of the larger error is kept. Only `_warn` gives a warning, once a
+        call.
         """
         past = np.zeros(error.shape)
         if self.digits is not None:

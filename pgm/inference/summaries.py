@@ -154,7 +154,10 @@ def figures(posterior: Any) -> Iterable[str]:
 
 
 def spread(values: Array, digits: int = 6) -> str:
-    """A number as text; of several runs the least and the largest."""
+    """A number as text, to so many significant digits; of several runs the least and the largest.
+
+    The least and the largest have four digits.
+    """
     if not values.ndim:
         return number(float(values), digits)
     if not values.size:
@@ -172,7 +175,7 @@ def _ends(
     kept: dict[int, Any] = {}
 
     def at(place: Place) -> Any:
-        """The belief, of all runs, at the step of a place, an index along `lead`."""
+        """The belief of all runs at a step: that of `place`, an index along `lead`."""
         step = steps[place[-1]]
         if step not in kept:
             kept[step] = beliefs[variable.at(step)]

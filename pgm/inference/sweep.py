@@ -33,7 +33,10 @@ class Record(Protocol[C]):
     """The record of a forward sweep."""
 
     def keep(self, step: int, predicted: C, known: C, log_density: Array | float) -> None:
-        """Keep a step: its beliefs before and after its measurements, and their log-density."""
+        """Keep a step: its beliefs, and the log-density of its measurements, (*runs).
+
+        `predicted` is the belief before these measurements, `known` the belief given them.
+        """
 
 
 class Backwards(Protocol[B]):
@@ -55,7 +58,10 @@ def forward(family: Onwards[B], steps: int, record: Record[B]) -> None:
 
 
 def backward(family: Backwards[B], steps: int, last: B) -> Iterator[tuple[int, B]]:
-    """The steps and beliefs from T down to 0, given the last one: each knows all evidence."""
+    """Pairs of a step and its belief given all evidence, from step T = `steps` down to 0.
+
+    `last` is the belief at T given all evidence.
+    """
     belief = last
     yield steps, belief
     for step in counted(range(steps - 1, -1, -1), "back"):

@@ -75,7 +75,8 @@ class Places:
     def of(self, clusters: Integers, components: Integers) -> tuple[Integers, Integers]:
         """Flat indices of means (B, n) and covariances (B, n, n) of components in clusters (B,).
 
-        `components` (B, n) are their places; row b is of components that cluster b holds.
+        `components` (B, n) are their places; row b is of components that cluster
+        clusters[b] holds.
         """
         at = clusters, self.layout.columns_of(clusters, components)
         return self.means(*at), self.covs(*at)
@@ -114,7 +115,7 @@ class Beliefs:
 
     @classmethod
     def empty(cls, places: Places, frame: Frame, stacked: int, sides: int) -> Beliefs:
-        """Beliefs whose arrays are not initialised, of V `stacked` covariances and N `sides`."""
+        """Beliefs whose arrays are not initialised, for V = `stacked` and N = `sides`."""
         return cls(
             places,
             frame,
@@ -142,7 +143,7 @@ class Beliefs:
         return mean, self.cov[:, entries] * (scale[..., :, None] * scale[..., None, :])
 
     def components(self) -> tuple[Array, Array]:
-        """Means (runs, size) and standard deviations (V, size) of all components, not in ξ."""
+        """Means (runs, size) and standard deviations (V, size) of all components of x."""
         cluster, column = self.places.homes
         where = self.places.starts[cluster] + column
         size = np.array(self.places.sizes, dtype=np.intp)[cluster]
@@ -167,7 +168,7 @@ class TreePoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """The beliefs of all clusters once the messages are sent, with ln p(evidence), (V, N).
+    """The result of sending all messages: the clusters' beliefs and ln p(evidence), (V, N).
 
     `digits` (runs,) are the correct decimal digits of the means, counted from their standard
     deviations; None where they are not measured.
@@ -190,7 +191,7 @@ class Calibrated:
 
 
 def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
-    """Linearise every nonlinear CPD at its cluster's belief anew, for the `active` (runs,)."""
+    """Linearise every nonlinear CPD anew at its cluster's belief, in the `active` runs, (runs,)."""
 
     def moments(g: int) -> tuple[Array, Array]:
         where, entries = beliefs.places.families[g]
@@ -234,5 +235,8 @@ class Flat(NamedTuple):
         matrix: Array | float = 0.0,
         right: Array | float = 0.0,
     ) -> None:
-        """Store matrices and right sides at flat indices of `entries` and `rows`, or else zeros."""
+        """Store `matrix` at flat indices `entries` and `right` at flat indices `rows`.
+
+        Zeros are stored for one that is not given.
+        """
         self.matrix[:, entries], self.right[:, rows] = matrix, right

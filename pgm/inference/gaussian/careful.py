@@ -46,7 +46,7 @@ FEW, MANY = 30, 400
 
 
 def work(layout: Layout, runs: int, shared: bool) -> int:
-    """About how many element operations a solution takes."""
+    """About how many element operations `solve` takes; `shared` says whether V is 1."""
     size = layout.size
     read = sum(len(g.cpds) * g.height for g in layout.groups if g.observed)
     return (size + read) * size * ((1 if shared else runs) * size + runs)
@@ -89,8 +89,9 @@ def predictive(
 ) -> Frame:
     """The frame of the prior predictive moments, calculated in decimals and rounded at the end.
 
-    It replaces `prior_predictive` where float64 loses digits; no start is taken. Nonlinear CPDs are
-    linearised on the way, at their parents' moments in float64.
+    It replaces `prior_predictive` where float64 loses digits, but takes no account of `start`.
+    `families` has one for each group of the layout: nonlinear ones are linearised on the way, at
+    their parents' moments in float64. `shared` says whether V is 1.
     """
     conditionals = Conditionals(layout, families, runs, shared)
     with decimals.precision(MANY):
@@ -118,8 +119,9 @@ def predictive(
 def solve(plan: TreePlan, model: Model) -> Solution:
     """The exact beliefs of the linearised network, in as many decimals as it needs.
 
-    With k the decades that its numbers span it takes 2 (2k + 30) decimals, at most 6000. A
-    NumericalError says where measurements contradict CPDs without noise, or a noise is indefinite.
+    With k the decades that its numbers span (`Conditionals.span`) it takes 2 (2k + 30) decimals, at
+    most 6000. Measurements that contradict CPDs without noise are a NumericalError, which names the
+    cluster and the run, and so is an indefinite noise, which names the CPD.
     """
     conditionals = Conditionals(plan.layout, model.families, model.runs, model.shared)
     with decimals.precision(FEW):
@@ -235,8 +237,9 @@ def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     The first `sides` columns of `joint.mean` are means. The others are the shifts that rounding
     errors of linearised values cause; without them all digits of float64 are correct. A run's shift
     is the larger of `moved` (V,), that of ln p, and that of a mean in posterior standard
-    deviations, of the worst component. If CPDs were linearised far from the posterior, since it was
-    the first time, it counts as many times as that is standard deviations of the prior.
+    deviations, of the worst component. If CPDs were linearised for the first time (`Model.first`),
+    it is multiplied by the distance of the posterior mean from the frame's mean in standard
+    deviations of the prior, of the farthest component, if that is more than one.
     """
     size = model.layout.size
     lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))

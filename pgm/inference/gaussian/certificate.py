@@ -33,10 +33,11 @@ _RANGE = 1e-140, 1e140
 
 
 def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
-    """The decimal digits, counted from standard deviations, that both passes in float64 keep.
+    """The decimal digits that sending all messages in float64 keeps, for the worst run.
 
-    The least of means and covariances of all runs; zero where a number is not finite, or where the
-    square of a frame's unit is out of range.
+    They are the least of means and covariances, counted from standard deviations; zero if some
+    number is not finite, or if the square of a unit of the frame is out of range. `buffer` is the
+    one from which `beliefs` and `log_evidence` have been computed.
     """
     frame = buffer.model.frame
     total = beliefs.cov.sum() + log_evidence.sum() + frame.mean.sum()

@@ -36,7 +36,10 @@ class Conditional:
 
 @dataclass(eq=False)
 class Conditionals:
-    """The linearised CPDs of a network, in decimals; iteration gives parents before children."""
+    """The linearised CPDs of a network, in decimals; iteration gives parents before children.
+
+    `families` has one for each group of the layout; `shared` says whether V is 1.
+    """
 
     layout: Layout
     families: list[Family]
@@ -118,7 +121,7 @@ class Conditionals:
 def _offset(family: Family, row: int, runs: int) -> Decimals:
     """The offset b of one row of a CPD, (runs, d), in decimals.
 
-    That of an affine CPD with observed parents is summed up anew, without rounding.
+    The offset of an affine CPD with observed parents is summed up anew, without rounding.
     """
     cpd = family.cpd
     known = [p for p in cpd.given if p not in family.hidden]

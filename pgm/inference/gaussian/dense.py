@@ -60,7 +60,10 @@ class Joint:
 
     @classmethod
     def empty(cls, stacked: int, size: int, columns: int, nothing: Decimal) -> Joint:
-        """A joint without components yet, V `stacked` and N `columns`: its rows are zero."""
+        """A joint without components yet, for V = `stacked` and N = `columns`: its rows are zero.
+
+        `size` is the most components that it can have at a time.
+        """
         zeros = decimals.zeros
         return cls(
             zeros(stacked, size, columns),
@@ -103,8 +106,7 @@ class Joint:
     def read(self, place: int, value: Decimals, allowed: Decimals) -> Read:
         """Condition on the component at `place`: its values in the first N' columns are z (V, N').
 
-        In the other columns, of errors, they are zero.
-
+        z is `value`; in the other columns, which are of errors, the component's value is zero.
         `allowed` (V, N') is by how much z may miss a value that is determined without contradicting
         it.
         """
@@ -133,7 +135,7 @@ class Joint:
         )
 
     def forget(self, places: Integers) -> None:
-        """Marginalise components out; their places become free."""
+        """Marginalise the components at `places` out, which become free for `add`."""
         self.mean[:, places] = ZERO
         self.cov[:, places] = ZERO
         self.cov[:, :, places] = ZERO

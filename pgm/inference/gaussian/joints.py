@@ -14,7 +14,8 @@ from pgm.kernels.solving import regression
 def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[Array, Array]:
     """Mean (runs, n) and covariance (V, n, n) of components, which any clusters may hold.
 
-    `wanted` (n,) are their places in the vector of all hidden components. The covariance is
+    `wanted` (n,) are their places in the vector of all hidden components; V is 1 if all runs share
+    their covariances, else the number of runs. Units are the user's. The covariance is
     collected from the top of the tree down. Given its sepset s with its parent, a cluster's other
     components f are independent of the components a above it, so that their covariance is
 

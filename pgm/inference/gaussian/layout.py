@@ -24,7 +24,7 @@ from pgm.variables import Variable
 
 
 def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
-    """The parents of a CPD that must have evidence: inputs, and what its noise depends on."""
+    """The parents of a CPD that must have evidence: those in `inputs`, and those of its noise."""
     return [v for v in cpd.parents if v in inputs or v in cpd.noise_given]
 
 
@@ -74,15 +74,16 @@ class Group:
         return int(self.child.shape[1] + self.parents.shape[1])
 
     def shape(self) -> tuple[bool, int, int]:
-        """What factors of equal shape have in common: observed children or not, rows, columns."""
+        """The triple `observed`, `height` and `width`, equal for groups whose factors stack."""
         return self.observed, self.height, self.width
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The hidden components of a cluster graph, without observed and `absent` variables.
+    """The layout of a cluster graph's hidden components: their places, columns, and CPD groups.
 
-    Made once for each set of observed variables; see `ClusterGraph.derived`.
+    Variables that are `observed` or `absent`, which `barren` leaves out, have none. It is made once
+    for each set of observed variables; see `ClusterGraph.derived`.
     """
 
     graph: ClusterGraph
@@ -91,7 +92,7 @@ class Layout:
 
     @cached_property
     def hidden(self) -> Scope:
-        """The variables without evidence, parents before children."""
+        """The variables neither observed nor absent, parents before children."""
         return self.without_evidence(self.graph.network.variables)
 
     @cached_property
@@ -136,7 +137,7 @@ class Layout:
 
     @cached_property
     def directed(self) -> Directed:
-        """The numbers of the messages, two for each sepset."""
+        """The numbered messages of the graph, two for each sepset."""
         return Directed.of(self.graph)
 
     @cached_property

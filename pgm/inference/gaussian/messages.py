@@ -46,7 +46,10 @@ class RowMessages:
 
     @classmethod
     def make(cls, buffer: Buffer, places: Places, damping: float) -> RowMessages:
-        """Messages at their start, with the CPDs' factors, in a buffer that has neither."""
+        """Messages at their start, put into a buffer as `Buffer.make` returns it.
+
+        The factors of the CPDs are put in, too. `damping` is 0 for none.
+        """
         buffer.refresh()
         for size, members in buffer.rounds.by_size:
             entries, _ = buffer.out(members, size)
@@ -75,8 +78,8 @@ class RowMessages:
     def propose(self, round: RowRound) -> Array:
         """Compute a round's messages from the stored ones; returns their changes, (messages, runs).
 
-        They are kept aside for `accept`. A change is that of the sepset's belief, in standard
-        deviations; see `row_messages.change`.
+        The computed messages are kept aside for `accept`. A change is that of the sepset's belief,
+        in standard deviations; see `row_messages.change`.
         """
         self._proposed = []
         change = np.empty((len(self.directed), self.runs))
@@ -91,11 +94,11 @@ class RowMessages:
         return change[round.messages]
 
     def accept(self, round: RowRound, active: Mask, lost: Mask) -> None:
-        """Store the proposed messages, damped, for the active runs.
+        """Store the messages that `propose` computed last, damped, in the `active` runs, (runs,).
 
-        Runs that share matrices go on together, converged ones too: the matrices settle further for
-        the others, and the right sides of one have to fit them. Only runs that are `lost` stay
-        behind.
+        If runs share matrices (V = 1) all go on together, converged ones too, since the right sides
+        of each run have to fit the shared matrices, which still change; then only runs that are
+        `lost`, (runs,), keep their messages. `round` is that of `propose`.
         """
         for stack, new in self._proposed:
             old = self.buffer.messages(stack.members, stack.kept)
@@ -126,7 +129,10 @@ class RowMessages:
         return move
 
     def send_once(self, rounds: list[list[Stack]]) -> None:
-        """Send each message of a tree once; a round comes after those that it depends on."""
+        """Send each message of a tree once, in rounds of stacks.
+
+        A round has to come after those whose messages enter into its own.
+        """
         for stacks in rounds:
             for stack in stacks:
                 done, log_scale = self.buffer.eliminate(stack)
@@ -147,7 +153,7 @@ class RowMessages:
         return self._product(*self.buffer.rounds.beliefs([cluster]))
 
     def potential(self, cluster: int) -> tuple[Rows, Array]:
-        """The product of a cluster's CPDs alone, (V, k, n) as `belief`; log-scale (V, N)."""
+        """The product of a cluster's CPDs alone: rows as of `belief`, and log-scale (V, N)."""
         return self._product(*self.buffer.rounds.potentials([cluster]))
 
     def _product(self, stack: Stack) -> tuple[Rows, Array]:
@@ -159,7 +165,8 @@ class RowMessages:
     def beliefs(self) -> tuple[Beliefs, Array]:
         """The moments of all clusters, and ln of their factors' integrals, (V, clusters, N).
 
-        A belief that is not proper is a NumericalError.
+        A cluster's factor is the product of its CPDs and all messages to it. A belief that is not
+        proper is a NumericalError.
         """
         buffer = self.buffer
         stacked, _, sides = buffer.proper.right.shape
@@ -174,8 +181,8 @@ class RowMessages:
     def calibrated(self) -> Calibrated:
         """The beliefs, with Bethe's approximation of ln p(evidence).
 
-        It is the sum of ln of the clusters' integrals, less that of the sepsets' (both messages'
-        product).
+        It is the sum of ln of the integrals of the clusters' factors, less that of the integrals of
+        the products of both messages of each sepset.
         """
         found, logs = self.beliefs()
         total: Array = logs.sum(axis=1)

@@ -32,12 +32,13 @@ class Model:
     """The CPDs of a network, linearised, and the evidence of its observed children.
 
     `lead` are the user's axes of runs. Lists have an entry for each group. `readings` are the
-    values of observed children, (CPDs, runs or 1, d), None of hidden ones; `moved` are the same
-    with angles on the branch nearest the CPD's value where it was linearised; `taken` masks the
-    components that were measured, None for all. `shared` says whether all runs have the same
-    matrices, covariances and components measured. `points` are the means and standard deviations,
-    (CPDs, runs, n), of hidden parents where CPDs were linearised last: while it is the `first`
-    time, at the prior's moments or a start, maybe far from the posterior.
+    values of observed children, (CPDs, runs or 1, d), None of hidden ones; `moved` (CPDs, runs, d)
+    are the same with angles on the branch nearest the CPD's value where it was linearised; `taken`
+    (CPDs, runs or 1, d) masks the components that were measured, None for all. `shared` says
+    whether all runs have the same matrices, covariances and components measured. `points` are the
+    means and standard deviations, (CPDs, runs, n), of hidden parents where CPDs were linearised
+    last. `first` is True until `relinearise`: they are then the prior's moments or a start, maybe
+    far from the posterior.
     """
 
     layout: Layout
@@ -128,7 +129,7 @@ class Model:
 
         `parents` are the means (CPDs, runs, n) and covariances (CPDs, runs, n, n) of the hidden
         parents, for each group; None for affine CPDs. `mean` (runs, size) are the means of all
-        components, to whose branches angles of evidence move.
+        components, to whose branches readings of angles are moved by whole turns.
         """
         for g, (family, at) in enumerate(zip(self.families, parents, strict=True)):
             if at is not None:
@@ -187,7 +188,10 @@ def _taken(group: Group, bound: BoundValues) -> Mask | None:
 def _stacked(
     variables: Sequence[Variable], rows: Mapping[Variable, npt.NDArray[Kind]]
 ) -> npt.NDArray[Kind]:
-    """The values of some variables, (variables, runs or 1, d)."""
+    """The values of some variables of d components each, (variables, runs or 1, d).
+
+    `rows` has (runs or 1, d) by variable.
+    """
     values = [rows[v] for v in variables]
     runs = max(value.shape[0] for value in values)
     return np.stack([np.broadcast_to(value, (runs, value.shape[1])) for value in values])

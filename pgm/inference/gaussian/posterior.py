@@ -136,7 +136,8 @@ class GaussianPosterior(Posterior):
         """The message from one cluster to a neighbour, over their sepset.
 
         On a tree its g carries the evidence that went into it; on a graph with loops its scale
-        has no meaning. Where CPDs without noise determine it, it has no canonical form.
+        has no meaning. Where CPDs without noise determine a part of it, it has no canonical form,
+        which is a NumericalError.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         edges, edge = list(self.graph.sepsets), (min(i, j), max(i, j))
@@ -170,8 +171,8 @@ class GaussianPosterior(Posterior):
         """Rows A (V, k, n) and r in a frame's coordinates as a canonical form in the user's.
 
         It is K = AᵀA, h = Aᵀr and g = log_scale − ½ |r|², with A and r in the user's coordinates.
-        Exact relations, or numbers that are not finite, are a NumericalError; `what` names the
-        factor in it.
+        Exact relations, or numbers that are not finite, are a NumericalError that names the
+        `cluster`; its text begins with `what` ("the belief of cluster 2").
         """
         if factor.exact is not None and factor.exact.any():
             raise NumericalError(
@@ -200,9 +201,10 @@ class GaussianPosterior(Posterior):
     def log_evidence(self) -> Array:
         """The value ln p(evidence), (...); see `log_evidence_kind`.
 
-        Exact measurements that repeat one another have no joint density; what is then given is that
-        of those that do not, in a unit that depends on the graph. Beyond the range of float64, some
-        10¹⁵⁰ standard deviations from the model, it is a NumericalError.
+        Exact measurements that repeat one another have no joint density; the value is then that of
+        measurements of which none repeats another, in a unit that depends on the graph. A value
+        beyond the range of float64, of measurements some 10¹⁵⁰ standard deviations from the model,
+        is a NumericalError.
         """
         value = self._done.log_evidence
         if not np.isfinite(value).all():

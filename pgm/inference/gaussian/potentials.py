@@ -48,7 +48,7 @@ class Potentials:
 def make_potentials(model: Model) -> Potentials:
     """Turn the linearised CPDs of a model into rows.
 
-    With Σ = L Lᵀ they are L⁻¹ [s_y, −F s_p], with the sides −L⁻¹ e. Where L has no pivot the
+    With Σ = L Lᵀ they are L⁻¹ [s_y, −F s_p]; right sides are −L⁻¹ e. Where L has no pivot the
     component of the noise is determined by those before, and the row is exact. An indefinite noise
     is a NumericalError.
     """
@@ -122,9 +122,9 @@ class _Linearised(NamedTuple):
 class _Factor:
     """The rows of CPDs of one shape, (V, CPDs, d, w), with right sides (V, CPDs, d, N).
 
-    `matrix` and `right` have those with noise, `exact` and `exact_right` those without, zeros
-    elsewhere; `fixed` says whether some are exact. Log-scales are (V, CPDs, N); `coarse` is that of
-    `Potentials`.
+    `matrix` and `right` have the rows with noise, `exact` and `exact_right` those without, with
+    zeros in place of the other's rows; `fixed` says whether some are exact. Log-scales are (V,
+    CPDs, N); `coarse` is as for `Potentials`.
     """
 
     matrix: Array
@@ -141,8 +141,8 @@ def _factor(model: Model, groups: list[int]) -> _Factor:
 
     The noise is divided by its standard deviations, its components are ordered so that the one with
     the largest conditional variance comes next, and its root is taken in that order. Exact rows are
-    scaled to unit length, so that relations in any units compare. One in which no variable is left
-    is evidence that is met or not: it is divided by the size of its summands.
+    scaled to unit length, so that relations in any units compare. An exact row in which no variable
+    is left is evidence that is met or not: its right side is divided by the size of its summands.
     """
     each = zip(*(_Linearised.of(model, g) for g in groups), strict=True)
     given = _Linearised(*map(np.concatenate, each))

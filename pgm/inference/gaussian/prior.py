@@ -42,10 +42,11 @@ def prior_predictive(
 ) -> Frame:
     """Push moments through the CPDs in topological order, linearising on the way.
 
-    Families are one a group. Covariances are kept only as long as a later CPD needs them. At a
-    start, (runs, size), CPDs are linearised already, and the start is the frame's mean; where it is
-    NaN the mean follows from the parents. A unit is at least a millionth of the numbers that its
-    mean is a sum of.
+    `families` has one for each group; `shared` says whether all runs have the same covariances,
+    which are then computed once. Without a `start` nonlinear CPDs are linearised here. At a start,
+    (runs, size), they have to be linearised already, and it is the frame's mean; where it is NaN
+    the mean follows from the parents. A unit is at least a millionth of the numbers that its mean
+    is a sum of.
     """
     mean = np.empty((runs, layout.size)) if start is None else start.copy()
     variance = np.zeros((1 if shared else runs, layout.size))
@@ -94,13 +95,20 @@ class _Frontier:
         self.free = list(range(8))
 
     def covariance(self, places: Integers) -> tuple[Array, Array]:
-        """The covariance of m components, (V, m, m), and that with all slots, (V, m, slots)."""
+        """The covariance of the components at places (m,), and that with all slots.
+
+        They are (V, m, m) and (V, m, slots).
+        """
         rows = [self.slots[int(place)] for place in places]
         across = self.cov[:, rows]
         return across[:, :, rows], across
 
     def add(self, places: Integers, across: Array, own: Array) -> None:
-        """Take in d components with covariance (V, d, d) and that with all slots, (V, d, slots)."""
+        """Take in the components at d places.
+
+        `own` (V, d, d) is their covariance, and `across` (V, d, slots) that of them with the
+        components in all slots so far.
+        """
         while len(self.free) < len(places):
             size = self.cov.shape[-1]
             self.free.extend(range(size, 2 * size))

@@ -9,7 +9,10 @@ from pgm.inference.gaussian.model import Model
 
 
 def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
-    """The error that measurements contradict CPDs without noise, naming the cluster and the run."""
+    """The error that measurements contradict CPDs without noise, naming the cluster and the run.
+
+    `cluster` and `run` are their numbers; without axes of runs the run is not named.
+    """
     scope = model.layout.graph.clusters[cluster].scope
     which = f", run {run}" if model.lead else ""
     return NumericalError(

@@ -24,11 +24,12 @@ from pgm.kernels.arrays import Integers
 class Stack:
     """Batched eliminations of one shape: B outgoing messages, or beliefs, of some clusters.
 
-    `members` (B,) are the numbers of messages or clusters; `clusters` (B,) those whose factors are
-    gathered, and of whose n columns the first `drop` are integrated out. `components` (B, n) are
-    the places of these columns, `columns` (B, n) their indices in the cluster's scope. In the
-    buffer the matrices, of k rows, are at `entries` (B, k, n), the right sides at `rows` (B, k),
-    and the log-scales at `logs` (B, 1 + inputs): the cluster's and those of the messages to it.
+    `members` (B,) are the numbers of these messages or clusters; `clusters` (B,) are the clusters
+    whose CPDs, and messages to which, are gathered. Their n columns are in an order of the stack's
+    own, in which the first `drop` are integrated out: `components` (B, n) are the columns' places,
+    `columns` (B, n) their indices in the cluster's scope. In the buffer the matrices, of k rows,
+    are at `entries` (B, k, n), the right sides at `rows` (B, k), and the log-scales at `logs` (B, 1
+    + inputs): of the cluster's CPDs, then of the messages that are gathered.
     """
 
     members: Integers
@@ -64,37 +65,38 @@ class Rounds:
 
     @cached_property
     def own_entries(self) -> Integers:
-        """The index of the first entry of each group of CPDs, and of the first message."""
+        """The index of each group's first entry, and of the first message's, (groups + 1,)."""
         groups = self.layout.groups
         return np.cumsum([0, *(len(g.cpds) * g.height * g.width for g in groups)])
 
     @cached_property
     def own_rows(self) -> Integers:
-        """The index of the first row of each group of CPDs, and of the first message."""
+        """The index of each group's first row, and of the first message's, (groups + 1,)."""
         return np.cumsum([0, *(len(g.cpds) * g.height for g in self.layout.groups)])
 
     @cached_property
     def entry_starts(self) -> Integers:
-        """The index of the first entry of each message, and of the zero."""
+        """The index of each message's first entry, and of the zero, (messages + 1,)."""
         return int(self.own_entries[-1]) + np.cumsum([0, *(self.sizes**2)])
 
     @cached_property
     def row_starts(self) -> Integers:
-        """The index of the first row of each message, and of the zero."""
+        """The index of each message's first row, and of the zero, (messages + 1,)."""
         return int(self.own_rows[-1]) + np.cumsum([0, *self.sizes])
 
     @cached_property
     def by_size(self) -> list[tuple[int, Integers]]:
-        """Pairs of a size of sepsets and the numbers of its messages."""
+        """Pairs (s, messages): the numbers of all messages over sepsets of s components."""
         every = np.unique(self.sizes).tolist()
         return [(size, np.flatnonzero(self.sizes == size)) for size in every]
 
     @cached_property
     def _factors(self) -> list[list[tuple[Integers, Integers]]]:
-        """For each cluster, indices of its CPDs' entries (rows, n) and right sides (rows,).
+        """For each cluster a list with a pair for each of its CPDs.
 
-        It has a pair for each CPD, the rows being those of its factor. n are the columns of the
-        cluster: entries of those that the CPD lacks point at the zero.
+        The pair are the buffer's indices of the entries (rows, n) and right sides (rows,) of the
+        CPD's factor. n are the columns of the cluster, in the order of its scope: entries in
+        columns that the CPD lacks point at the zero.
         """
         found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
         starts = self.own_entries.tolist(), self.own_rows.tolist()
@@ -108,9 +110,10 @@ class Rounds:
 
     @cached_property
     def _arriving(self) -> list[tuple[Integers, Integers]]:
-        """For each message, indices of its entries (s, n) and right sides (s,).
+        """For each message, indices of its entries (s, n) and right sides (s,), for the target.
 
-        n are the columns of the target cluster: entries outside the sepset point at the zero.
+        s are the sepset's components, n the columns of the target cluster in the order of its
+        scope: entries outside the sepset point at the zero.
         """
         found = []
         for message, target in enumerate(self.layout.directed.target.tolist()):

@@ -74,10 +74,11 @@ class Buffer:
         return Rows(*self.proper.at(entries, rows), *exact)
 
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
-        """Integrate the first columns out of a stack's factors; log-scales are (V, B, N).
+        """Integrate the first `stack.drop` columns out of each of a stack's B factors.
 
-        A log-scale is g of the factor exp(g − ½ ‖A ξ − r‖²) that is left, for integrals in the
-        user's units. Exact relations that contradict one another are a NumericalError.
+        Returns the eliminations, stacked (V, B, ...), and log-scales (V, B, N): g of the factors
+        exp(g − ½ ‖A ξ − r‖²) that are left over the other columns, for integrals in the user's
+        units. Exact relations that contradict one another are a NumericalError.
         """
         done = eliminate(self.factor(stack), stack.drop)
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
@@ -89,17 +90,23 @@ class Buffer:
         return done, known + done.log_scale + unit[:, None]
 
     def out(self, messages: Integers, size: int) -> tuple[Integers, Integers]:
-        """Indices of the entries (B, s, s) and right sides (B, s) of messages of size s."""
+        """Indices of the entries (B, s, s) and right sides (B, s) of messages, by number (B,).
+
+        Their sepsets all have s = `size` components.
+        """
         inside = np.arange(size * size).reshape(size, size)
         entries = self.rounds.entry_starts[messages][:, None, None] + inside
         return entries, self.rounds.row_starts[messages][:, None] + np.arange(size)
 
     def messages(self, messages: Integers, size: int) -> Rows:
-        """The stored messages of some numbers, all of one size, (V, B, s, s)."""
+        """The stored messages by number (B,), each over s = `size` components, (V, B, s, s)."""
         return self._rows(*self.out(messages, size))
 
     def store(self, stack: Stack, rest: Rows, log_scale: Array | None) -> None:
-        """Store a stack of messages, and their log-scales unless they are None."""
+        """Store a stack's messages, the rows `rest` (V, B, s, s), and log-scales (V, B, N).
+
+        If `log_scale` is None, the messages' log-scales stay as they are.
+        """
         entries, rows = self.out(stack.members, stack.kept)
         self.proper.put(entries, rows, rest.matrix, rest.right)
         if self.exact is not None and rest.exact is not None and rest.exact_right is not None:
@@ -110,9 +117,10 @@ class Buffer:
             self.log_scale[:, len(self.rounds.layout.scopes) + stack.members] = log_scale
 
     def require_finite(self, done: Array, clusters: Iterable[int]) -> None:
-        """Raise a NumericalError that names the first cluster with a value that is not finite.
+        """Refuse log-scales that are not finite, by a NumericalError naming the first cluster.
 
-        `done` (V, B, N) are the log-scales of eliminations, `clusters` (B,) the clusters of these.
+        `done` (V, B, N) are the log-scales of B eliminations, `clusters` (B,) the clusters in which
+        they were made.
         """
         if np.isfinite(done).all():
             return

@@ -111,8 +111,8 @@ def _solved(
 def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) -> Status:
     """The status with the digits that are left by what was `lost` and by the means' last place.
 
-    `lost` (runs,) is in deviations, None where nothing was measured: then a last place counts if
-    half of it is over 10⁻⁶ of a deviation.
+    `lost` (runs,) is an error of means in their standard deviations; None if it leaves enough
+    digits: then the last place counts only if some error by it is over 10⁻⁶ standard deviations.
     """
     place = last_place.rounding(*beliefs.components(), model.frame.scale)
     if lost is not None:
@@ -166,7 +166,8 @@ def _iterated(
     """Solve, linearise at the beliefs, and solve again, until the means stay.
 
     They stay when no mean moves by more than the schedule's tolerance in standard deviations; its
-    iterations are the most linearisations. `solver` solves the model as it is linearised.
+    iterations are the most linearisations. A schedule that is no `Calibration`, as None, counts as
+    `Calibration()`. `solver` solves the model as it is linearised.
     """
     asked = schedule if isinstance(schedule, Calibration) else Calibration()
     tree, exact = _Tree(model, solver), np.full(model.runs, model.exact)
@@ -178,7 +179,7 @@ def _iterated(
 
 
 def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
-    """Solve the linearised network in as many decimals as its numbers need."""
+    """The beliefs of the linearised network, in as many decimals as its numbers need."""
     found = careful.solve(plan, model)
     return Calibrated(found.beliefs, found.log_evidence, found.digits)
 
@@ -186,7 +187,7 @@ def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
     """The means of all hidden components at a start, (runs, size).
 
-    They are NaN for a variable that the start lacks, which has to be without children, or is an
+    Of a variable that the start lacks they are NaN if it has no children; else it is an
     EvidenceError.
     """
     require_hidden(start, layout.places)

@@ -28,7 +28,7 @@ CERTAIN = 1e-28
 
 @dataclass(frozen=True, eq=False)
 class TreePlan:
-    """The rounds of both passes over a tree, and where rows and moments stand."""
+    """The plan of both passes over a tree: their rounds, and where rows and moments stand."""
 
     layout: Layout
 

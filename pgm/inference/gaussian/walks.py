@@ -30,9 +30,10 @@ def shown(radius: float) -> str:
 
 
 def spectral_radius(messages: RowMessages, run: int) -> float | None:
-    """Spectral radius ρ(|R|) of one run's partial correlations; walk-summable if below 1.
+    """The spectral radius of |R| in one run, by its number; walk-summable if below 1.
 
-    None where there are more than 1000 components, or J does not exist, as with CPDs without noise.
+    None if there are more than 1000 components, or if J or R does not exist, as with CPDs without
+    noise.
     """
     layout = messages.buffer.rounds.layout
     if layout.size > MOST:

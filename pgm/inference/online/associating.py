@@ -42,8 +42,9 @@ def associated(
 ) -> tuple[dict[Variable, Any], Found]:
     """The readings with candidates chosen for unknown parents, and the `Associations` by sensor.
 
-    `belief` is the one before these readings; those that are not open are taken in first, through
-    the gate, to choose by. Sightings that are taken for no candidate become NaN.
+    `belief` is the one before these readings. Readings that are not open are taken into it first,
+    through `gate`, and candidates are chosen by the result. Sightings taken for no candidate become
+    NaN.
     """
     bound = step_evidence.readings(graph.model, belief, readings)
     everything = BoundEvidence(0, bound.lead, (), ())

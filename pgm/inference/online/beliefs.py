@@ -90,7 +90,7 @@ _later: Any = _Later
 
 
 class _Kept:
-    """The slot for the core of a compiled step; None where a belief has its attributes."""
+    """Base of online beliefs: the slot for a core; None where a belief has its attributes."""
 
     __slots__ = ("_core",)
 
@@ -254,7 +254,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
     def _watched(self) -> PageTest:
         """The state of the tests whether the belief is lost.
 
-        An `EvidenceError` says where the filter was made without ``watch=True``.
+        It is an `EvidenceError` if the filter was made without ``watch=True``.
         """
         if self.watch is None:
             raise EvidenceError(
@@ -321,7 +321,11 @@ def belief_of(
     behind: Trail | Sliding | None,
     careful: Belief | None = None,
 ) -> OnlineBelief:
-    """A belief from moments with the batch last; its arrays have the user's axes of runs first."""
+    """A belief from moments `found` with the batch last, n and n × n components first.
+
+    Its own arrays have the user's axes of runs first, as `log_evidence`, (*runs), has them already.
+    `careful` are the moments in twice the digits, if there are any.
+    """
     lead, (mean, cov, _) = plan.lead, found
     if lead:
         mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)
@@ -340,7 +344,8 @@ def careful_belief(
 ) -> OnlineBelief:
     """A belief from moments in twice the digits, whose status tells how many digits means have.
 
-    Moments or a log-evidence that are not finite in float64 raise a `NumericalError`.
+    `log_evidence` is (*runs); `status` is that of the step, to which the digits are added. Moments
+    or a log-evidence that are not finite in float64 raise a `NumericalError`.
     """
     mean, cov = found.moments
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
@@ -378,7 +383,7 @@ def is_plain(belief: OnlineBelief) -> bool:
 
 
 def is_moderate(found: Moments, before: Moments) -> bool:
-    """Whether float64 has digits enough for moments that a step has made of earlier ones.
+    """Whether float64 has digits enough for the moments `found`, made by a step from `before`.
 
     Each variance has to be at least 5·10⁻⁸ of the earlier one, and its part that is left given the
     components before it at least 5·10⁻⁸ of the variance; each mean has to be within 4.5·10¹⁰
@@ -393,8 +398,9 @@ def told(
 ) -> Status:
     """The status of a step, with the digits that sigma points close together and last places leave.
 
-    `before` and `after` are the moments, and the `belief` before has the digits that were left
-    then. Without a loss the status stays as it is; see `close_points` and `last_places`.
+    `before` and `after` are the moments before and after the step; `belief` is the one before it,
+    with the digits that were left then. Without a loss of digits the status stays as it is; else
+    fewer than six are a `PrecisionWarning`. See `close_points` and `last_places`.
     """
     left = belief.status.digits if belief.careful is None else None
     place = last_places.of_step(after)

@@ -226,10 +226,10 @@ def _tried(kind: Layout, found: Array, due: OnlineBelief) -> bool:
 
 
 def _given(values: Values) -> tuple[list[Any], list[Array]] | None:
-    """The variables of the values given, and their arrays; None where a value is odd.
+    """The variables of the values given, and their arrays; None where a value has another form.
 
-    A value is an array (d,), or sightings without steps, whose arrays are (M, d), those of the
-    parents after that of the sensor.
+    A value has to be an array (d,), or sightings without steps. The arrays of these are (M, d), of
+    the sensor first, then of its parents; `_SIGHTED` stands after the sensor among the variables.
     """
     if type(values) is not dict:
         return None

@@ -162,7 +162,10 @@ class OnlineFilter(InCode, Immutable):
         belief: PointMasses | None = None,
         compiled: Choice = None,
     ) -> Any:
-        """The filter; of point masses, or of tables, one of its own kind."""
+        """The filter; with a `belief`, or of a model of tables, one of another class.
+
+        It is then an `OnlineGrid`, an `OnlineParticles` or an `OnlineTables`.
+        """
         discrete = isinstance(model, DynamicBayesianNetwork) and model.discrete
         if belief is not None or discrete:
             own = getattr(schedule, "gate", None)
@@ -189,7 +192,11 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _filtering(self) -> Filtering:
-        """The schedule of one update: the filter's own, or the filter of a fixed lag."""
+        """The schedule by which an update linearises sensors.
+
+        It is the filter's own if that is a `Filtering`; of a `FixedLag` it is `first`, or, if its
+        lag is zero, `filtering`.
+        """
         schedule = self.schedule
         if isinstance(schedule, FixedLag):
             return schedule.first if schedule.lag else schedule.filtering
@@ -338,8 +345,8 @@ class OnlineFilter(InCode, Immutable):
         """The belief predicted one step ahead.
 
         It is predicted in float64, or in twice the digits where that would lose too many. A sliding
-        window takes the step in as its newest; if nothing was read at the step before, that is
-        settled now.
+        window takes the step in as its newest; if nothing was read at the step before, the window
+        of that step is settled now.
         """
         require_own(belief, self.model, self.schedule, self._behind)
         if type(inputs) is not dict:

@@ -30,8 +30,9 @@ def of_update(
 ) -> tuple[tuple[Decided, ...], Watch | None]:
     """The gates' decisions about the readings `parts` of an update, and the watch after it.
 
-    `known` are the moments before the update. The NIS is that of all components that were taken,
-    together, at this mean, as they were linearised last.
+    `known` are the moments before the update. The watch is told the NIS at their mean, of one
+    innovation stacked from all measured components that were taken in, with the sensors as they
+    were linearised last. Without a `watch` None is returned for it.
     """
     gated = tuple(_decided(part) for part in parts if part.gated is not None)
     if watch is None or not parts:
@@ -63,8 +64,8 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...], Watch | None]:
     """The decisions of gates at the newest step of a settled window, and the watch after it.
 
-    The window has all measurements of the step, so that their numbers replace those of earlier
-    updates.
+    The window has all measurements of the step, so that the watch's numbers of earlier updates of
+    the step are replaced. Without a `watch` None is returned for it.
     """
     plan, found, judged = window.plan, list[Decided](), list[tuple[Mask, Mask] | None]()
     for sensor in plan.sensors:

@@ -71,7 +71,7 @@ class Layout:
     def _table(self, plan: ChainPlan) -> Integers64:
         """The table: addresses and shapes of the step's arrays, as integers.
 
-        `Uncompiled` says why there is none.
+        An `Uncompiled` is raised, with the reason as its text, where there is none.
         """
         from pgm.kernels.compiled import sweeps as s
 
@@ -101,7 +101,8 @@ class Layout:
         """Have a CPD of `count` sightings read its inputs and measurements from own arrays.
 
         `row` is its part of the table, `sensor` the CPD's child; None of a transition. Of an affine
-        CPD the offset is computed from the inputs at each step.
+        CPD the offset is computed from the inputs at each step. A noise that depends on inputs
+        raises `Uncompiled`.
         """
         if family.noisy:
             raise Uncompiled(f"{family.cpd!r} has a noise that depends on inputs")
@@ -138,10 +139,10 @@ class Layout:
 
 
 def _require_followed(family: Family) -> None:
-    """Refuse a function that calls float() on its input: its branches may change later.
+    """Refuse, by `Uncompiled`, a function that calls float() on its input or has no trace.
 
-    A trace has the branches that were taken when it was made. Jacobians may call float(): most do
-    so by writing into np.zeros, which they return.
+    Its branches may change later, and a trace has those that were taken when it was made. Jacobians
+    may call float(): most do so by writing into np.zeros, which they return.
     """
     assert family.template is not None
     assert family.template.tracer is not None

@@ -14,7 +14,10 @@ from pgm.networks import DynamicBayesianNetwork
 
 
 def require_neither(gate: object, watch: object, compiled: object) -> None:
-    """Refuse a gate, a watch or compiled steps, of which only Gaussian beliefs have a use."""
+    """Refuse a gate, a watch or compiled steps, of which only Gaussian beliefs have a use.
+
+    A `ModelError` is raised if `gate` is not None, or `watch` or `compiled` is true.
+    """
     for name, value in (("gate", gate), ("watch", watch or None), ("compiled", compiled or None)):
         if value is not None:
             own = "innovations have a covariance" if name != "compiled" else "steps are its kernels"

@@ -17,7 +17,8 @@ def slid(make: Make, step: int, behind: Sliding, log_evidence: Array) -> OnlineB
     """The belief at the newest step of a window: filtered, or predicted if nothing was read there.
 
     `make` makes plans of evidence; `step` is the number of the newest step, and `log_evidence`
-    (*runs) that of all steps before, used if nothing was read.
+    (*runs) that of all steps before, which is the belief's if nothing was read. A belief or
+    log-evidence that is not finite is a `NumericalError`.
     """
     lead, window = behind.lead, behind.window
     if window is None:

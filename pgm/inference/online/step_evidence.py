@@ -37,16 +37,19 @@ from pgm.variables import Discrete, Variable
 
 
 class Place(Protocol):
-    """Where a belief of any kind stands: its step, its runs, and the window behind it."""
+    """A belief of any kind, as binding evidence sees it: its step, runs, and the steps behind.
+
+    It is no *place* of an array.
+    """
 
     @property
     def step(self) -> int:
-        """The number of its step."""
+        """The number of the belief's step."""
         ...
 
     @property
     def lead(self) -> tuple[int, ...]:
-        """The user's axes of runs."""
+        """The user's axes of runs, as the belief's arrays have them."""
         ...
 
     @property
@@ -56,7 +59,10 @@ class Place(Protocol):
 
 
 def mapping(value: Any, method: str, what: str) -> Mapping[Variable, Any]:
-    """The same value; an `EvidenceError` if it is no mapping of `what` the method takes."""
+    """The same value; an `EvidenceError` if it is no mapping.
+
+    Its text names the user's `method` ("predict"), and `what` is mapped ("inputs to values").
+    """
     if not isinstance(value, Mapping):
         raise EvidenceError(f"{method} takes a mapping of {what}, not {type(value).__name__}")
     return value
@@ -92,9 +98,10 @@ def readings(
 
 
 def _same_runs(belief: Place, bound: BoundEvidence) -> BoundEvidence:
-    """The same evidence, refused if its axes of runs differ from those of the window behind.
+    """The same evidence; an `EvidenceError` if it is of other runs than a window behind the belief.
 
-    A belief of one run may become one of many.
+    Only a `Sliding` window refuses: its steps must have the same axes of runs, those of `belief`.
+    Where these are empty, evidence of any runs is taken: a belief of one run becomes one of many.
     """
     lead = belief.lead
     if isinstance(belief.behind, Sliding) and lead and lead != bound.lead:
@@ -113,7 +120,10 @@ def _constant(value: Any) -> Constant:
 
 
 def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> Any:
-    """The value of a sensor as sightings at step 0, that of an input as a constant."""
+    """The value of a sensor as sightings at step 0, that of any other variable as a constant.
+
+    Sightings with steps of their own are an `EvidenceError`.
+    """
     if variable not in model.sensors:
         return _constant(value)
     if not isinstance(value, Sightings):
@@ -249,7 +259,10 @@ class _Local:
             self.at_first = family.given(0, [np.zeros(0)] * len(inputs), sightings)
 
     def at(self, step: int, rows: list[Array]) -> At | None:
-        """The CPD at the arrays given at a step; None where its noise there is singular."""
+        """The CPD at a step's arrays `rows`, by place; None where a noise given there is singular.
+
+        A noise that does not depend on inputs is not looked at.
+        """
         if self.places is not None:
             known = [None if k is None else rows[k] for k in self.places]
             return self.at_first.bound(step, known)
@@ -262,9 +275,9 @@ class _Local:
 
 
 class _Layout(NamedTuple):
-    """A plan and its chain, its CPDs, and the values from which it was made.
+    """A layout: the plan of a step with its chain, its CPDs, and the values it was made from.
 
-    The values keep variables alive, which a key tells by identity.
+    The `values` are kept so that their variables live, whose identities are in the layout's key.
     """
 
     plan: ChainPlan
@@ -357,8 +370,8 @@ def _local(
 ) -> _Local:
     """A CPD with the places of its inputs; `where` has the places by sensor and variable.
 
-    `sensor` is the CPD's child and `count` its sightings; None and 1 for a transition. What was
-    given by itself, not with the sensor's sightings, is shared by all of them.
+    `sensor` is the CPD's child and `count` its number of sightings; None and 1 for a transition. An
+    input that was given by itself, not with the sensor's sightings, is shared by all of them.
     """
     inputs = []
     for parent in family.inputs:

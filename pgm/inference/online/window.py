@@ -76,10 +76,11 @@ class Sliding:
         return cls(schedule, model.lead, (Entry(motion),), None, None, np.zeros(1))
 
     def on(self, make: Make, motion: tuple[Inputs, ...], lead: tuple[int, ...]) -> Sliding:
-        """The window one step later, of which nothing has been read; `motion` has the inputs.
+        """The window one step later, at whose newest step nothing has been read yet.
 
-        The present window is settled first. If it spans the lag, its oldest step is left behind
-        with the linearisations that it has.
+        `motion` has the inputs of the transition to that step (see `Entry`), `lead` the axes of
+        runs from then on. The present window is settled first. If it spans the lag, its oldest step
+        is left behind with the linearisations that it has.
         """
         window, kept, left = self.settled(make), self.entries, self.left
         if window.plan.steps == self.schedule.lag:
@@ -89,7 +90,10 @@ class Sliding:
         return Sliding(self.schedule, lead, (*kept, Entry(motion)), window, None, left)
 
     def read(self, make: Make, readings: tuple[Reading, ...], lead: tuple[int, ...]) -> Sliding:
-        """The window settled again with further measurements of its newest step."""
+        """The window settled again with further measurements of its newest step.
+
+        `lead` are the axes of runs from then on.
+        """
         *others, last = self.entries
         last = last._replace(readings=(*last.readings, *readings))
         found = replace(self, lead=lead, entries=(*others, last), window=None)
@@ -103,7 +107,10 @@ class Sliding:
         return iterate_window(plan, 0, plan.steps, begin, self.schedule)
 
     def ahead(self, make: Make, step: int) -> SingleStep:
-        """The newest step, number `step`, predicted alone, as nothing has been read there."""
+        """The newest step, number `step`, predicted from the step before, without the window.
+
+        It is to be called while nothing has been read at the newest step.
+        """
         begun = self.before is not None
         plan = make(_joined(self.entries[-1:], self.lead, begun=begun), step - begun, not begun)
         return filter_step(plan, plan.steps, self._newest)
@@ -271,9 +278,10 @@ class Passed:
 
 
 def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
-    """A chain of one step with a plan of its own, which keeps the linearisations of `ats`.
+    """A chain of one step that stores its linearisations, in a copy of the plan.
 
-    `ats` are the transition's CPDs bound to the step's inputs.
+    `ats` are the transition's CPDs bound to the step's inputs: a noise that depends on inputs is
+    taken from these.
     """
     own = plan.window(0, 1)
     for link, at in zip(own.transition, ats, strict=True):
@@ -283,10 +291,10 @@ def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
 
 
 class Trail(NamedTuple):
-    """The transitions behind a belief, as many as the lag has steps; the last ends at its step.
+    """The latest transitions behind a belief, at most `lag` of them; the last is to its step.
 
-    One is None where the step was made in twice the digits; `imprecise` says that the measurements
-    of the belief's step were taken in so.
+    In `passed` a transition is None if it was made in twice the digits; `imprecise` says that the
+    measurements of the belief's step were taken in in twice the digits.
     """
 
     lag: int
@@ -357,8 +365,8 @@ class Trail(NamedTuple):
 def is_like(behind: Trail | Sliding | None, own: Trail | Sliding | None) -> bool:
     """Whether a belief keeps the steps behind it as a filter does, with the same lag.
 
-    `behind` are those of the belief, `own` those of the filter's prior. A window is to be of the
-    same schedule.
+    `behind` are the steps behind the belief, `own` those behind the filter's prior; None without a
+    lag. A `Sliding` window is like another of an equal schedule.
     """
     if isinstance(behind, Trail) and isinstance(own, Trail):
         return behind.lag == own.lag
@@ -370,6 +378,7 @@ def is_like(behind: Trail | Sliding | None, own: Trail | Sliding | None) -> bool
 def look_again(plan: ChainPlan, ats: Sequence[At], step: int, known: Moments) -> None:
     """Predict again and look at every number, so that an error names the CPD that is not finite.
 
-    `known` are the moments before the prediction, `ats` the transition's CPDs, to `step`.
+    `known` are the moments at the step before, `ats` the CPDs of the transition to `step`. The
+    error is a `LinearisationError` or `NumericalError`; without one nothing is returned.
     """
     MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
