@@ -1,7 +1,8 @@
 """States that move together, their displacements and the noise of these.
 
-A displacement is what a state's mean moves it by, in cells along each of its axes. White noise is
-standard normal, in `size` numbers that are independent of each other.
+A displacement is how far a state moves, in cells along each of its axes: to its mean, and by the
+noise that it shares. That noise is given by white noise: independent standard normal numbers, of
+which a group has `Spread.size`.
 """
 
 from collections.abc import Mapping
@@ -23,10 +24,11 @@ _UNCORRELATED = 1e-14
 class Spread(NamedTuple):
     """The noise of a group's displacements at a step.
 
-    variance: The variance of the noise that each axis has by itself, in squared cells, (axes,);
-        infinite where nothing is known of the place along it.
-    roots: By variable, of each hidden control and of each state whose noise is correlated: the root
-        (d, r) by which r numbers of the white noise, of its own, enter it, in its units.
+    variance: The variance of the noise that each axis of the group has by itself, in squared cells,
+        (axes of the group,); infinite where nothing is known of the place along it.
+    roots: By variable, for each hidden control and each state whose noise is correlated: the root
+        L (d, r) in L w, which is added to the variable, in its units. w are r numbers of the white
+        noise, which no other variable has; they come in the order of the mapping.
     size: How many numbers the white noise has.
     """
 
@@ -65,7 +67,7 @@ class Members:
 
     @property
     def later(self) -> frozenset[int]:
-        """The indices of the axes of parents at the same step."""
+        """The indices of the axes of hidden parents at the same step."""
         given = {v for cpd in (*self.controls, *self.states) for v in cpd.given if not v.lag}
         return frozenset(k for v in given if v in self.lattice.of for k in self.lattice.of[v])
 
@@ -107,7 +109,7 @@ class Group(Members):
     def displacement(
         self, before: Array, after: Array, noise: Array, spread: Spread, step: int, run: int
     ) -> Array:
-        """The displacements (n, axes), in cells, of n cells at a step; those of angles are wrapped.
+        """The displacements (n, axes of the group), in cells, of n cells; along angles wrapped.
 
         before, after: Points (n, axes of the lattice) of the step before, from which states move,
             and of this one, at which parents of the same step stand.
@@ -137,7 +139,10 @@ class Group(Members):
         return self.wrapped(cells)
 
     def wrapped(self, cells: Array) -> Array:
-        """Wrap displacements (..., axes), in cells, to half a circle along angles, in place."""
+        """The same displacements (..., axes of the group), in cells, wrapped in place along angles.
+
+        They are then half a circle at the most.
+        """
         for k, axis in enumerate(self.axes):
             if self.lattice.axes[axis].angle:
                 count = self.lattice.axes[axis].cells
@@ -146,11 +151,13 @@ class Group(Members):
 
 
 def parted(cpd: ConditionalGaussian, cov: Array, step: int) -> tuple[Array, Array]:
-    """A noise covariance as diag(v) + L Lᵀ: variances v (d,) and the root L (d, r) of the rest.
+    """A noise covariance as diag(v) + L Lᵀ: variances v (d,) and a root L (d, r) of the rest.
 
     Of components that are correlated, v has the largest equal share of their variances that leaves
-    the rest semidefinite: the least eigenvalue of their correlation matrix. L is zero in the
-    others.
+    the rest semidefinite: the least eigenvalue of their correlation matrix. Of uncorrelated
+    components v has all of the variance, and L a row of zeros; r is 0 if there are no others. L is
+    not triangular. A covariance that is not semidefinite is refused by a NumericalError, which
+    names the CPD and the step.
     """
     own = np.diagonal(cov).copy()
     finite = np.isfinite(own) & (own > 0.0)

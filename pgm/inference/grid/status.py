@@ -38,10 +38,11 @@ NARROW = 0.7
 
 
 class Refinement(NamedTuple):
-    """One refinement of a grid: its cells along each axis, and the user's figure there.
+    """One resolution of a grid that is refined: its cells along each axis, and the figure there.
 
-    change: The figure's largest change from the cells before; NaN of the first.
-    seconds: How long the run took.
+    figure: The log-evidence, or what the user's function of the posterior has returned.
+    change: The figure's largest change from the resolution before; NaN of the first.
+    seconds: How long inference took on these cells.
     """
 
     cells: tuple[int, ...]

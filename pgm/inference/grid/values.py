@@ -38,10 +38,11 @@ def mean_at(
 ) -> Array:
     """A CPD's mean at n points, (n, d), by one call of the user's function.
 
-    points: Values of hidden parents, (n, d).
+    points: Values of hidden parents, (n, d); n is 1 if there are none.
     known: Values of the parents with evidence, (d,).
-    less: A hidden parent whose value is subtracted, which leaves the displacement from it; of an
-        affine CPD its matrix less the identity is used, so that no digits are lost.
+    less: A hidden variable of `points` whose value is subtracted, which leaves the displacement
+        from it; of an affine CPD its matrix less the identity is used, so that no digits are lost.
+        None for the mean itself.
 
     A function with values that are NaN or infinite is refused by a LinearisationError.
     """
