@@ -96,7 +96,7 @@ def joined(some: Sequence[Members], kept: Kept) -> Members:
 
 
 def _gaussian(control: CPD) -> ConditionalGaussian:
-    """The CPD of a hidden control itself; a ModelError refuses one not Gaussian, or robust noise."""
+    """A hidden control's CPD itself; a ModelError refuses one not Gaussian or of robust noise."""
     if not isinstance(control, ConditionalGaussian) or control.noise is not None:
         raise ModelError(
             f"{control!r} is that of a hidden control, over which a grid sums where it is "

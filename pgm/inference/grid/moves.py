@@ -174,10 +174,10 @@ class Sweep:
 class Split:
     """An operator that splits each source cell, by a shift of its own, on three cells an axis.
 
-    These are the cell nearest to its target and that cell's two neighbours. With the target at μ from
-    the nearest, −½ ≤ μ ≤ ½, the three points have exactly that mean, and the variance max(s², |μ|(1
-    − |μ|)), s² ≤ ¼. Of a larger variance the rest is a blur that is the same everywhere, left to a
-    `Sweep` afterwards.
+    These are the cell nearest to its target and that cell's two neighbours. With the target at μ
+    from the nearest, −½ ≤ μ ≤ ½, the three points have exactly that mean, and the variance max(s²,
+    |μ|(1 − |μ|)), s² ≤ ¼. Of a larger variance the rest is a blur that is the same everywhere, left
+    to a `Sweep` afterwards.
 
     axes: The axes that are moved.
     place: A function of a node: the targets of all source cells, (axes moved, source cells), in

@@ -29,7 +29,10 @@ class Part(NamedTuple):
 
 
 def parts(places: Sequence[tuple[Variable, int]]) -> list[Part]:
-    """The components of some variables, by (variable, row of its first component)."""
+    """The components of some variables, one after another.
+
+    places: By variable, a pair of it and the row of its first component in arrays of states.
+    """
     label = iter(distinct_labels(variable for variable, _ in places))
     return [
         Part(variable, k, next(label), first + k)

@@ -109,10 +109,11 @@ class KLDSampling(InCode, Immutable):
     def drawn(
         self, states: States, model: ParticleModel, draw: Callable[[int], Integers]
     ) -> Integers:
-        """The places of resampled particles, drawn until there are enough for the bins they occupy.
+        """The places of resampled particles, drawn until they are enough for the bins they occupy.
 
         states: The particles to draw from, (d, n), with the components of the model's slice.
-        draw: A function of a count, which draws so many places, (count,).
+        draw: A function of a count, which draws so many places among the n, (count,), by the
+            weights.
 
         A particle so far from zero that its bin has no number is refused by a ModelError.
         """

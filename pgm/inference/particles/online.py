@@ -111,9 +111,9 @@ class OnlineParticleBelief(Shown, NoArray):
 class OnlineParticles(PointFilter[OnlineParticleBelief]):
     """A particle filter for one step at a time; made by ``OnlineFilter(model, belief=particles)``.
 
-    Draws are keyed by seed, run and step, so that they are those of `pgm.filter`. A belief of one
-    run, whose next inputs or measurements have several, becomes that of each of these, with the
-    same particles.
+    Draws are keyed by seed, run and step, so that they are those of `pgm.filter`. Where a belief
+    has one run, and the inputs or measurements given next have several, each of these runs goes on
+    from the same particles; from the prior each draws its own.
 
     Parameters
     ----------
@@ -206,8 +206,9 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     ) -> Cloud:
         """The particles of a belief, or those of a given cloud, in the runs of the evidence.
 
-        One run becomes each of the evidence's, with the same particles; of the prior each run draws
-        its own. Runs of another number are refused by an EvidenceError.
+        Particles of a single run are repeated for each run of the evidence; of a prior belief each
+        run draws its own instead. Several runs, of another number than the evidence's, are refused
+        by an EvidenceError.
         """
         cloud, runs = belief._cloud if cloud is None else cloud, bound.runs
         if cloud.runs == runs:
@@ -242,7 +243,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         record: Record,
         before: tuple[Cloud, BoundEvidence] | None = None,
     ) -> OnlineParticleBelief:
-        """The user's belief at a step, with its status, of which a warning may be given.
+        """The user's belief at a step, with its status, which warns of what it finds at fault.
 
         log_evidence: ln p of all measurements so far, (runs,).
         record: What has happened at the step.

@@ -88,7 +88,8 @@ def require_room(size: int, particles: Particles, steps: int, runs: int, kind: K
     """Refuse, by a ModelError, particles that would not fit memory, before any are drawn.
 
     size: The number of components of a particle.
-    steps, runs: How many of each are kept.
+    steps, runs: How many steps, T + 1, and runs are kept.
+    kind: Filtered; of any other kind there are trajectories besides.
     """
     share = np.dtype(particles.dtype).itemsize / 8
     # States, weights and ancestors of the filter; states and weights of trajectories.

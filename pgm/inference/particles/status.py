@@ -111,7 +111,7 @@ class ParticleStatus(Shown, Immutable):
     def warn(self, first: int = 0) -> None:
         """Warn of few effective particles, and of impossible measurements, by `ParticleWarning`s.
 
-        first: The step of the arrays' first entry, from which messages count.
+        first: The step of the arrays' first entry, from which the warnings' texts count steps.
         """
         if self.few:
             share = np.where(self._few, self.effective, np.inf)
