@@ -56,7 +56,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
 
     @cached_property
     def cov(self) -> Array:
-        """The covariances, (..., n, n)."""
+        """The covariances, (..., n, n); an angle's differences from its mean are wrapped."""
         return closed(self._cov())
 
     def _mean(self) -> Array:
@@ -72,6 +72,8 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
 
     def gaussian(self) -> Gaussian:
         """The normal density of the same mean and covariance, over the components' variables.
+
+        It has the same leading axes, and steps.
 
         Raises
         ------
@@ -97,7 +99,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         return self._over(places_of(self._parts, components, "a marginal"))
 
     def _over(self, places: tuple[int, ...]) -> Self:
-        """The belief over the components at these places, in this order."""
+        """The belief over the components at these indices of `components`, in this order."""
         raise NotImplementedError
 
     @public

@@ -144,7 +144,7 @@ class DensityGroup(Members):
                     )
 
     def depends(self) -> tuple[set[int], set[int]]:
-        """The axes of the step before, and of its own step, on which the densities depend."""
+        """The axes on which the densities depend: (those of the step before, of their own step)."""
         before, after = set[int](), set[int]()
         for cpd in self.states:
             for parent in cpd.parents:
@@ -171,7 +171,7 @@ class DensityGroup(Members):
         return self._cut(self.kept[self.key], window)
 
     def _cut(self, dense: Dense, window: Window) -> Dense:
-        """The part of the weights between all cells whose sources lie in a window."""
+        """Weights between all cells, `dense`, cut to the source cells of a window."""
         lattice = self.lattice
         own = dense.weights.shape[1] > 1
         each = (*dense.by, *self.axes) if own else dense.by

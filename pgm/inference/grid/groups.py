@@ -39,11 +39,13 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Members:
-    """The CPDs of states that move together, and of the hidden controls that they share.
+    """A group of states that move together, with the hidden controls that they share; a base class.
 
-    known: By child, the values (rows, runs or 1, d) of its observed parents.
+    controls: The CPDs of these controls.
+    states: The CPDs of the states.
+    known: By child and then parent, the values (rows, runs or 1, d) of observed parents.
     prior: Whether this is step 0: displacements are counted from the first cell then.
-    first: The step before the first row of these values.
+    first: The step before the first row of the known values.
     place: Of a part of a mixture, its index there; of a mixture in a mixture, one index a level.
     """
 
@@ -86,12 +88,15 @@ class Members:
 
 @dataclass(frozen=True, eq=False)
 class Group(Members):
-    """States whose CPDs are Gaussian: they move by displacements, and by their noise."""
+    """A group of states whose CPDs are Gaussian, moved by displacements and by noise of axes."""
 
     states: tuple[ConditionalGaussian, ...]
 
     def spread(self, step: int, run: int) -> Spread:
-        """The noise of the displacements at a step of a run."""
+        """The noise of the displacements at a step of a run.
+
+        A covariance that is not semidefinite is refused by a NumericalError.
+        """
         variances, found = [], {}
         for cpd in self.controls:
             cov = covariance_of(cpd, self.inputs(cpd.child, step, run), step, run)

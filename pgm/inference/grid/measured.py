@@ -26,7 +26,7 @@ Known = Mapping[Variable, Array]
 
 
 class Sharpness(NamedTuple):
-    """The sensor that is sharpest for the cells, at its step.
+    """The sensor that is sharpest for the cells, of those read so far, and the step where it is.
 
     cells: How far the expected measurement moves from a cell to the next, in standard deviations of
         the noise, at the likeliest cell of the measurements; see `MeasuredSensor.sharpness`.
@@ -59,7 +59,11 @@ class Shape:
 
 @dataclass(eq=False)
 class MeasuredSensor:
-    """A sensor's measurements on a lattice, with what is known of its function's shape."""
+    """A sensor on a lattice, with its measurements; base of sensors by their kind of noise.
+
+    reading: The measurements.
+    shape: What is known of the shape of its function; it is added to.
+    """
 
     lattice: Lattice
     reading: Reading

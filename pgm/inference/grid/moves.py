@@ -148,6 +148,7 @@ class Sweep:
     ) -> Array:
         """The weighted sum over nodes of one move after another: Σₙ wₙ M_K(n) … M_1(n) array.
 
+        moves: M_1 to M_K, in the order in which they are applied.
         apply: Applies one move, at a node, to an array, forwards or backwards.
 
         Moves that are the same at all nodes, at either end, are made once, outside the sum.
@@ -218,9 +219,9 @@ class Split:
     def _taps(self, node: int) -> list[list[tuple[Integers, Array]]]:
         """The three points that each cell is split on along each moved axis, at a node.
 
-        Of each axis there are three pairs, of the cells one lower, nearest and one higher: what
-        they add to the flat target index, and their weights, both (source cells,). The weight is
-        zero outside of the target window.
+        For each axis there are three pairs: of the cell before the nearest one, of the nearest, and
+        of the cell after it. A pair is what the point adds to the flat target index, and its
+        weight, both (source cells,). The weight is zero outside of the target window.
         """
         counts = [span.length for span in self.target]
         found = []

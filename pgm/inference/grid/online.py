@@ -40,6 +40,7 @@ class OnlineGridBelief(Shown, NoArray):
     log_evidence : ndarray
         (*runs): ln p of all measurements so far.
     status : GridStatus
+        The status of all steps so far.
     kind : Kind
         Filtered after an update, predicted before.
 

@@ -153,7 +153,7 @@ def _curvatures(level: Array, turns: Mask) -> Array:
 
 
 def _neighbour(level: Array, place: Integers, axis: int, step: int, turns: bool) -> float:
-    """The logarithm at a cell's neighbour, a `step` further along an axis; −∞ beyond an end.
+    """The logarithm at a cell's neighbour, one `step` (1 or −1) along an axis; −∞ beyond an end.
 
     level: The logarithms of the probabilities of a window's cells.
     place: The cell, (axes,).

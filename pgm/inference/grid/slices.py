@@ -38,10 +38,11 @@ from pgm.variables import Variable
 
 
 class Narrowness(NamedTuple):
-    """The narrowest belief along an axis, of all steps.
+    """The marginal of one component that is the narrowest for the cells, of all steps.
 
-    cells: Its standard deviation in cells.
-    component: The axis' label; empty if no belief has been looked at.
+    cells: Its standard deviation in cells; infinite if no belief has been looked at.
+    component: The label of its axis; empty if no belief has been looked at.
+    step: The step of the belief.
     """
 
     cells: float

@@ -268,7 +268,8 @@ class _Density:
     def at(self, place: Integers, which: Integers | None = None) -> Array:
         """The log-densities ln p(after | x), (m,), x being the particles at some places, (m,).
 
-        which: The trajectory that each place is paired with, (m,); without it, each in turn.
+        which: The trajectory that each place is paired with, (m,); None pairs the i-th place with
+            the i-th trajectory, m being their number.
         """
         after = self.after if which is None else self.after[:, which]
         owner = self.owner if which is None or self.owner is None else self.owner[which]

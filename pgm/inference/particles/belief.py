@@ -131,7 +131,8 @@ class ParticleBelief(PointMassBelief):
         bins : int or sequence
             See `numpy.histogramdd`: how many along each axis, or their edges.
         range : sequence of (float, float), optional
-            The ends of each axis; angles are counted in [−π, π) without it.
+            The ends of each axis; without it those of the particles, or, of an angle, −π and π
+            where `bins` is a number. Angles are wrapped to [−π, π) in any case.
 
         Returns
         -------
@@ -265,7 +266,10 @@ class ParticleBelief(PointMassBelief):
         return closed(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))
 
     def _require_equal(self, what: str) -> None:
-        """Refuse `what`, which would be no array, by a ModelError where particle numbers differ."""
+        """Refuse beliefs whose numbers of particles differ, by a ModelError.
+
+        what: What was asked of them, which would be no array: "states" or "weights".
+        """
         counts = {int(count) for cloud in self._clouds for count in cloud.counts}
         if len(counts) > 1:
             raise ModelError(
@@ -274,7 +278,10 @@ class ParticleBelief(PointMassBelief):
             )
 
     def _require_one(self, what: str) -> None:
-        """Refuse `what`, which is of one belief, by a ModelError where there are leading axes."""
+        """Refuse leading axes, by a ModelError.
+
+        what: What was asked, which takes a belief without any, such as "a histogram".
+        """
         if self.lead:
             raise ModelError(
                 f"{what} is of one belief, and this one has the leading axes {self.lead}: index a "

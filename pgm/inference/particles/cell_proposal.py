@@ -28,7 +28,7 @@ _TOUCHING = 1.0 - 1e-6
 
 @public
 class CellProposal(InCode, Immutable):
-    r"""Draws of a state from the likelihood of a step's measurements, over cells.
+    r"""A proposal that draws a state from the likelihood of a step's measurements, over cells.
 
     .. math:: q(x) = \frac{p(z \mid c_k)^{τ}}{V \sum_j p(z \mid c_j)^{τ}}
 
@@ -38,7 +38,7 @@ class CellProposal(InCode, Immutable):
 
     Measurements that take part are those of sensors that depend on this state, and on no other.
     The sides of cells are along the axes of the state, and the cells are to cover wherever it may
-    be: nothing is drawn elsewhere, and at the start of a filter what the prior has there is
+    be: nothing is drawn outside of them, and at the start of a filter what the prior has outside is
     missing. The poses of a map that is turned in the world have cells that would overlap.
 
     Parameters

@@ -71,7 +71,11 @@ class ParticleChain:
         return [stream(self.particles.seed, run, step, purpose) for run in runs]
 
     def start(self) -> Cloud:
-        """The particles of step 0, from the prior, or from cells by the step's measurements."""
+        """The particles of step 0, before they are weighed by its measurements.
+
+        They are drawn from the prior; where the user asked for it, one state is drawn from cells by
+        the step's measurements instead.
+        """
         counts = np.full(self.model.bound.runs, self.particles.n)
         return self._prior(counts, self.generators(0), self._placed(self.particles.n))
 
@@ -351,6 +355,9 @@ class ParticleChain:
         )
 
     def _some(self, cloud: Cloud, step: int, first: int, last: int, before: Array) -> Some:
-        """The particles at places from `first` to `last`, with their states at the step before."""
+        """The particles at places from `first` up to, but without, `last`.
+
+        before: Their states at the step before, (d, last − first).
+        """
         owner = None if cloud.runs == 1 else cloud.owner[first:last]
         return Some(step, cloud.states[:, first:last], before, owner)

@@ -91,7 +91,10 @@ class Drawing:
         return Drawing(found)
 
     def white(self, components: int, count: int, dtype: Any) -> States:
-        """Independent standard normal numbers, (components, count)."""
+        """Independent standard normal numbers, (components, count), for the block's particles.
+
+        `count` is the number of these, and `dtype` float64 or float32.
+        """
         if len(self.pieces) == 1:
             return self.pieces[0][1].standard_normal((components, count), dtype=dtype)
         found = np.empty((components, count), dtype=dtype)
@@ -177,7 +180,7 @@ class Law:
 
 
 class GaussianLaw(Law):
-    """A CPD of Gaussian noise, with its inputs: x = mean(parents) + L w, w standard normal."""
+    """The law of a CPD of Gaussian noise: x = mean(parents) + L w, w being standard normal."""
 
     cpd: ConditionalGaussian
 
@@ -387,7 +390,10 @@ class Root:
         return found
 
     def log_density(self, residual: States, some: Some) -> Array:
-        """The log-densities (m,) of residuals (d, m), which are overwritten; of regular noise."""
+        """The log-densities (m,) of residuals (d, m) under regular noise.
+
+        The array of residuals may be overwritten.
+        """
         which = slice(None) if len(self.lower) == 1 else self.of(some)
         if self.diagonal is not None:
             residual /= self.diagonal[:, which]

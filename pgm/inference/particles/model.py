@@ -103,7 +103,10 @@ class ParticleModel:
         return found
 
     def log_peak(self, step: int) -> Array:
-        """The largest log-density that a step's measurements could have at any state, (runs,)."""
+        """The largest log-density that a step's measurements could have at any state, (runs,).
+
+        A density that does not tell it is refused by a ModelError.
+        """
         found = np.zeros(self.bound.runs)
         for sensor in self.sensors:
             for row in sensor.rows(step):

@@ -123,7 +123,8 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     Raises
     ------
     ModelError
-        If they do not fit, or the particles would not fit memory.
+        If a proposal, start or injection of the particles does not fit the model, or they would not
+        fit memory.
 
     Examples
     --------

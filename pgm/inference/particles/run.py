@@ -54,7 +54,7 @@ def run(
 
 
 def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None:
-    """Refuse, by a ModelError, particles whose proposals do not fit a network."""
+    """Refuse, by a ModelError, particles whose proposal, start or injection fits no such network."""
     if particles.proposal is not None:
         require_guidable(model)
     if particles.start is not None:
