@@ -1,7 +1,7 @@
 """The associations of open sightings, under the probabilities of cells.
 
-A sighting is open where a parent of its sensor is unknown: one of k candidates, spurious, or a new
-thing. Its associations are the k + 2 probabilities of these.
+A sighting is open where a parent of its sensor is unknown: it is of one of k candidates, spurious,
+or of a new thing. Its associations are the k + 2 probabilities of these cases, in this order.
 """
 
 from __future__ import annotations

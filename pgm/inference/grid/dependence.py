@@ -1,8 +1,8 @@
 """On which axes of a lattice functions depend: tested at its centres, not assumed.
 
-A function takes points (n, axes) of the step before and points of its own step, and has m values at
-each. `before` and `after` are the axes of these two on which a value depends. A window is a span of
-cells along each axis.
+A function takes n points of the step before and n points of its own step, both (n, axes), and has m
+values for each pair. A value depends on the axes `before` of the step before, and on the axes
+`after` of its own step. A window is a span of cells along each axis.
 """
 
 import math

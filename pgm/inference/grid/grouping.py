@@ -1,7 +1,7 @@
 """The CPDs of a model in the groups in which a grid moves them.
 
-A group is one state, or several that have to move together: those that depend on one hidden control
-share its noise, and others depend on one another so that neither can move first.
+A group is one state, or several that have to move together, since they depend on one hidden control
+and share its noise, or depend on one another in such a way that none can move first.
 """
 
 from __future__ import annotations

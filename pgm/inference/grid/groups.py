@@ -1,4 +1,4 @@
-"""States that move together, their displacements and the noise of these.
+"""Groups of states that move together, their displacements, and the noise of displacements.
 
 A displacement is how far a state moves, in cells along each of its axes: to its mean, and by the
 noise that it shares. That noise is given by white noise: independent standard normal numbers, of
@@ -59,7 +59,7 @@ class Members:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """The states and the place in a mixture, which tell the group from others of its model."""
+        """The states, then the indices of `place`: a key that no other group of the model has."""
         return (*(cpd.child for cpd in self.states), *self.place)
 
     @property
@@ -93,10 +93,7 @@ class Group(Members):
     states: tuple[ConditionalGaussian, ...]
 
     def spread(self, step: int, run: int) -> Spread:
-        """The noise of the displacements at a step of a run.
-
-        A covariance that is not semidefinite is refused by a NumericalError.
-        """
+        """The noise of the displacements at a step of a run."""
         variances, found = [], {}
         for cpd in self.controls:
             cov = covariance_of(cpd, self.inputs(cpd.child, step, run), step, run)
@@ -160,7 +157,7 @@ def parted(cpd: ConditionalGaussian, cov: Array, step: int) -> tuple[Array, Arra
 
     Of components that are correlated, v has the largest equal share of their variances that leaves
     the rest semidefinite: the least eigenvalue of their correlation matrix. Of uncorrelated
-    components v has all of the variance, and L a row of zeros; r is 0 if there are no others. L is
+    components v has all of the variance, and L a row of zeros; r is 0 if none are correlated. L is
     not triangular. A covariance that is not semidefinite is refused by a NumericalError, which
     names the CPD and the step.
     """

@@ -29,7 +29,7 @@ class Axis:
     """One axis of the grid, a component of a state.
 
     component: The index of the component in its variable.
-    label: The component's name, after that of its variable where states share it.
+    label: The component's name; where states share it "x.east", x being the variable.
     low: The lower end of the first cell; of a circle its centre, which is at −π.
     width: The width of each of the `cells`, in units of the component.
     angle: Whether the axis is a full circle.

@@ -13,7 +13,7 @@ class Part(NamedTuple):
     """One component of a belief.
 
     component: The index of the component in its variable.
-    label: The component's name, after that of its variable where others share it.
+    label: The component's name; where variables share it "x.east", x being the variable.
     row: The row of the component in arrays of states, (d, particles).
     """
 

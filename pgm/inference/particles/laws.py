@@ -153,8 +153,8 @@ class Law:
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all particles.
 
-        taken: The mask (d,) of the components that were measured; the density is given NaN for the
-            others.
+        taken: The mask (d,) of the components that were measured, for the rest of which the density
+            is given NaN; None for all.
         """
         values = self.given(row, some)
         if taken is not None and not taken.all():
@@ -200,8 +200,8 @@ class GaussianLaw(Law):
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all particles.
 
-        taken: The mask (d,) of the components that were measured; the density is their marginal.
-            Under singular noise, which no sensor may have, it is ignored.
+        taken: The mask (d,) of the components that were measured, of which the density is the
+            marginal; None for all. Under singular noise, which no sensor may have, it is ignored.
         """
         root = self.root(row, some.step)
         if not root.regular:
@@ -262,8 +262,9 @@ class GaussianLaw(Law):
     def _called(self, arguments: list[States], due: tuple[int, ...], call: Call) -> States:
         """The value of the user's function, (m, d), for arguments (m, d).
 
-        A value of the states' type and of the shape `due` is returned as it is, so that float32
-        stays float32; others are converted, or refused by an error of the `call`.
+        A value of the states' type and of the shape `due`, (m, d), is returned as it is, so that
+        float32 stays float32. Any other value is converted to a float64 array of that shape; where
+        it cannot be, or the function fails, an error of the `call` is raised.
         """
         function = getattr(self.cpd, "function", None)
         if function is None:
@@ -306,7 +307,10 @@ class GaussianLaw(Law):
                 break
 
     def root(self, row: int, step: int) -> Root:
-        """The `Root` of the noise covariance at a row, one root for all runs or one for each."""
+        """The `Root` of the noise covariance at a row, one root for all runs or one for each.
+
+        Where a function for it has a value that is no covariance, a ModelError is raised.
+        """
         if not isinstance(self.cpd.cov, Noise):
             return self._constant
         known = {v: np.asarray(self.inputs[v][row], dtype=np.float64) for v in self.cpd.cov.given}

@@ -78,7 +78,8 @@ def law(
 ) -> Law:
     """The law of a CPD with its inputs, by its kind; the arguments are those of `Law`.
 
-    A Gaussian CPD with robust noise, and others, are asked for draws and densities themselves.
+    A Gaussian CPD with robust noise, and a CPD that is neither Gaussian nor a mixture, are asked
+    for draws and densities themselves.
     """
     rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
     about = rows, places, dtype, first_run

@@ -157,8 +157,8 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     ) -> OnlineParticleBelief:
         """The belief one step later.
 
-        Where the next measurements are to choose the draws, it keeps the particles before, to be
-        moved again.
+        Where the measurements of that step are to choose its draws, the new belief keeps the old
+        one's particles too, to be moved again by `_updated`.
         """
         step, before = belief.step + 1, self._spread(belief, bound)
         chain, record = self._chain(bound, belief.step)
@@ -168,9 +168,10 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         return self._belief(step, PREDICTED, cloud, chain.model, bound, log_evidence, record, kept)
 
     def _updated(self, belief: OnlineParticleBelief, bound: BoundEvidence) -> OnlineParticleBelief:
-        """The belief given a step's measurements.
+        """The belief given measurements of its step.
 
-        Where these choose the draws, the prediction is drawn again, from the particles before it.
+        Where measurements choose the draws, those of the step are drawn again, from the particles
+        of the step before; with a `start` those of step 0 are, from its cells.
         """
         step = belief.step
         cloud = self._spread(belief, bound)
@@ -187,7 +188,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         return self._belief(step, FILTERED, known, chain.model, bound, log_evidence, record)
 
     def _chain(self, bound: BoundEvidence, first: int) -> tuple[ParticleChain, Record]:
-        """A chain from the step `first`, with the record of it and of the step after."""
+        """A chain whose inputs begin after the step `first`, and its record up to first + 1."""
         model = ParticleModel(self.model, bound, self.belief.dtype, first)
         record = Record(first + 1, bound.runs)
         return ParticleChain(self._graph, model, self.belief, record), record

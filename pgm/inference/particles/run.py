@@ -54,7 +54,7 @@ def run(
 
 
 def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None:
-    """Refuse, by a ModelError, particles whose proposal, start or injection fits no such network."""
+    """Refuse, by a ModelError, particles whose proposal, start or injection does not fit."""
     if particles.proposal is not None:
         require_guidable(model)
     if particles.start is not None:
@@ -64,10 +64,10 @@ def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None
 
 
 def _require_possible(particles: Particles, model: ParticleModel, kind: Kind) -> None:
-    """Refuse what particles cannot do with a model's evidence.
+    """Refuse particles whose injection or start does not fit the schedule or the evidence.
 
-    A ModelError refuses to smooth injected particles, an EvidenceError a start from cells for which
-    step 0 has no measurements.
+    An injection with any `kind` but filtered is a ModelError, a start from cells for which step 0
+    has no measurements an EvidenceError.
     """
     if particles.injection is not None and kind != FILTERED:
         raise ModelError(

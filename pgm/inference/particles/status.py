@@ -36,8 +36,8 @@ class ParticleStatus(Shown, Immutable):
         (*runs, T+1): how many particles an `Injection` put elsewhere, given the step's
         measurements.
     ignored, restarted : ndarray of bool
-        (*runs, T+1): whether no particle explained the step's measurements, so that they were left
-        out, or the run began anew from the prior; the log-evidence is −∞ then.
+        (*runs, T+1): whether no particle explained the step's measurements, so that these were
+        ignored, or that the run was restarted from the prior; the log-evidence is −∞ then.
     unmoved : ndarray or None
         (*runs, T): of a smoother, by step the share of trajectories that have stayed at the
         filter's own ancestor; None of a filter.
