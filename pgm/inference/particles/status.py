@@ -37,7 +37,7 @@ class ParticleStatus(Shown, Immutable):
         measurements.
     ignored, restarted : ndarray of bool
         (*runs, T+1): whether no particle explained the step's measurements, so that these were
-        ignored, or that the run was restarted from the prior; the log-evidence is −∞ then.
+        ignored, or the run was restarted from the prior; the log-evidence is −∞ then.
     unmoved : ndarray or None
         (*runs, T): of a smoother, by step the share of trajectories that have stayed at the
         filter's own ancestor; None of a filter.
