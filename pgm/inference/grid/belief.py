@@ -28,9 +28,11 @@ from pgm.variables import Variable
 class PointMassBelief(Framed, Shown, NoArray, Immutable):
     """Base of beliefs by point masses: grid cells or particles.
 
-    `components` are the n components that it is over, `lead` the leading axes of independent
-    beliefs, (...): runs, then steps, where `steps` has their numbers. `_parts` are objects, one a
-    component, with its `label` and whether it is an `angle`.
+    components: The names of the n components that it is over.
+    steps: The numbers of the steps that the last leading axis stands for; None where no axis is of
+        steps.
+    lead: The shape of the leading axes of independent beliefs, (...): runs, then steps.
+    _parts: One object a component, with its name, `label`, and whether it is an angle, `angle`.
     """
 
     components: tuple[str, ...]
@@ -40,21 +42,21 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
 
     @property
     def angles(self) -> tuple[str, ...]:
-        """The components that are angles."""
+        """The names of the components that are angles."""
         return tuple(part.label for part in self._parts if part.angle)
 
     @cached_property
     def mean(self) -> Array:
         """The means, (..., n).
 
-        An angle's is its circular mean plus the mean of the differences from that, wrapped to [−π,
-        π).
+        An angle's is its circular mean plus the mean of the differences from it, each of which is
+        wrapped to [−π, π).
         """
         return closed(self._mean())
 
     @cached_property
     def cov(self) -> Array:
-        """The covariances, (..., n, n)."""
+        """The covariances, (..., n, n); an angle's differences from its mean are wrapped."""
         return closed(self._cov())
 
     def _mean(self) -> Array:
@@ -70,6 +72,8 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
 
     def gaussian(self) -> Gaussian:
         """The normal density of the same mean and covariance, over the components' variables.
+
+        It has the same leading axes, and steps.
 
         Raises
         ------
@@ -95,7 +99,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         return self._over(places_of(self._parts, components, "a marginal"))
 
     def _over(self, places: tuple[int, ...]) -> Self:
-        """The belief over the components at these places, in this order."""
+        """The belief over the components at these indices of `components`, in this order."""
         raise NotImplementedError
 
     @public
@@ -121,7 +125,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
         """Draw `count` point masses of each belief, by their probabilities, (count, *lead, n).
 
-        The leading axes may be flattened to one.
+        The draws may have the leading axes flattened to one.
         """
         raise NotImplementedError
 
@@ -180,7 +184,7 @@ class GridBelief(PointMassBelief):
     values : ndarray
         (..., *cells): the probabilities, of sum one; float32 where the grid has that `dtype`.
     steps : ndarray of int or None
-        The steps that the last leading axis stands for.
+        The steps that the last leading axis stands for; None where no axis is of steps.
 
     Examples
     --------
@@ -269,10 +273,10 @@ class GridBelief(PointMassBelief):
         return self._centres(drawn)
 
     def _at(self, index: Any, chosen: Integers) -> GridBelief:
-        """The belief at an index of the leading axes, as of the base class.
+        """The belief at the user's index of the leading axes; the arguments are the base class's.
 
-        Its `steps` are those along its last axis; None where that is of runs, or rows along it
-        differ in them.
+        Its `steps` are those that the index takes of the last leading axis; None where it takes one
+        step, or takes other steps in one run than in another.
         """
         each = index if isinstance(index, tuple) else (index,)
         values = self.values.reshape(-1, *self.values.shape[len(self.lead) :])[chosen]
@@ -346,7 +350,7 @@ def scope_axes(axes: Sequence[Axis], variables: Scope) -> tuple[int, ...]:
 def require_step(variable: Variable, steps: int) -> int | None:
     """The step that a variable stands at; None of a variable of all steps, such as x.
 
-    A step after the last one, `steps`, is refused by a ModelError.
+    A step that is no whole number, or after the last one, `steps`, is refused by a ModelError.
     """
     if variable.step is None:
         return None

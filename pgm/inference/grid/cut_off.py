@@ -27,19 +27,25 @@ _DOUBT = 20.0
 
 
 class Cut(NamedTuple):
-    """The belief of which the most may have been cut off: the estimated share, and its step."""
+    """The belief, of all steps, of which the most may have been cut off.
+
+    share: The estimated share of it that was cut off.
+    step: The step of the belief.
+    """
 
     share: float
     step: int
 
 
 class Tails:
-    """Estimates of the share of a belief that has been cut off beyond each end of each axis.
+    """The estimate, kept up step by step, of the shares of a belief cut off at the ends of axes.
 
-    The part cut off is taken to become as much likelier, with each measurement, as the last cells
-    within. If the model is true these gains are a martingale: a share of ε becomes one of 10⁻³ with
-    a probability of 10³ε at the most (Ville's inequality). What left the bounds at a step is
-    followed likewise through its measurements, where these make the last cells 30 times likelier.
+    It is of one run, and is told of each step by `predicted`, then by `taken` if anything was
+    measured. The part cut off beyond an end is taken to become as much likelier, with each
+    measurement, as the last cells within. If the model is true these gains are a martingale: a
+    share of ε becomes one of 10⁻³ with a probability of 10³ε at the most (Ville's inequality). The
+    share that leaves the bounds at a step is followed likewise through the measurements of that
+    step alone, where these make the last cells 30 times likelier.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -75,9 +81,10 @@ class Tails:
         self._share = np.maximum(kept, TINY)
 
     def taken(self, marginals: list[Array]) -> float:
-        """The largest share cut off, or beyond the bounds, given the measurements of the step.
+        """Take in the measurements of the step predicted last: the largest share now missing.
 
-        It is found from the marginals (cells,) of the belief given these, along all axes.
+        It may be cut off, or beyond the bounds. `marginals` are those (cells,) of the belief given
+        the measurements, along all axes.
         """
         self._taken = self._at(marginals)
         gain = self._taken / np.maximum(self._before, 1e-300)
@@ -110,7 +117,7 @@ def doubtful(log_density: float, ceiling: float, components: int) -> bool:
 
 
 def bound(log_density: float, best: float) -> float:
-    """A bound of the share of a belief, given measurements, in cells that had 10⁻¹⁵ of it before.
+    """The most of a belief, given measurements, that cells with 10⁻¹⁵ of it before can have.
 
     log_density: ln p(measurements | those before), of the belief as it was carried.
     best: Their largest log-density at any cell.

@@ -71,7 +71,8 @@ class Dense:
     axes: The axes that are moved.
     by: The other axes depended on, ascending; G is the number of the window's cells along these.
     weights: (G, S, T): S source cells along `axes`, or 1 where the density does not depend on
-        these, and T target cells.
+        these, and T target cells along `axes`, both flat in the order of `axes`.
+    source, target: The windows in which the probabilities stand before and after.
     uneven: How much sums of the density over centres vary.
     """
 
@@ -83,14 +84,14 @@ class Dense:
     uneven: Uneven
 
     def forward(self, array: Array) -> Array:
-        """The probabilities in the target window, weights times probabilities; see `Operator`."""
+        """The probabilities in the target window, from those in the source window."""
         lines = self._lines(array)
         if self.weights.shape[1] < lines.shape[2]:
             lines = lines.sum(axis=2, keepdims=True)
         return self._whole(lines @ self.weights, self.target)
 
     def backward(self, array: Array) -> Array:
-        """The transposed operator, a backward message in the source window; see `Operator`."""
+        """The transpose: a backward message in the source window, from one in the target window."""
         lines = self._lines(array) @ self.weights.swapaxes(1, 2)
         count = math.prod(self.source[k].length for k in self.axes)
         return self._whole(np.broadcast_to(lines, (*lines.shape[:2], count)), self.source)
@@ -101,7 +102,7 @@ class Dense:
 
     @property
     def _order(self) -> tuple[int, ...]:
-        """The axes in the order `by`, resting (neither moved nor depended on), `axes`."""
+        """All axes, in order: `by`, those that rest (neither moved nor depended on), `axes`."""
         moved = {*self.axes, *self.by}
         return (*self.by, *(k for k in range(len(self.source)) if k not in moved), *self.axes)
 
@@ -120,11 +121,12 @@ class Dense:
 
 @dataclass(frozen=True, eq=False)
 class DensityGroup(Members):
-    """States whose CPDs have any density, which is asked for from each cell to each.
+    """A group of states that are moved by their CPDs' densities, of any kind, from cell to cell.
 
     A hidden control among the parents is refused by a ModelError.
 
-    kept: By a group's key, the weights between all cells, where they are the same at all steps.
+    kept: By a group's key, the weights between all cells, where they are the same at all steps; it
+        is added to, and may be shared with other groups.
     """
 
     kept: dict[tuple[object, ...], Dense] = field(default_factory=dict)
@@ -142,7 +144,7 @@ class DensityGroup(Members):
                     )
 
     def depends(self) -> tuple[set[int], set[int]]:
-        """The axes of the step before, and of its own step, on which the densities depend."""
+        """The axes on which the densities depend: (those of the step before, of their own step)."""
         before, after = set[int](), set[int]()
         for cpd in self.states:
             for parent in cpd.parents:
@@ -151,10 +153,10 @@ class DensityGroup(Members):
         return before, after
 
     def move(self, step: int, run: int, window: Window) -> Dense:
-        """The weights of a step in a run, from the cells of a window.
+        """The weights of a step in a run, from the cells of a window to all cells of moved axes.
 
-        Those that are the same at all steps, and not too many, are made once for all cells, and cut
-        to the window.
+        Weights that are the same at all steps, and are 2^24 at the most, are made once for all
+        source cells, kept, and cut to the window.
         """
         before, after = self.depends()
         cells = math.prod(self.lattice.shape[k] for k in self.axes)
@@ -169,7 +171,7 @@ class DensityGroup(Members):
         return self._cut(self.kept[self.key], window)
 
     def _cut(self, dense: Dense, window: Window) -> Dense:
-        """The part of the weights between all cells whose sources lie in a window."""
+        """Weights between all cells, `dense`, cut to the source cells of a window."""
         lattice = self.lattice
         own = dense.weights.shape[1] > 1
         each = (*dense.by, *self.axes) if own else dense.by
@@ -256,10 +258,13 @@ class _Maker:
         return found
 
     def _logs(self, rows: Integers, places: Sequence[Array]) -> Array:
-        """The logarithms of weights, (rows, targets): log-density plus that of a cell's volume.
+        """The logarithms of weights, (rows, targets): of the density times a cell's volume.
+
+        The volume is that along the moved axes.
 
         rows: Flat indices of source cells.
-        places: Coordinates along each moved axis; their combinations are the targets.
+        places: Coordinates along each moved axis, one array an axis; the targets are all their
+            combinations, the last axis varying fastest.
         """
         group, window, lattice = self.group, self.window, self.lattice
         mesh = np.meshgrid(*places, indexing="ij")
@@ -305,10 +310,10 @@ class _Maker:
     def _normalise(self, weights: Array) -> None:
         """Divide weights (rows, targets), in place, by their sums over the targets.
 
-        Sums near the bounds go on beyond them. They vary by `share` as centres shift: a sum that is
-        off one by twice as much at the most is divided out. One that is less has lost the rest to
-        the bounds, and its weights stay; one that is more, or a share above ½, is refused by a
-        ModelError.
+        The sum of a source cell near the bounds goes on beyond them. Sums vary by `share`, which is
+        found here, as centres shift: one from 1 − 2 `share` to 1 + 2 `share` is divided out. Below
+        that the rest has been lost to the bounds, and the weights stay; a sum above it, or a share
+        above ½, is refused by a ModelError.
         """
         sums = weights.sum(axis=1)
         near = self._near_bounds(weights) > _EDGE * sums
@@ -344,7 +349,11 @@ class _Maker:
         return 2.0 * self.share + _ROUNDING
 
     def _error(self, found: str, reason: str) -> ModelError:
-        """The error for the group's densities: what was found of them, where, and the reason."""
+        """The ModelError for the group's densities, to be raised.
+
+        Its text is "the density of ... {found} at step ..., run ...{reason}": `found` is a
+        predicate, and `reason` begins with its own comma or colon.
+        """
         states = self.group.states
         named = " and ".join(f"the density of {cpd!r}" for cpd in states)
         return ModelError(
@@ -356,7 +365,10 @@ class _Maker:
         )
 
     def _near_bounds(self, weights: Array) -> Array:
-        """The sum of each row's weights in cells at an end of an interval, (rows,)."""
+        """The sum (rows,) of each row's weights in targets at an end of an axis that is no angle.
+
+        The weights are (rows, targets).
+        """
         shape = [self.lattice.shape[k] for k in self.group.axes]
         inner = np.zeros(shape, dtype=bool)
         angles = (self.lattice.axes[k].angle for k in self.group.axes)

@@ -87,9 +87,10 @@ class DensitySensor(MeasuredSensor):
     def _apart(self, cpd: CPD, cells: Integers, known: Known, row: int, run: int) -> float:
         """How far the mean of a Gaussian part moves from the first of some cells to the others.
 
-        It counts in standard deviations of the part's noise, max ‖R^(−1/2) (h(c) − h(c_0))‖ over
-        the parts and the cells c (n, axes); of an unidentified sensor it is the least over its
-        candidates. 0 of a CPD without Gaussian parts.
+        It is max ‖R^(−1/2) (h(c) − h(c_0))‖ over the Gaussian parts of the CPD and the `cells` c,
+        (n, axes), c_0 being the first: in standard deviations of the part's noise. Of an
+        unidentified sensor it is the least over its candidates; 0 of a CPD without Gaussian parts.
+        `known` are the observed parents.
         """
         if isinstance(cpd, UnidentifiedCPD):
             each = ({**known, cpd.parent: candidate} for candidate in cpd.candidates)
@@ -113,8 +114,9 @@ class DensitySensor(MeasuredSensor):
     def _bound(self, row: int, run: int) -> tuple[CPD, Array, Known]:
         """The CPD at a measurement's step, the measurement (d,), and the observed parents.
 
-        Components that were not measured are NaN. An EvidenceError refuses these where the density
-        cannot leave them out, and a ModelError singular noise of a Gaussian part.
+        The CPD is `settled`; components of the measurement that are missing are NaN. Missing ones
+        that the density cannot leave out are refused by an EvidenceError, and singular noise of a
+        Gaussian part by a ModelError.
         """
         step, known, cpd = int(self.reading.step[row]), self.known(row, run), self.reading.cpd
         taken = self.taken(row, run)

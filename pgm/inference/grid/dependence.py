@@ -1,8 +1,8 @@
 """On which axes of a lattice functions depend: tested at its centres, not assumed.
 
-A function takes points (n, axes) of the step before and points of its own step, and has m values at
-each. `before` and `after` are the axes of these two on which a value depends. A window is a span of
-cells along each axis.
+A function takes n points of the step before and n points of its own step, both (n, axes), and has m
+values for each pair. A value depends on the axes `before` of the step before, and on the axes
+`after` of its own step. A window is a span of cells along each axis.
 """
 
 import math
@@ -26,12 +26,15 @@ _TRIES = 3
 
 
 def places(lattice: Lattice, count: int, seed: int) -> Integers:
-    """A random sample of a lattice's cells, (count, axes)."""
+    """A random sample of a lattice's cells, with replacement: their places, (count, axes)."""
     return np.random.default_rng(seed).integers(0, lattice.shape, (count, len(lattice.axes)))
 
 
 def within(lattice: Lattice, window: Window, most: int, seed: int) -> Integers:
-    """A random sample of `most` of a window's cells, or all if they are fewer, (n, axes)."""
+    """A random sample of `most` of a window's cells, or all if there are no more, (n, axes).
+
+    The sample is with replacement; cells are given by their places on the lattice.
+    """
     lengths = [span.length for span in window]
     count = math.prod(lengths)
     flat = np.arange(count)
@@ -57,7 +60,10 @@ def centres(lattice: Lattice, cells: Integers) -> Array:
 class Reduced:
     """A table of a function over the axes on which it depends; the others stay at their middle.
 
-    values: The function, from points (n, axes) to values (n, ...).
+    axes: The axes on which the function depends; sorted, as an attribute.
+    values: As an argument the function, from points (n, axes) to values (n, ...); as an attribute
+        the table, (cells along `axes`, ...), flat in their order.
+    shape: The number of cells along each of the `axes`.
     """
 
     def __init__(
@@ -76,7 +82,7 @@ class Reduced:
         self.values = np.concatenate(found)
 
     def at(self, cells: Integers) -> Array:
-        """The values (n, ...) at cells (n, axes) of the lattice; (1, ...) without any axis."""
+        """The values (n, ...) at cells (n, axes) of the lattice; (1, ...) if it depends on none."""
         if not self.axes:
             return self.values[:1]
         flat = np.ravel_multi_index(tuple(cells[:, self.axes].T), self.shape)
@@ -86,13 +92,13 @@ class Reduced:
 
 @dataclass(eq=False)
 class Dependence:
-    """The axes on which each of the m values of a function depends, at the centres of a lattice.
+    """The record of the axes on which each of m values of a function depends, as far as tested.
 
-    They are only added to: what was found at one step is taken to hold at all, and every step is
-    probed.
+    The function is tested at the centres of a lattice. Axes are only added: what was found at one
+    step is taken to hold at all, and every step is probed.
 
-    before: The axes of the step before, a set for each value.
-    after: The axes of its own step, a set for each value.
+    before: The axes of the step before, a set for each value; empty before the first `look`.
+    after: The axes of its own step, likewise.
     """
 
     lattice: Lattice
@@ -108,17 +114,19 @@ class Dependence:
         seed: int,
         some: Integers | None = None,
     ) -> None:
-        """Probe a function at a step, and test it at every centre where that shows a new axis.
+        """Probe a function at a step, and add the axes that are found.
 
-        Where two searches of all centres leave differences, such as small ones that add up, each
-        value is taken to depend on all axes.
+        It is probed at random cells; where these show a new axis, and the first time, it is tested
+        at every centre. Where two searches of all centres leave differences, such as small ones
+        that add up, each value is taken to depend on all axes.
 
         values: The function, from points (n, axes) of the step before and of its own to values (n,
             ..., m).
         differ: From two results of it to a mask, (n, ..., m), of those that are not equal.
         later: The axes of its own step on which it may depend at all.
         seed: The seed of the cells that are drawn.
-        some: Cells (n, axes) of the belief, at which what is known is tested too.
+        some: Cells (n, axes) of the belief, at which the known dependence is tested too; None for
+            no such test.
         """
         sure = not self._probed(values, differ, later, seed) and self._sure
         if sure and some is not None:
@@ -193,8 +201,8 @@ class Dependence:
     ) -> bool:
         """Whether values stay as they are when all axes not known to matter move to the middle.
 
-        It is tested at some cells (n, axes), or at every centre without them. The arguments are
-        those of `look`.
+        It is tested at `cells` (n, axes), or, if they are None, at every centre. The other
+        arguments are those of `look`.
         """
         lattice = self.lattice
         kinds = {(frozenset(a), frozenset(b)) for a, b in zip(self.before, self.after, strict=True)}

@@ -1,7 +1,7 @@
 """The CPDs of a model in the groups in which a grid moves them.
 
-A group is one state, or several that have to move together: those that depend on one hidden control
-share its noise, and others depend on one another so that neither can move first.
+A group is one state, or several that have to move together, since they depend on one hidden control
+and share its noise, or depend on one another in such a way that none can move first.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ def groups(
 ) -> list[Members]:
     """The groups of a prior or transition; states that depend on the same control are together.
 
-    known: For each CPD the values (rows, runs or 1, d) of its observed parents.
+    A hidden control whose CPD is not Gaussian, or has robust noise, is refused by a ModelError.
+
+    cpds: Those of the states and of the hidden controls.
+    known: For each CPD, by parent the values (rows, runs or 1, d) of its observed parents.
     kept: Weights by density between all cells, to be shared with other groups of the model.
     prior: Whether the CPDs are a prior's.
     first: The step before the first row of the known values.
@@ -49,7 +52,8 @@ def groups(
     def made(cpd: CPD, place: tuple[int, ...]) -> Members:
         """The group of one CPD.
 
-        place: Of a part of a mixture, its index there, one a level; otherwise ().
+        place: Of a part of a mixture, its index there, after that of the mixture where this is a
+            part of another; otherwise ().
         """
         own = tuple(control for control in controls.values() if control.child in needed(cpd))
         family = {each.child: values[each.child] for each in own}
@@ -73,7 +77,11 @@ def groups(
 
 
 def joined(some: Sequence[Members], kept: Kept) -> Members:
-    """Several groups as one: moved by displacements if all are Gaussian, otherwise by density."""
+    """Several groups as one: moved by displacements if all are Gaussian, otherwise by density.
+
+    One alone is returned as it is. `kept` are the weights by density between all cells, by a
+    group's key, to be shared and added to.
+    """
     one = some[0]
     if len(some) == 1:
         return one
@@ -88,7 +96,7 @@ def joined(some: Sequence[Members], kept: Kept) -> Members:
 
 
 def _gaussian(control: CPD) -> ConditionalGaussian:
-    """The CPD of a hidden control; one not Gaussian, or of robust noise, is a ModelError."""
+    """A hidden control's CPD itself; a ModelError refuses one not Gaussian or of robust noise."""
     if not isinstance(control, ConditionalGaussian) or control.noise is not None:
         raise ModelError(
             f"{control!r} is that of a hidden control, over which a grid sums where it is "

@@ -1,7 +1,8 @@
-"""States that move together, their displacements and the noise of these.
+"""Groups of states that move together, their displacements, and the noise of displacements.
 
-A displacement is what a state's mean moves it by, in cells along each of its axes. White noise is
-standard normal, in `size` numbers that are independent of each other.
+A displacement is how far a state moves, in cells along each of its axes: to its mean, and by the
+noise that it shares. That noise is given by white noise: independent standard normal numbers, of
+which a group has `Spread.size`.
 """
 
 from collections.abc import Mapping
@@ -23,10 +24,11 @@ _UNCORRELATED = 1e-14
 class Spread(NamedTuple):
     """The noise of a group's displacements at a step.
 
-    variance: The variance of the noise that each axis has by itself, in squared cells, (axes,);
-        infinite where nothing is known of the place along it.
-    roots: By variable, of each hidden control and of each state whose noise is correlated: the root
-        (d, r) by which r numbers of the white noise, of its own, enter it, in its units.
+    variance: The variance of the noise that each axis of the group has by itself, in squared cells,
+        (axes of the group,); infinite where nothing is known of the place along it.
+    roots: By variable, for each hidden control and each state whose noise is correlated: the root
+        L (d, r) in L w, which is added to the variable, in its units. w are r numbers of the white
+        noise, which no other variable has; they come in the order of the mapping.
     size: How many numbers the white noise has.
     """
 
@@ -37,11 +39,13 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Members:
-    """The CPDs of states that move together, and of the hidden controls that they share.
+    """A group of states that move together, with the hidden controls that they share; a base class.
 
-    known: By child, the values (rows, runs or 1, d) of its observed parents.
+    controls: The CPDs of these controls.
+    states: The CPDs of the states.
+    known: By child and then parent, the values (rows, runs or 1, d) of observed parents.
     prior: Whether this is step 0: displacements are counted from the first cell then.
-    first: The step before the first row of these values.
+    first: The step before the first row of the known values.
     place: Of a part of a mixture, its index there; of a mixture in a mixture, one index a level.
     """
 
@@ -55,7 +59,7 @@ class Members:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """The states and the place in a mixture, which tell the group from others of its model."""
+        """The states, then the indices of `place`: a key that no other group of the model has."""
         return (*(cpd.child for cpd in self.states), *self.place)
 
     @property
@@ -65,7 +69,7 @@ class Members:
 
     @property
     def later(self) -> frozenset[int]:
-        """The indices of the axes of parents at the same step."""
+        """The indices of the axes of hidden parents at the same step."""
         given = {v for cpd in (*self.controls, *self.states) for v in cpd.given if not v.lag}
         return frozenset(k for v in given if v in self.lattice.of for k in self.lattice.of[v])
 
@@ -84,7 +88,7 @@ class Members:
 
 @dataclass(frozen=True, eq=False)
 class Group(Members):
-    """States whose CPDs are Gaussian: they move by displacements, and by their noise."""
+    """A group of states whose CPDs are Gaussian, moved by displacements and by noise of axes."""
 
     states: tuple[ConditionalGaussian, ...]
 
@@ -107,7 +111,7 @@ class Group(Members):
     def displacement(
         self, before: Array, after: Array, noise: Array, spread: Spread, step: int, run: int
     ) -> Array:
-        """The displacements (n, axes), in cells, of n cells at a step; those of angles are wrapped.
+        """The displacements (n, axes of the group), in cells, of n cells; along angles wrapped.
 
         before, after: Points (n, axes of the lattice) of the step before, from which states move,
             and of this one, at which parents of the same step stand.
@@ -137,7 +141,10 @@ class Group(Members):
         return self.wrapped(cells)
 
     def wrapped(self, cells: Array) -> Array:
-        """Wrap displacements (..., axes), in cells, to half a circle along angles, in place."""
+        """The same displacements (..., axes of the group), in cells, wrapped in place along angles.
+
+        They are then half a circle at the most.
+        """
         for k, axis in enumerate(self.axes):
             if self.lattice.axes[axis].angle:
                 count = self.lattice.axes[axis].cells
@@ -146,11 +153,13 @@ class Group(Members):
 
 
 def parted(cpd: ConditionalGaussian, cov: Array, step: int) -> tuple[Array, Array]:
-    """A noise covariance as diag(v) + L Lᵀ: variances v (d,) and the root L (d, r) of the rest.
+    """A noise covariance as diag(v) + L Lᵀ: variances v (d,) and a root L (d, r) of the rest.
 
     Of components that are correlated, v has the largest equal share of their variances that leaves
-    the rest semidefinite: the least eigenvalue of their correlation matrix. L is zero in the
-    others.
+    the rest semidefinite: the least eigenvalue of their correlation matrix. Of uncorrelated
+    components v has all of the variance, and L a row of zeros; r is 0 if none are correlated. L is
+    not triangular. A covariance that is not semidefinite is refused by a NumericalError, which
+    names the CPD and the step.
     """
     own = np.diagonal(cov).copy()
     finite = np.isfinite(own) & (own > 0.0)

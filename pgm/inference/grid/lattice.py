@@ -29,7 +29,7 @@ class Axis:
     """One axis of the grid, a component of a state.
 
     component: The index of the component in its variable.
-    label: The component's name, after that of its variable where states share it.
+    label: The component's name; where states share it "x.east", x being the variable.
     low: The lower end of the first cell; of a circle its centre, which is at −π.
     width: The width of each of the `cells`, in units of the component.
     angle: Whether the axis is a full circle.
@@ -78,7 +78,7 @@ Window = tuple[Span, ...]
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The axes of a grid that cover all components of some states, angles first."""
+    """The lattice of a grid: an axis for each component of some states, those of angles first."""
 
     states: Scope
     axes: tuple[Axis, ...]
@@ -206,9 +206,9 @@ def _component(
 ) -> tuple[Variable, int]:
     """The state, and the index of its component, that a key of the user's grid names.
 
-    A key is a scalar variable, or a component's name, alone or after its variable's, or the name of
-    a scalar variable. `components` are all components of the states and `names` their names. A key
-    that fits none or several is refused by a ModelError.
+    A key is a scalar variable, its name, or a component's name, alone ("east") or after that of its
+    variable ("x.east"). `components` are all components of the states, and `names` their names in
+    the same order. A key that fits none or several is refused by a ModelError.
     """
     if isinstance(key, Variable):
         if key not in states:

@@ -26,7 +26,7 @@ Known = Mapping[Variable, Array]
 
 
 class Sharpness(NamedTuple):
-    """The sensor that is sharpest for the cells, at its step.
+    """The sensor that is sharpest for the cells, of those read so far, and the step where it is.
 
     cells: How far the expected measurement moves from a cell to the next, in standard deviations of
         the noise, at the likeliest cell of the measurements; see `MeasuredSensor.sharpness`.
@@ -43,9 +43,10 @@ class Shape:
     """What tests have found of the shape of a sensor's function h, so that it is called less often.
 
     depended: The axes on which each component of h depends.
-    turning: The circles on which h depends by a sum of two, h(x) = f(the other axes) + g(these);
-        empty if it is no such sum, None as long as that has not been tested.
-    tested: Whether that has been tested at every centre.
+    turning: The indices of the circles for which h is a sum, h(x) = f(other axes) + g(circles);
+        empty if h is no such sum. None before h is first called; until `tested`, all circles on
+        which h depends.
+    tested: Whether it has been tested at every centre that h is such a sum.
     highest: Of a sensor by its density: by the number of components taken, the largest log-density
         found at a centre.
     """
@@ -58,7 +59,11 @@ class Shape:
 
 @dataclass(eq=False)
 class MeasuredSensor:
-    """A sensor's measurements on a lattice, with what is known of its function's shape."""
+    """A sensor on a lattice, with its measurements; base of sensors by their kind of noise.
+
+    reading: The measurements.
+    shape: What is known of the shape of its function; it is added to.
+    """
 
     lattice: Lattice
     reading: Reading
@@ -92,9 +97,10 @@ class MeasuredSensor:
         return found
 
     def around(self, cell: Integers) -> Integers:
-        """A cell (axes,), the next one along each axis and the one before, (1 + 2 axes, axes).
+        """A cell (axes,) and its neighbours, (1 + 2 axes, axes).
 
-        At an end of an interval the neighbour inside stands for the one outside as well.
+        The cell comes first, then the next one along each axis, then the one before along each. At
+        an end of an interval the neighbour inside stands for the one outside as well.
         """
         found = np.repeat(cell[None], 2 * len(cell) + 1, axis=0)
         for k, axis in enumerate(self.lattice.axes):
@@ -116,7 +122,7 @@ class MeasuredSensor:
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
         """How far the expected measurement moves by one cell, in standard deviations of the noise.
 
-        It is the largest ‖R^(−1/2) (h(c + e_k) − h(c))‖ over the axes k, e_k being one cell along
-        axis k, of the components that were measured.
+        It is the largest ‖R^(−1/2) (h(c + e_k) − h(c))‖ over the axes k, of the components that
+        were measured: c is the `cell` (axes,), e_k one cell along axis k.
         """
         raise NotImplementedError

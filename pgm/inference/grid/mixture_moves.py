@@ -20,7 +20,7 @@ from pgm.kernels.lattice import Span
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Operators one after another, from a source window to a target window."""
+    """A step of the motion: operators one after another, from a source to a target window."""
 
     source: Window
     target: Window
@@ -126,8 +126,9 @@ class Mixed:
 
 @dataclass(frozen=True, eq=False)
 class MixedGroup(Members):
-    """The members of a mixture CPD, with a group for each of its parts.
+    """A group of one state whose CPD is a mixture, moved as the weighted sum of its parts' moves.
 
+    parts: A group of that state alone for each part of the mixture.
     weights: The probabilities of the parts, (parts,).
     """
 

@@ -42,10 +42,11 @@ _BOUNDS = 20.0
 
 @dataclass(eq=False)
 class Motion:
-    """The groups of a prior or transition, moved one after another.
+    """The motion by a prior or a transition: groups of states that are moved one after another.
 
-    known: By a group's key, the axes on which its displacements depend, as far as tested.
-    kept: By a group's key, weights by density that are the same at all steps.
+    known: By a group's key, the axes on which its displacements depend, as far as tested; it is
+        added to.
+    kept: By a group's key, weights by density that are the same at all steps; it is added to.
     """
 
     lattice: Lattice
@@ -209,10 +210,10 @@ class _Maker:
         return tuple(spans), [Sweep(moves, self.nodes)] if moves else []
 
     def _within(self, spread: Spread) -> Spread:
-        """The noise, flat along angles where it goes round circles: its variance there is infinite.
+        """The noise, with an infinite variance along angles where it is wider than three circles.
 
-        That is beyond a standard deviation of three circles. One of more than twenty times the
-        bounds of an interval, but finite, is refused by a ModelError.
+        That is flat. A standard deviation above three circles counts as such; one of more than
+        twenty times the bounds of an interval, but finite, is refused by a ModelError.
         """
         variance = spread.variance.copy()
         for k, axis in enumerate(self.lattice.axes[a] for a in self.group.axes):
@@ -233,12 +234,12 @@ class _Maker:
         return spread._replace(variance=variance)
 
     def _order(self) -> list[int] | None:
-        """The places of the group's axes in the order in which they are moved along one at a time.
+        """The order in which the group's axes are moved one at a time; None where cells are split.
 
-        None where they have no such order, or matrices or kernels would be too large: cells are
-        split then. Splitting takes no dependence on the same step within the group: with one, a
-        ModelError refuses what has no order, matrices that are too large, and kernels that memory
-        would not hold.
+        Axes are given by their indices among the group's. Cells are split where the axes have no
+        such order, or matrices or kernels would be too large. They cannot be where an axis depends
+        on another of the group at the same step: a ModelError then refuses axes without an order,
+        matrices that are too large, and kernels that memory would not hold.
         """
         import networkx as nx  # here, since it is slow to import
 

@@ -36,13 +36,16 @@ class Operator(Protocol):
         ...
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance added by the lattice, in squared cells, averaged over the array."""
+        """By axis, the variance that the lattice adds, in squared cells.
+
+        It is averaged over the source cells by `array`, their probabilities.
+        """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """Displacements along one axis, with a kernel for each cell of the axes on which they depend.
+    """A move along one axis, by a kernel for each cell of the axes on which its shift depends.
 
     axis: The index of the axis that is moved.
     by: The other axes on which the displacement depends, ascending; G is the number of the window's
@@ -91,10 +94,11 @@ class Move:
         )
 
     def mean_added(self, array: Array, nodes: Array) -> float:
-        """The variance that the lattice adds, in squared cells, averaged over the probabilities.
+        """The variance that the lattice adds along the moved axis, in squared cells.
 
-        `nodes` are the weights of the nodes. Where an earlier move has changed the window, so that
-        `array` does not fit, all cells count alike.
+        It is averaged over `array`, the probabilities of the source cells, and over the nodes of
+        the quadrature by their weights, `nodes` (nodes,). Where an earlier move has changed the
+        window, so that `array` does not fit, all cells count alike.
         """
         if not self.added.any():
             return 0.0
@@ -117,7 +121,7 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Moves along one axis after another, averaged over the nodes of a quadrature.
+    """An operator of moves along one axis after another, averaged over nodes of a quadrature.
 
     moves: The moves M_1 to M_K, in order; the operator is Σₙ wₙ M_K(n) … M_1(n).
     nodes: The weights w of the nodes, (nodes,), of sum one.
@@ -144,6 +148,7 @@ class Sweep:
     ) -> Array:
         """The weighted sum over nodes of one move after another: Σₙ wₙ M_K(n) … M_1(n) array.
 
+        moves: M_1 to M_K, in the order in which they are applied.
         apply: Applies one move, at a node, to an array, forwards or backwards.
 
         Moves that are the same at all nodes, at either end, are made once, outside the sum.
@@ -168,12 +173,12 @@ class Sweep:
 
 
 class Split:
-    """Displacements that each cell has of its own: it is split on three cells along each axis.
+    """An operator that splits each source cell, by a shift of its own, on three cells an axis.
 
-    These are the cell nearest to its target and both of its neighbours. With the target at μ from
-    the nearest, −½ ≤ μ ≤ ½, the three points have exactly that mean, and the variance max(s², |μ|(1
-    − |μ|)), s² ≤ ¼. Of a larger variance the rest is a blur that is the same everywhere, left to a
-    `Sweep` afterwards.
+    These are the cell nearest to its target and that cell's two neighbours. With the target at μ
+    from the nearest, −½ ≤ μ ≤ ½, the three points have exactly that mean, and the variance max(s²,
+    |μ|(1 − |μ|)), s² ≤ ¼. Of a larger variance the rest is a blur that is the same everywhere, left
+    to a `Sweep` afterwards.
 
     axes: The axes that are moved.
     place: A function of a node: the targets of all source cells, (axes moved, source cells), in
@@ -214,9 +219,9 @@ class Split:
     def _taps(self, node: int) -> list[list[tuple[Integers, Array]]]:
         """The three points that each cell is split on along each moved axis, at a node.
 
-        Of each axis there are three pairs, of the cells one lower, nearest and one higher: what
-        they add to the flat target index, and their weights, both (source cells,). The weight is
-        zero outside of the target window.
+        For each axis there are three pairs: of the cell before the nearest one, of the nearest, and
+        of the cell after it. A pair is what the point adds to the flat target index, and its
+        weight, both (source cells,). The weight is zero outside of the target window.
         """
         counts = [span.length for span in self.target]
         found = []

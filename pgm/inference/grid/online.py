@@ -40,6 +40,7 @@ class OnlineGridBelief(Shown, NoArray):
     log_evidence : ndarray
         (*runs): ln p of all measurements so far.
     status : GridStatus
+        The status of all steps so far.
     kind : Kind
         Filtered after an update, predicted before.
 
@@ -103,7 +104,7 @@ Belief = TypeVar("Belief", bound=step_evidence.Place)
 
 
 class PointFilter(InCode, Immutable, Generic[Belief]):
-    """Base of online filters whose beliefs are point masses, and are never changed in place.
+    """Base of online filters by point masses; they return new beliefs, and change none in place.
 
     model: The network that is filtered.
     belief: The user's choice of beliefs, a `Grid` or `Particles`.
@@ -150,7 +151,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         return self._updated(belief, replace(bound, readings=tuple(shifted)))
 
     def _check(self, belief: Any) -> None:
-        """Refuse, by a ModelError, a belief of another model, or of other cells or particles."""
+        """Refuse, by a ModelError, a belief that this filter does not own; see `_owns`."""
         if not self._owns(belief):
             kind = type(self.belief).__name__.lower()
             raise ModelError(
@@ -186,7 +187,8 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
     Raises
     ------
     ModelError
-        If they do not fit, or the grid would not fit memory.
+        If the grid has `refine`, its cells are not those of the states' components, or its beliefs
+        would not fit memory.
 
     Examples
     --------
@@ -256,7 +258,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         work: Callable[[GridSlices, Array], tuple[Array, float]],
     ) -> list[tuple[GridSlices, Array, float]]:
-        """Do some work in each run: its slices, its belief after the work, and a log-density.
+        """Do some work in each run; of each (its slices, its belief after it, a log-density).
 
         first: The step at which the work is done; of a prediction the one before.
         before: The belief to go on from, whose runs broadcast to the evidence's; None for the
@@ -264,8 +266,8 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         work: A function of a run's slices and its belief (*cells), which is empty without `before`.
             It returns probabilities (*cells) that need not sum to one, and a log-scale.
 
-        The belief returned is normalised; the log-density is the logarithm of the sum, plus the
-        scale. A sum of zero is refused by an EvidenceError.
+        The belief returned, (*cells), is normalised; the log-density is the logarithm of what its
+        probabilities summed to, plus the scale. A sum of zero is refused by an EvidenceError.
         """
         model = GridModel(self._lattice, self.model, bound, self._tested, first)
         shape = self._lattice.shape

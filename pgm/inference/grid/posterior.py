@@ -137,7 +137,7 @@ class GridPosterior(PointPosterior[GridBelief]):
         Parameters
         ----------
         *variables : Variable
-            ``x, m``, or both at a step, ``x.at(3), m.at(3)``.
+            ``x, m``, of all steps, or both at a step, ``x.at(3), m.at(3)``.
 
         Returns
         -------

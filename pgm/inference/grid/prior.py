@@ -17,8 +17,9 @@ from pgm.kernels.lattice import Span
 def start(lattice: Lattice, groups: Sequence[Members], run: int) -> tuple[Array, Array, Uneven]:
     """The probabilities of all cells at step 0, (*cells); their sum lacks the prior's mass outside.
 
-    Returned with them are the variance that the lattice has added along each axis, in squared
-    cells, (axes,), and the prior's density whose sums over centres vary the most.
+    Second comes the variance that the lattice has added along each axis, in squared cells, (axes,);
+    third the prior's density whose sums over centres vary the most, `EVEN` if it has none. `groups`
+    are those of the prior.
     """
     nowhere = (Span(0, 1),) * len(lattice.axes)
     made = Motion(lattice, list(groups)).at(0, run, nowhere)

@@ -25,8 +25,9 @@ _SHARES = (1.0, 0.1, 1e-2, 1e-3)
 def quadrature(group: Group, spread: Spread, step: int, run: int) -> tuple[Array, Array]:
     """The nodes of the white noise of a group, (nodes, spread.size), and their weights, (nodes,).
 
-    Each number of the noise has nodes by how far it moves displacements; they are combined in all
-    ways. More than 4096 are refused by a ModelError.
+    Each number of the noise has nodes of its own, the more the further it moves displacements;
+    those of all numbers are combined in all ways. Weights sum to one; more than 4096 combinations
+    are refused by a ModelError. Without shared noise there is one node, of no numbers.
     """
     size = spread.size
     if not size:

@@ -1,8 +1,8 @@
 """Residuals of measurements over a window of cells, and the exponents that they add up to.
 
-A term's `squared` is half the square of its whitened residual, ½ (z − h)ᵀ R⁻¹ (z − h), at some
-places along the window's first axis; arrays broadcast to the window. The exponent of the
-measurements' density is minus the sum of all.
+A term's `squared` is half the square of its whitened residual, ½ (z − h)ᵀ R⁻¹ (z − h), at the cells
+in a slice, `first`, of the window's first axis; arrays broadcast to the window. The exponent of the
+measurements' density is minus the sum of all terms'.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ class Term(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """The residuals z − h of components whose noise is correlated, (*window, d), angles wrapped.
+    """The residuals of the d components of a measurement whose noise is correlated.
 
-    whiten: L⁻¹ (d, d), where R = L Lᵀ is the covariance of their noise.
+    residual: z − h, which broadcasts to (*window, d), angles wrapped.
+    whiten: L⁻¹ (d, d), where R = L Lᵀ is the covariance of the noise.
     """
 
     residual: Array
@@ -63,9 +64,10 @@ class Joint(NamedTuple):
 
 
 class Level(NamedTuple):
-    """The log-densities of a measurement at the cells of a window, to which they broadcast.
+    """The log-densities of a measurement at the cells of a window.
 
-    highest: The log-density from which `squared` counts: the largest that was found.
+    values: The log-densities, which broadcast to the window.
+    highest: The log-density from which `squared` counts down: the largest that was found.
     """
 
     values: Array
@@ -85,7 +87,10 @@ def _some(array: Array, first: slice) -> Array:
 
 
 def exponents(terms: list[Residuals], shape: tuple[int, ...]) -> Array:
-    """The exponents of the terms' joint density, minus the sum of their `squared`, (*shape)."""
+    """The exponents of the terms' joint density, minus the sum of their `squared`, (*shape).
+
+    `shape` is that of the window; without terms they are zeros.
+    """
     found = np.empty(shape)
     length = max(BLOCK * shape[0] // max(found.size, 1), 1)
     for first in range(0, shape[0], length):

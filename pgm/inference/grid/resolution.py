@@ -123,7 +123,7 @@ def _shifts(axes: int) -> Array:
 
 
 def _turns(lattice: Lattice, window: Window) -> Mask:
-    """The mask (axes,) of the axes of which a window has the whole circle."""
+    """The mask (axes,) of the axes that are circles and that a window has all cells of."""
     return np.array(
         [
             axis.angle and span.length == axis.cells
@@ -153,7 +153,7 @@ def _curvatures(level: Array, turns: Mask) -> Array:
 
 
 def _neighbour(level: Array, place: Integers, axis: int, step: int, turns: bool) -> float:
-    """The logarithm at a cell's neighbour, a `step` further along an axis; −∞ beyond an end.
+    """The logarithm at a cell's neighbour, one `step` (1 or −1) along an axis; −∞ beyond an end.
 
     level: The logarithms of the probabilities of a window's cells.
     place: The cell, (axes,).
@@ -185,8 +185,9 @@ def _drawn(level: Array, shift: Array, turns: Mask) -> Array:
     shift: The shares, (axes,).
     turns: The mask of axes that go round a whole circle.
 
-    Between two cells it is the straight line and the flatter of the two parabolas about them; at an
-    edge, and beside a cell of probability zero, it is what the cell has.
+    Between two cells it is the straight line, bent as the flatter of the two parabolas about them,
+    or not at all if these bend opposite ways; at an edge, and beside a cell of probability zero, it
+    is what the cell itself has.
     """
     for axis, share in enumerate(shift):
         if not share:

@@ -47,7 +47,9 @@ def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) 
     """The posterior on the first lattice on which the user's figure stays within its tolerance.
 
     The cells along each axis are doubled until the figure changes by no more than the tolerance, or
-    the user's number of doublings is reached; the status has a record of each.
+    the user's number of doublings is reached; the status has a record of each resolution. Without
+    `refine` it is the posterior on the grid as it is. A figure whose shape differs from resolution
+    to resolution is refused by a ModelError.
     """
     if grid.refine is None:
         return _at(graph, bound, kind, grid)
@@ -144,7 +146,10 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
 
 
 class _Kept(StateChain):
-    """The messages of one run, whose filtered beliefs are written into an array that is given."""
+    """The `StateChain` of one run, whose filtered beliefs are written into a given array.
+
+    made: That array, (T+1, *cells).
+    """
 
     def __init__(self, slices: GridSlices, made: Any) -> None:
         super().__init__(slices, dtype=made.dtype.type)
@@ -158,6 +163,7 @@ class _Kept(StateChain):
 def require_room(lattice: Lattice, grid: Grid, steps: int, runs: int, sets: int) -> None:
     """Refuse a grid whose beliefs would not fit memory, by a ModelError, before any is made.
 
+    steps: How many beliefs a run has, T + 1.
     sets: How many sets of beliefs are kept, of all steps and runs: 1 of a filter, 3 of a smoother.
     """
     share = np.dtype(grid.dtype).itemsize / NUMBER

@@ -38,7 +38,7 @@ class Weights(NamedTuple):
     values: The weights of the window's cells, the largest being 1; None where nothing was measured,
         and all 0 where no cell explains the measurements.
     log_scale: The logarithm of the largest density of the measurements at a cell of the window.
-    sharpest: The sensor that is sharpest for the cells, at the likeliest one.
+    sharpest: The sensor that is sharpest for the cells, at the cell of the largest weight.
     ceiling: The logarithm of the density where all residuals are zero, or a density is highest.
     components: How many numbers were measured.
     """
@@ -52,7 +52,7 @@ class Weights(NamedTuple):
 
 @dataclass(eq=False)
 class GridSensor(MeasuredSensor):
-    """A sensor of Gaussian noise, z = h(x) + n."""
+    """A sensor of Gaussian noise, z = h(x) + n, n being drawn from N(0, R)."""
 
     @property
     def cpd(self) -> ConditionalGaussian:
@@ -169,8 +169,9 @@ class GridSensor(MeasuredSensor):
     ) -> frozenset[int]:
         """The circles on which h depends by a sum, h(x) = f(other axes) + g(circles).
 
-        None are returned if it is no such sum, or depends on no axis but circles. That it is a sum
-        is tested at every centre the first time, then at some cells (n, axes).
+        None are returned if h is no such sum, or depends on no axis but circles. That it is a sum
+        is tested at every centre the first time, then at the cells `some` (n, axes). `depended` are
+        all axes on which h depends.
         """
         shape = self.shape
         if shape.turning is None:

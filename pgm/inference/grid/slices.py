@@ -38,10 +38,11 @@ from pgm.variables import Variable
 
 
 class Narrowness(NamedTuple):
-    """The narrowest belief along an axis, of all steps.
+    """The marginal of one component that is the narrowest for the cells, of all steps.
 
-    cells: Its standard deviation in cells.
-    component: The axis' label; empty if no belief has been looked at.
+    cells: Its standard deviation in cells; infinite if no belief has been looked at.
+    component: The label of its axis; empty if no belief has been looked at.
+    step: The step of the belief.
     """
 
     cells: float
@@ -168,7 +169,7 @@ class GridSlices:
         self._awaiting: tuple[int, Window, Array] | None = None
 
     def prior(self) -> Array:
-        """The prior's probabilities of the cells at step 0.
+        """The prior's probabilities of the cells at step 0, whose sum lacks what is outside.
 
         A ModelError is raised if less than half of the prior is inside the bounds.
         """
@@ -225,9 +226,10 @@ class GridSlices:
         self.worst = self.worst.of(Worst(**found))
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The predicted belief at a step, from the belief at the step before.
+        """The predicted belief at a step, from the belief, of sum one, at the step before.
 
-        A NumericalError is raised if all probability has left the bounds.
+        It is not normalised: what has left the bounds is missing. A NumericalError is raised if all
+        of it has.
         """
         source = self.look(step - 1, belief)
         made = self.model.motion.at(step, self.run, source)
@@ -259,7 +261,10 @@ class GridSlices:
         return self.lattice.put(part, made.target)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The backward message (*cells) to the slice before a step, from that to its own."""
+        """The backward message (*cells) to the slice before a step, from that to the step's own.
+
+        The step has to have been predicted, by `forward`, before.
+        """
         source, _ = self.windows[step]
         made = self.model.motion.at(step, self.run, source)
         part = made.backward(self.lattice.cut(message, made.target))
@@ -270,7 +275,7 @@ class GridSlices:
 
         The density of the measurements is the weights, 1 at the most and zero outside of the
         belief's window, times the exponential of the scale. The weights are None if nothing was
-        measured.
+        measured. The step's belief has to have been predicted before, or begun with.
         """
         target = self.windows[step][1]
         if step in self._weights:
@@ -290,7 +295,11 @@ class GridSlices:
         return None if weights is None else self.lattice.put(weights, target), scale
 
     def _resolve(self, step: int, found: Weights, window: Window) -> None:
-        """Add the expected square of the error of a step's evidence, on the way forward alone."""
+        """Add to `unresolved` the expected square of the error of a step's log-evidence.
+
+        It is added once, on the way forward. `found` are the weights of the step's measurements in
+        the window.
+        """
         waiting, self._awaiting = self._awaiting, None
         if waiting is None or self.unresolved >= resolution.ENOUGH**2:
             return
@@ -315,7 +324,7 @@ class GridSlices:
         )
 
     def _bounds(self) -> str:
-        """The bounds of the axes that are no angles, for messages."""
+        """The bounds of the axes that are no angles, as words for the text of an error."""
         return ", ".join(
             f"{axis.label} {axis.low:.6g} to {axis.low + axis.cells * axis.width:.6g}"
             for axis in self.lattice.axes

@@ -38,10 +38,11 @@ NARROW = 0.7
 
 
 class Refinement(NamedTuple):
-    """One refinement of a grid: its cells along each axis, and the user's figure there.
+    """One resolution of a grid that is refined: its cells along each axis, and the figure there.
 
-    change: The figure's largest change from the cells before; NaN of the first.
-    seconds: How long the run took.
+    figure: The log-evidence, or what the user's function of the posterior has returned.
+    change: The figure's largest change from the resolution before; NaN of the first.
+    seconds: How long inference took on these cells.
     """
 
     cells: tuple[int, ...]
@@ -95,10 +96,10 @@ class GridStatus(Shown, Immutable):
         has said so. It is an estimate, without second places that were given up at 10⁻¹⁵ and would
         be made likelier little by little.
     split : tuple of str
-        The components that were moved cell by cell, since none could be moved before the others on
-        which they depend, as of a rotation. Means and variances are exact all the same, densities
-        are not: with noise of a standard deviation of two cells the log-evidence may be off by 10⁻⁴
-        a step, of four cells by 10⁻⁵; `refine` tells.
+        The components that were moved cell by cell, since each depends on another of them, as in a
+        rotation, so that none could be moved first. Means and variances are exact all the same,
+        densities are not: with noise of a standard deviation of two cells the log-evidence may be
+        off by 10⁻⁴ a step, of four cells by 10⁻⁵; `refine` tells.
     uneven : Uneven
         The density that is not Gaussian whose sum over centres, due to be one, varies the most as
         the centres shift within a cell: by how much, times its weight in a mixture, its variable
@@ -107,7 +108,7 @@ class GridStatus(Shown, Immutable):
         4e^(−2π²s²), of Laplace's with a scale of b cells 1/(8b²), of a uniform one over n cells
         1/n.
     refinements : tuple of Refinement
-        One entry a resolution, if the grid was refined.
+        One entry a resolution, coarsest first; empty if no refinement was asked for.
     converged : ndarray of bool
         (): whether the figure of the refinement has settled; True where none was asked for.
 
@@ -200,7 +201,8 @@ class GridStatus(Shown, Immutable):
         Parameters
         ----------
         before : GridStatus, optional
-            The status of the step before, of which the user has been told.
+            The status of the step before, of which the user has been told: what was at fault there
+            is not warned of again. None if nothing has been told.
 
         Warns
         -----

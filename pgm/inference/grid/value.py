@@ -50,9 +50,10 @@ class Grid(InCode, Immutable):
         Type of the beliefs that are kept, ``np.float64`` or ``np.float32``, which takes half the
         memory; the arithmetic is in double precision either way.
     refine : str or callable, optional
-        The figure that is to settle: ``"log_evidence"``, or a function of the posterior. The cells
-        along all n axes are doubled until it changes by no more than the tolerance; each doubling
-        takes about 2^n times the time and memory of the one before.
+        The figure that is to settle: ``"log_evidence"``, or a function of the `GridPosterior`. The
+        cells along all n axes are doubled until it changes by no more than the tolerance; each
+        doubling takes about 2^n times the time and memory of the one before. Without it the cells
+        stay as they are given.
     tolerance : float
         The largest change of a figure that has settled, in its own units.
     doublings : int

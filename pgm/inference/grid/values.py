@@ -1,9 +1,9 @@
 """Means, noise covariances and densities of CPDs at many points of a lattice, with evidence bound.
 
 In all functions `points` are the values (n, d) of hidden parents at n points, `known` the values
-(d,) of parents with evidence, both by variable, and `step` and `run` the place in time and in the
-batch, which choose the noise and name the place in errors. The root L of a covariance is lower
-triangular, cov = L Lᵀ.
+(d,) of parents with evidence, both by variable, and `step` and `run` the numbers of the step and of
+the run, which choose the noise and stand in errors. The root L of a covariance is lower triangular,
+cov = L Lᵀ.
 """
 
 import copy
@@ -38,10 +38,11 @@ def mean_at(
 ) -> Array:
     """A CPD's mean at n points, (n, d), by one call of the user's function.
 
-    points: Values of hidden parents, (n, d).
+    points: Values of hidden parents, (n, d); n is 1 if there are none.
     known: Values of the parents with evidence, (d,).
-    less: A hidden parent whose value is subtracted, which leaves the displacement from it; of an
-        affine CPD its matrix less the identity is used, so that no digits are lost.
+    less: A hidden variable of `points` whose value is subtracted, which leaves the displacement
+        from it; of an affine CPD its matrix less the identity is used, so that no digits are lost.
+        None for the mean itself.
 
     A function with values that are NaN or infinite is refused by a LinearisationError.
     """
@@ -80,7 +81,10 @@ def mean_at(
 
 
 def covariance_of(cpd: ConditionalGaussian, known: Known, step: int, run: int) -> Array:
-    """The noise covariance (d, d) of a CPD in a run; a function for it is evaluated at `known`."""
+    """The noise covariance (d, d) of a CPD in a run; a function for it is evaluated at `known`.
+
+    Its value is checked: one that is no covariance is refused by a ModelError.
+    """
     if isinstance(cpd.cov, Noise):
         given = {parent: known[parent][None] for parent in cpd.cov.given}
         cov: Array = evaluate(cpd, given, (1,), step, run)[0]

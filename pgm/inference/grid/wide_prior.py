@@ -26,10 +26,10 @@ _WIDE = 1.3
 
 
 def wide(group: Group, run: int, window: Window) -> Dense | None:
-    """The weights of a prior's normal density at the centres, where it is wide; otherwise None.
+    """The move of a prior by its normal density at the centres, where it is wide; otherwise None.
 
-    The weights are (1, 1, cells of the group's axes); `window`, the source, has one cell along
-    these. A prior is wide if it is a single `GaussianCPD` of a finite, regular and correlated
+    Its weights are (1, 1, cells of the group's axes); `window`, the source, has one cell along
+    these axes. A prior is wide if it is a single `GaussianCPD` of a finite, regular and correlated
     covariance, each of whose components has a standard deviation, given its others, of 1.3 cells
     or more.
     """

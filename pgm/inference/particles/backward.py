@@ -37,13 +37,14 @@ _PAIRS = 2**20
 
 
 class Backward:
-    """Trajectories by backward simulation through the clouds of a particle filter.
+    """A smoother that draws trajectories backwards through the clouds of a particle filter.
 
     clouds: The filter's particles given the measurements up to each step, from 0 to T.
-    restarted: The mask (T+1, runs) of steps at which a run's particles were drawn from the prior
-        instead of the step before, of which they tell nothing then.
+    restarted: The mask (T+1, runs) of steps at which a run's particles were drawn from the prior;
+        such particles tell nothing of the step before.
 
-    unmoved: The share of trajectories that stayed at their ancestor, by step, (T, runs).
+    unmoved: The share of trajectories that stayed at their ancestor, by step, (T, runs); zeros
+        before `smoothed` or `lagged`.
     """
 
     def __init__(
@@ -62,7 +63,10 @@ class Backward:
         self._owner = None if runs == 1 else np.repeat(np.arange(runs), count)
 
     def smoothed(self) -> tuple[Cloud, ...]:
-        """Trajectories given all measurements: the particles of each step, equally weighted."""
+        """Trajectories given all measurements: the particles of each step, equally weighted.
+
+        Clouds are of the steps 0 to T; the i-th particles of all are the i-th trajectory.
+        """
         last = len(self.clouds) - 1
         place = self._last(last, last)
         found = [self._cloud(last, place)]
@@ -72,7 +76,10 @@ class Backward:
         return tuple(reversed(found))
 
     def lagged(self, lag: int) -> tuple[Cloud, ...]:
-        """The particles of each step given the measurements up to a lag later, equally weighted."""
+        """The particles of each step given the measurements up to a lag later, equally weighted.
+
+        Clouds are of the steps 0 to T, each drawn apart from the others.
+        """
         found = []
         for step in counted(range(len(self.clouds)), "trajectories"):
             last = min(step + lag, len(self.clouds) - 1)
@@ -100,7 +107,10 @@ class Backward:
         return Cloud(states, uniform(self._counts), self._starts)
 
     def _last(self, step: int, about: int) -> Integers:
-        """Draw the places of trajectories at their last step, by the filtered weights."""
+        """Draw the places of trajectories at their last step, by the filtered weights.
+
+        about: The step that the trajectories are for; see `_generators`.
+        """
         cloud, generators = self.clouds[step], self._generators(step, about)
         draw, found = RESAMPLERS[self.particles.resampling], []
         for run, generator in enumerate(generators):
@@ -117,8 +127,8 @@ class Backward:
         about: The step that the trajectories are for; see `_generators`.
 
         A particle is drawn with probability ∝ w_i p(after | x_i), over all particles or by
-        Metropolis moves from the ancestor. Where a run was begun anew at the step after, there is
-        no such link: it is drawn by w_i alone.
+        Metropolis moves from the ancestor. Where a run was begun anew at the step after, states
+        there do not depend on those before, and particles are drawn with probability w_i.
         """
         later, cloud = self.clouds[step + 1], self.clouds[step]
         generators = self._generators(step, about)
@@ -209,7 +219,7 @@ class Backward:
 
 
 class _Density:
-    """The transition's log-density to trajectories at a step, from particles of the step before.
+    """The log-density of a transition, from particles to trajectories' states one step later.
 
     step: The step of the trajectories' states.
     cloud: The particles of the step before.
@@ -258,7 +268,8 @@ class _Density:
     def at(self, place: Integers, which: Integers | None = None) -> Array:
         """The log-densities ln p(after | x), (m,), x being the particles at some places, (m,).
 
-        which: The trajectory that each place is paired with, (m,); without it, each in turn.
+        which: The trajectory that each place is paired with, (m,); None pairs the i-th place with
+            the i-th trajectory, m being their number.
         """
         after = self.after if which is None else self.after[:, which]
         owner = self.owner if which is None or self.owner is None else self.owner[which]

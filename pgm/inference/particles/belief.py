@@ -38,9 +38,9 @@ class ParticleBelief(PointMassBelief):
     components : tuple of str
         The components, in the order of the last axis.
     steps : ndarray of int or None
-        The steps that the last leading axis stands for.
+        The steps that the last leading axis stands for; None where no axis is of steps.
     lead : tuple of int
-        The leading axes: runs and steps.
+        The shape of the leading axes, (...): runs, then steps.
 
     Examples
     --------
@@ -131,7 +131,8 @@ class ParticleBelief(PointMassBelief):
         bins : int or sequence
             See `numpy.histogramdd`: how many along each axis, or their edges.
         range : sequence of (float, float), optional
-            The ends of each axis; angles are counted in [−π, π) without it.
+            The ends of each axis; without it those of the particles, or, of an angle, −π and π
+            where `bins` is a number. Angles are wrapped to [−π, π) in any case.
 
         Returns
         -------
@@ -176,10 +177,11 @@ class ParticleBelief(PointMassBelief):
         return np.moveaxis(self._by_lead(found, first=True), -2, 0)
 
     def _at(self, index: Any, chosen: Integers) -> ParticleBelief:
-        """The belief at an index of the leading axes, by the flat places that it has chosen.
+        """The belief at the user's index of the leading axes; the arguments are the base class's.
 
         Steps have clouds of their own: an index may choose steps, and the same runs at each of
-        them; a ModelError refuses pairs of runs and steps.
+        them. One that chooses other runs at one step than at another, or nothing, is refused by a
+        ModelError.
         """
         if not chosen.size:
             raise ModelError(f"a belief with the leading axes {self.lead} has none at {index!r}")
@@ -196,7 +198,7 @@ class ParticleBelief(PointMassBelief):
         return ParticleBelief(self._parts, clouds, chosen.shape[:-1], self.steps[each[0]])
 
     def _gathered(self, place: int, runs: Integers) -> Cloud:
-        """The particles of some of the runs, at the step with this place among the belief's."""
+        """The particles of some of the runs, by number, at the belief's `place`-th step, from 0."""
         cloud = self._clouds[place]
         if len(runs) == cloud.runs and (runs == np.arange(cloud.runs)).all():
             return cloud
@@ -258,13 +260,16 @@ class ParticleBelief(PointMassBelief):
         return mean.T, cov.transpose(2, 0, 1)
 
     def _by_lead(self, values: npt.NDArray[Any], first: bool = False) -> npt.NDArray[Any]:
-        """Values (runs, steps, ...), or with steps first, reshaped to (*lead, ...); read-only."""
+        """Values (runs, steps, ...) as (*lead, ...), read-only; with `first` steps come first."""
         if first:
             values = values.swapaxes(0, 1)
         return closed(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))
 
     def _require_equal(self, what: str) -> None:
-        """Refuse `what`, which would be no array, by a ModelError where particle numbers differ."""
+        """Refuse beliefs whose numbers of particles differ, by a ModelError.
+
+        what: What was asked of them, which would be no array: "states" or "weights".
+        """
         counts = {int(count) for cloud in self._clouds for count in cloud.counts}
         if len(counts) > 1:
             raise ModelError(
@@ -273,7 +278,10 @@ class ParticleBelief(PointMassBelief):
             )
 
     def _require_one(self, what: str) -> None:
-        """Refuse `what`, which is of one belief, by a ModelError where there are leading axes."""
+        """Refuse leading axes, by a ModelError.
+
+        what: What was asked, which takes a belief without any, such as "a histogram".
+        """
         if self.lead:
             raise ModelError(
                 f"{what} is of one belief, and this one has the leading axes {self.lead}: index a "

@@ -28,7 +28,7 @@ _TOUCHING = 1.0 - 1e-6
 
 @public
 class CellProposal(InCode, Immutable):
-    r"""Draws of a state from the likelihood of a step's measurements, over cells.
+    r"""A proposal that draws a state from the likelihood of a step's measurements, over cells.
 
     .. math:: q(x) = \frac{p(z \mid c_k)^{τ}}{V \sum_j p(z \mid c_j)^{τ}}
 
@@ -38,7 +38,7 @@ class CellProposal(InCode, Immutable):
 
     Measurements that take part are those of sensors that depend on this state, and on no other.
     The sides of cells are along the axes of the state, and the cells are to cover wherever it may
-    be: nothing is drawn elsewhere, and at the start of a filter what the prior has there is
+    be: nothing is drawn outside of them, and at the start of a filter what the prior has outside is
     missing. The poses of a map that is turned in the world have cells that would overlap.
 
     Parameters
@@ -120,11 +120,12 @@ class CellProposal(InCode, Immutable):
     def drawn(
         self, model: ParticleModel, step: int, run: int, count: int, rng: np.random.Generator
     ) -> tuple[States, Array]:
-        """Draw states for a run, by a step's measurements: (d, count), and their log-densities.
+        """Draw states for a run, by a step's measurements: (d, count), and log-densities, (count,).
 
-        Cells are drawn systematically by their probabilities, and come in their order; a state is
-        uniform in its cell. An EvidenceError is raised if no measurement can take part, or all
-        centres are impossible.
+        The states are of the proposal's variable, the log-densities those of q. Cells are drawn
+        systematically by their probabilities, and come in their order; a state is uniform in its
+        cell. An EvidenceError is raised if, at a `temper` above 0, no measurement can take part, or
+        all centres are impossible.
         """
         levels = np.zeros(len(self.centres))
         if self.temper > 0.0:
@@ -187,7 +188,7 @@ class CellProposal(InCode, Immutable):
 
 
 def _require_apart(what: str, places: Array, around: Array) -> None:
-    """Refuse cells that overlap, by a ModelError that begins with `what`.
+    """Refuse cells that overlap, by a ModelError whose text begins with `what`.
 
     places: The centres, (k, d), in widths of the cells.
     around: The length of the circle of each angle, in widths, (d,); 0 of other components.

@@ -46,9 +46,10 @@ class Placed(NamedTuple):
 
 
 class ParticleChain:
-    """The forward sweep of particles, in all runs at once; see `sweep.Onwards`.
+    """The forward half of the chain family of particles, a `sweep.Onwards`, of all runs at once.
 
-    record: Is told of what happens at each step.
+    particles: The user's choice.
+    record: The record of the sweep, which is told of resampling, injection and impossible steps.
     guide: Steers draws towards their step's measurements; None without a proposal.
     """
 
@@ -64,13 +65,17 @@ class ParticleChain:
         self.guide = None if proposal is None else Guide(graph, model, proposal)
 
     def generators(self, step: int, purpose: int = FORWARD) -> Generators:
-        """The random streams of a step's draws for a purpose, one a run."""
+        """The generators of a step's draws, one a run, for one of the purposes of `streams`."""
         first = self.model.bound.first_run
         runs = range(first, first + self.model.bound.runs)
         return [stream(self.particles.seed, run, step, purpose) for run in runs]
 
     def start(self) -> Cloud:
-        """The particles of step 0, from the prior, or from cells by the step's measurements."""
+        """The particles of step 0, before they are weighed by its measurements.
+
+        They are drawn from the prior; where the user asked for it, one state is drawn from cells by
+        the step's measurements instead.
+        """
         counts = np.full(self.model.bound.runs, self.particles.n)
         return self._prior(counts, self.generators(0), self._placed(self.particles.n))
 
@@ -93,8 +98,8 @@ class ParticleChain:
     ) -> Cloud:
         """Draws of the prior, `counts` (runs,) in each run.
 
-        A state that is `placed` is taken as it is; its weight is its prior density over the density
-        that it was drawn from.
+        With `placed`, that state is taken as it is drawn, and particles weigh its prior density
+        over the proposal's; otherwise weights are equal.
         """
         starts = np.concatenate([[0], np.cumsum(counts)])
         states = np.zeros((self.model.size, int(starts[-1])), dtype=self.particles.dtype)
@@ -116,8 +121,9 @@ class ParticleChain:
     def predict(self, step: int, cloud: Cloud) -> Cloud:
         """The particles of a step, drawn from the transition or a proposal, given the step before.
 
-        Those of a run are resampled first, if that is due; a number by likelihood draws until it is
-        met.
+        `cloud` is that of the step before, given its measurements. Runs are resampled first, where
+        that is due. With a `LikelihoodSampling`, at a step with measurements, all runs are drawn
+        anew, until their likelihoods sum to its threshold.
         """
         generators = self.generators(step)
         number = self.particles.number
@@ -148,9 +154,10 @@ class ParticleChain:
     ) -> tuple[Integers | None, Integers, Array]:
         """The particles to be moved to a step, those of some runs resampled.
 
-        Runs are resampled whose effective number is below the threshold, or all, as the user asked.
-        Returned are the places (particles,) of the particles to be moved, None for all as they are;
-        where each run begins, (runs + 1,); and the log-weights, which are equal after resampling.
+        Runs are resampled whose effective number is below the threshold; all are, with a threshold
+        of 1 or KLD-sampling. Returned are the places (particles,) in the cloud of the particles to
+        be moved, None for all as they are; the place at which each run begins among the particles
+        to be moved, and the end, (runs + 1,); and their log-weights, equal in a resampled run.
         """
         due = cloud.effective < self.particles.threshold * cloud.counts
         number = self.particles.number
@@ -208,12 +215,12 @@ class ParticleChain:
         return Cloud(*moved, cloud.averages)
 
     def _move(self, row: int, some: Some, drawing: Drawing) -> None:
-        """Draw the next states of some particles, in place, by the transition's CPDs at a row."""
+        """Draw the next states of particles into `some.now`, by the transition's CPDs at a row."""
         for law in self.model.transition:
             some.now[self.model.places[law.cpd.child]] = law.draw(row, some, drawing)
 
     def _chosen(self, states: States, weights: Array, rng: np.random.Generator) -> Integers:
-        """The indices of one run's resampled particles, by its weights (m,).
+        """The indices of one run's resampled particles, of its states (d, m), by its weights (m,).
 
         There are m of them, or as many as KLD-sampling asks for.
         """
@@ -238,8 +245,9 @@ class ParticleChain:
     def _weighed(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
         """The cloud weighed by a step's measurements, and ln p(z_t | z_0..t−1), (runs,).
 
-        Where no particle of a run explains these, they are refused by an EvidenceError, ignored, or
-        the run begins anew from its prior, as the user asked; the log-density is −∞ then.
+        Where no particle of a run explains the measurements, these are refused by an EvidenceError,
+        or ignored, or the run begins anew from its prior, by `Particles.impossible`; if it goes on
+        its log-density is −∞. They are refused, too, if no particle from the prior explains them.
         """
         log_weights = cloud.log_weights + self._log_likelihood(step, cloud)
         impossible = np.isneginf(np.maximum.reduceat(log_weights, cloud.starts[:-1]))
@@ -305,9 +313,9 @@ class ParticleChain:
 
         impossible: The mask of these runs, (runs,).
 
-        They are drawn from the prior if they are to restart, or if none of their particles was
+        The particles of a run are drawn from the prior if it is to restart, or if none of them was
         possible before the measurements either; otherwise they stay. An EvidenceError is raised if
-        the user asked for no way on.
+        the user chose ``impossible="raise"``.
         """
         if self.particles.impossible == RAISE:
             run = int(impossible.argmax())
@@ -330,7 +338,11 @@ class ParticleChain:
         return replace(cloud, states=states, log_weights=log_weights)
 
     def _refuse(self, step: int, run: int, besides: str = "") -> NoReturn:
-        """Raise the EvidenceError for measurements that none of a run's particles explains."""
+        """Raise the EvidenceError for measurements that none of a run's particles explains.
+
+        besides: Words after "none of the particles" in its text, which begin and end with a comma;
+            or none.
+        """
         run += self.model.bound.first_run
         read = self.model.read(step)
         raise EvidenceError(
@@ -343,6 +355,9 @@ class ParticleChain:
         )
 
     def _some(self, cloud: Cloud, step: int, first: int, last: int, before: Array) -> Some:
-        """The particles at places from `first` to `last`, with their states at the step before."""
+        """The particles at places from `first` up to, but without, `last`.
+
+        before: Their states at the step before, (d, last − first).
+        """
         owner = None if cloud.runs == 1 else cloud.owner[first:last]
         return Some(step, cloud.states[:, first:last], before, owner)

@@ -43,7 +43,8 @@ class Cloud:
     starts: The place at which each run begins, and the end, (runs + 1,).
     ancestors: The place of each particle's ancestor in the cloud of the step before, (particles,);
         None where each is at its own place.
-    averages: The logarithms of the long-term and short-term averages of an `Injection`, (2, runs).
+    averages: The logarithms of the long-term and short-term averages of an `Injection`, (2, runs);
+        None without one, or before the first measurements.
     """
 
     states: npt.NDArray[Any]
@@ -87,9 +88,9 @@ class Cloud:
         return values if self.runs == 1 else np.repeat(values, self.counts)
 
     def normalised(self, log_weights: Array) -> tuple[Cloud, Array]:
-        """The cloud with log-weights normalised in each run, and the logarithm of their sum.
+        """The cloud with log-weights, (particles,), normalised in each run, and their log-sums.
 
-        The latter is (runs,), of the weights as they are given.
+        These are the logarithms (runs,) of what each run's weights, as given, sum to.
         """
         largest = np.maximum.reduceat(log_weights, self.starts[:-1])
         each = log_weights - self.spread(largest)
@@ -138,5 +139,5 @@ def blocks(starts: Integers) -> Iterator[Block]:
 
 
 def uniform(counts: Integers) -> Array:
-    """The log-weights (particles,) of runs with these counts, equal in each run."""
+    """The log-weights (particles,) of equal particles, `counts` (runs,) of them in each run."""
     return np.repeat(-np.log(counts), counts)

@@ -13,7 +13,7 @@ class Part(NamedTuple):
     """One component of a belief.
 
     component: The index of the component in its variable.
-    label: The component's name, after that of its variable where others share it.
+    label: The component's name; where variables share it "x.east", x being the variable.
     row: The row of the component in arrays of states, (d, particles).
     """
 
@@ -29,7 +29,10 @@ class Part(NamedTuple):
 
 
 def parts(places: Sequence[tuple[Variable, int]]) -> list[Part]:
-    """The components of some variables, by (variable, row of its first component)."""
+    """The components of some variables, one after another.
+
+    places: By variable, a pair of it and the row of its first component in arrays of states.
+    """
     label = iter(distinct_labels(variable for variable, _ in places))
     return [
         Part(variable, k, next(label), first + k)

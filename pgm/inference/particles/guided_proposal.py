@@ -6,7 +6,8 @@ makes a Gaussian belief of its next slice given the measurements, which is one o
 
 .. math:: q(w) = N(w;\, A^{-1}(μ^+ - μ^-),\, A^{-1} P^+ A^{-T}), \qquad P^- = A A^T,
 
-μ⁻, P⁻ and μ⁺, P⁺ being the mean and covariance of the slice before and after its measurements. w is
+μ⁻, P⁻ and μ⁺, P⁺ being the mean and covariance of the slice before and after its measurements, and
+A, like L, lower triangular. w is
 drawn from q and goes through the transition as it is; the particle's weight is multiplied by
 N(w; 0, I) / q(w). Weights are exact, however bad the linearisation, and a component without noise
 stays a function of the others. m is the number of particles, n that of the slice's components.
@@ -63,7 +64,7 @@ class Guide:
 
         row: The row of the step's inputs.
         some: The particles, with their states at the step before.
-        drawing: Their generators; the `Drawing` returned gives out w instead.
+        drawing: Their generators. The `Drawing` returned, first, stands in for it and gives out w.
 
         A NumericalError is raised if q is not finite, or singular: weights would be infinite.
         """
@@ -152,7 +153,10 @@ class Guide:
 
 
 class Steered(Drawing):
-    """White noise that was drawn beforehand, (components, m), given out CPD by CPD in order."""
+    """A `Drawing` whose white noise, (components, m), is fixed, and given out CPD by CPD in order.
+
+    It has no generators: it serves CPDs of Gaussian noise alone.
+    """
 
     def __init__(self, white: States) -> None:
         super().__init__(())

@@ -51,7 +51,7 @@ class Some(NamedTuple):
         return int(self.now.shape[1])
 
     def chosen(self, which: Mask) -> Some:
-        """The particles that a mask (m,) has."""
+        """The particles at which a mask (m,) is True."""
         owner = None if self.owner is None else self.owner[which]
         return Some(self.step, self.now[:, which], self.before[:, which], owner)
 
@@ -81,7 +81,7 @@ class Drawing:
         return cls(found)
 
     def chosen(self, which: Mask) -> Drawing:
-        """The drawing for the particles that a mask (m,) of the block has."""
+        """The drawing for those particles of the block at which a mask (m,) is True."""
         found, first = [], 0
         for place, rng in self.pieces:
             count = int(which[place].sum())
@@ -91,7 +91,10 @@ class Drawing:
         return Drawing(found)
 
     def white(self, components: int, count: int, dtype: Any) -> States:
-        """Independent standard normal numbers, (components, count)."""
+        """Independent standard normal numbers, (components, count), for the block's particles.
+
+        `count` is the number of these, and `dtype` float64 or float32.
+        """
         if len(self.pieces) == 1:
             return self.pieces[0][1].standard_normal((components, count), dtype=dtype)
         found = np.empty((components, count), dtype=dtype)
@@ -103,12 +106,12 @@ class Drawing:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A CPD with its inputs, by its own sampler and density.
+    """The law of a CPD of any kind, whose own sampler and density are asked; base of other laws.
 
     inputs: By observed parent, its values (rows, runs or 1, d).
     places: By hidden variable, the rows of its components in arrays of states.
     dtype: The type of the states, float64 or float32.
-    first_run: The number of the first run, for messages.
+    first_run: The number of the first run, from which texts of errors count.
     """
 
     cpd: CPD
@@ -118,7 +121,10 @@ class Law:
     first_run: int
 
     def given(self, row: int, some: Some) -> dict[Variable, States]:
-        """By parent, its values (m, d) at particles, read-only; of observed ones at a row."""
+        """By parent, its values (m, d) at particles, read-only; of an observed one those of a row.
+
+        Values of hidden parents are of the particles' step, or, with a lag, of the step before.
+        """
         found = {}
         for parent in self.cpd.parents:
             if parent in self.inputs:
@@ -147,8 +153,8 @@ class Law:
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all particles.
 
-        taken: The mask (d,) of the components that were measured; the density is given NaN for the
-            others.
+        taken: The mask (d,) of the components that were measured, for the rest of which the density
+            is given NaN; None for all.
         """
         values = self.given(row, some)
         if taken is not None and not taken.all():
@@ -160,21 +166,21 @@ class Law:
     def open(self, row: int, step: int) -> Integers:
         """The number of components with noise of their own, at a row, (runs or 1,).
 
-        `step` is that of the row, for messages. Here all components are taken to have it, since a
-        density of any kind does not tell.
+        `step` is that of the row, for texts of errors. Here all components are taken to have such
+        noise, since a density of any kind does not tell.
         """
         return np.array([self.cpd.child.dimension])
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse, by a ModelError, a sensor that has singular noise at one of its rows' steps.
+        """Refuse, by a ModelError, a sensor that has singular noise at one of its rows.
 
-        `steps` are those of the rows, (rows,). Here nothing is refused, since a density of any kind
-        does not tell.
+        `steps` are those of all its rows, (rows,), for the text of the error. Here nothing is
+        refused, since a density of any kind does not tell.
         """
 
 
 class GaussianLaw(Law):
-    """A CPD of Gaussian noise, with its inputs: x = mean(parents) + L w, w standard normal."""
+    """The law of a CPD of Gaussian noise: x = mean(parents) + L w, w being standard normal."""
 
     cpd: ConditionalGaussian
 
@@ -194,8 +200,8 @@ class GaussianLaw(Law):
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all particles.
 
-        taken: The mask (d,) of the components that were measured; the density is their marginal.
-            Under singular noise, which no sensor may have, it is ignored.
+        taken: The mask (d,) of the components that were measured, of which the density is the
+            marginal; None for all. Under singular noise, which no sensor may have, it is ignored.
         """
         root = self.root(row, some.step)
         if not root.regular:
@@ -212,9 +218,9 @@ class GaussianLaw(Law):
     def _within(self, root: Root, row: int, some: Some, child: States) -> Array:
         """The log-densities (m,) under singular noise; −∞ where a child is off its subspace.
 
-        They are densities of the components with noise of their own, which determine the others.
-        The child (d, m) may be off by a rounding of its own type. Residuals of angles count as they
-        are, and wrapped where they are off the subspace so.
+        They are densities of the components with noise of their own, which determine all other
+        components. The child (d, m) may be off by a rounding of the states' type. Residuals of
+        angles are taken as they are; where the child is off the subspace so, they are wrapped.
         """
         # That of the child alone: a particle is what the law made of another, and others are near.
         mean, error = self.mean(row, some), np.finfo(self.dtype).eps * np.abs(child)
@@ -256,8 +262,9 @@ class GaussianLaw(Law):
     def _called(self, arguments: list[States], due: tuple[int, ...], call: Call) -> States:
         """The value of the user's function, (m, d), for arguments (m, d).
 
-        A value of the states' type and of the shape `due` is returned as it is, so that float32
-        stays float32; others are converted, or refused by an error of the `call`.
+        A value of the states' type and of the shape `due`, (m, d), is returned as it is, so that
+        float32 stays float32. Any other value is converted to a float64 array of that shape; where
+        it cannot be, or the function fails, an error of the `call` is raised.
         """
         function = getattr(self.cpd, "function", None)
         if function is None:
@@ -286,7 +293,7 @@ class GaussianLaw(Law):
         )
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse, by a ModelError, a sensor that has singular noise at one of its rows' steps."""
+        """Refuse, by a ModelError, a sensor of singular noise at one of its rows; see `Law`."""
         for row, step in enumerate(steps.tolist()):
             if not self.root(row, step).regular:
                 raise ModelError(
@@ -300,7 +307,10 @@ class GaussianLaw(Law):
                 break
 
     def root(self, row: int, step: int) -> Root:
-        """The roots of the noise covariance at a row, of all runs or of each."""
+        """The `Root` of the noise covariance at a row, one root for all runs or one for each.
+
+        Where a function for it has a value that is no covariance, a ModelError is raised.
+        """
         if not isinstance(self.cpd.cov, Noise):
             return self._constant
         known = {v: np.asarray(self.inputs[v][row], dtype=np.float64) for v in self.cpd.cov.given}
@@ -310,7 +320,7 @@ class GaussianLaw(Law):
 
     @cached_property
     def _constant(self) -> Root:
-        """The roots of a noise covariance that is the same at all rows."""
+        """The `Root` of a noise covariance that is the same at all rows."""
         lower = self.cpd._lower
         return self._root(lower.reshape(-1, *lower.shape[-2:]), None)
 
@@ -318,7 +328,7 @@ class GaussianLaw(Law):
         """The `Root` of lower triangular roots (runs or 1, d, d) of noise covariances.
 
         NaN, which marks a covariance that is not finite and semidefinite, is refused by a
-        NumericalError.
+        NumericalError of the step; `step` is None where the covariance is the same at all.
         """
         if not roots.is_proper(lower):
             raise NumericalError(
@@ -372,7 +382,7 @@ class Root:
         return some.owner
 
     def marginal(self, taken: Mask) -> Root:
-        """The roots of the covariance of the components in a mask (d,)."""
+        """The `Root` of the covariance of the components at which a mask (d,) is True."""
         part = self.lower[:, taken]
         return Root(roots.root(part @ part.swapaxes(-1, -2)), self.dtype)
 
@@ -384,7 +394,10 @@ class Root:
         return found
 
     def log_density(self, residual: States, some: Some) -> Array:
-        """The log-densities (m,) of residuals (d, m), which are overwritten; of regular noise."""
+        """The log-densities (m,) of residuals (d, m) under regular noise.
+
+        The array of residuals may be overwritten.
+        """
         which = slice(None) if len(self.lower) == 1 else self.of(some)
         if self.diagonal is not None:
             residual /= self.diagonal[:, which]
@@ -419,7 +432,7 @@ def by_pattern(taken: Mask, owner: Integers | None) -> Iterator[tuple[Mask, Mask
     taken: The mask of measured components, (runs or 1, d).
     owner: The run of each particle, (m,); None where there is one run.
 
-    None stands for all particles. Runs in which nothing was measured are left out.
+    Instead of a mask None stands for all particles. A pattern of no components is left out.
     """
     if len(taken) == 1 or owner is None or (taken == taken[0]).all():
         if taken[0].any():

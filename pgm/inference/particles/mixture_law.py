@@ -19,7 +19,7 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False)
 class MixtureLaw(Law):
-    """A mixture CPD with its inputs, as the laws of its parts."""
+    """The law of a mixture CPD, by the laws of its parts in their order."""
 
     cpd: MixtureCPD
     parts: tuple[Law, ...]
@@ -39,7 +39,8 @@ class MixtureLaw(Law):
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all: ln Σ_k w_k p_k.
 
-        taken: The mask (d,) of the components that were measured.
+        taken: The mask (d,) of the components that were measured; None for all. p_k is as the law
+            of part k has it. Parts that `open` refuses are refused here, too.
         """
         self.open(row, some.step)
         terms = (part.log_density(row, some, child, taken) for part in self.parts)
@@ -63,7 +64,7 @@ class MixtureLaw(Law):
         return first
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse, by a ModelError, a sensor with a part of singular noise at one of its steps."""
+        """Refuse, by a ModelError, a sensor with a part of singular noise at a row; see `Law`."""
         for part in self.parts:
             part.require_noise(steps)
 
@@ -77,7 +78,8 @@ def law(
 ) -> Law:
     """The law of a CPD with its inputs, by its kind; the arguments are those of `Law`.
 
-    A Gaussian CPD with robust noise, and others, are asked for draws and densities themselves.
+    A Gaussian CPD with robust noise, and a CPD that is neither Gaussian nor a mixture, are asked
+    for draws and densities themselves.
     """
     rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
     about = rows, places, dtype, first_run

@@ -103,7 +103,10 @@ class ParticleModel:
         return found
 
     def log_peak(self, step: int) -> Array:
-        """The largest log-density that a step's measurements could have at any state, (runs,)."""
+        """The largest log-density that a step's measurements could have at any state, (runs,).
+
+        A density that does not tell it is refused by a ModelError.
+        """
         found = np.zeros(self.bound.runs)
         for sensor in self.sensors:
             for row in sensor.rows(step):
@@ -137,9 +140,9 @@ class Sensor:
     def add(self, row: int, some: Some, total: Array) -> None:
         """Add the log-density of one measurement at particles to their totals (m,), in place.
 
-        Where runs were measured in different components, each pattern of these is worked on by
-        itself. Components that the density cannot leave out, and log-densities that are NaN or plus
-        infinity, are refused.
+        Where runs were measured in different components, each pattern of measured components is
+        worked on by itself. Missing components that the density cannot leave out are refused by an
+        EvidenceError, log-densities that are NaN or plus infinity by a LinearisationError.
         """
         rows, taken = self.values[row], self.reading.taken[row]
         patterns = by_pattern(taken, some.owner)
@@ -177,7 +180,8 @@ class Sensor:
         """The largest log-density that one measurement could have at any state, (runs,).
 
         Of normal noise that is the log-density at zero residual; 0 where nothing was measured. A
-        density that does not tell its largest value is refused by a ModelError.
+        density that does not tell its largest value is refused by a ModelError. `step` is that of
+        the row, `runs` the number of runs.
         """
         found, owner, taken = np.zeros(runs), np.arange(runs), self.reading.taken[row]
         if not isinstance(self.law, GaussianLaw):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @public
 class KLDSampling(InCode, Immutable):
-    r"""As many particles as bound the KL divergence from the belief that they are drawn from.
+    r"""A number of particles that bounds the KL divergence from the belief they are drawn from.
 
     Particles are drawn anew, in batches that double their number, until there are enough for the k
     bins that they occupy,
@@ -109,10 +109,11 @@ class KLDSampling(InCode, Immutable):
     def drawn(
         self, states: States, model: ParticleModel, draw: Callable[[int], Integers]
     ) -> Integers:
-        """The places of resampled particles, drawn until there are enough for the bins they occupy.
+        """The places of resampled particles, drawn until they are enough for the bins they occupy.
 
         states: The particles to draw from, (d, n), with the components of the model's slice.
-        draw: A function of a count, which draws so many places, (count,).
+        draw: A function of a count, which draws so many places among the n, (count,), by the
+            weights.
 
         A particle so far from zero that its bin has no number is refused by a ModelError.
         """
@@ -166,7 +167,7 @@ class KLDSampling(InCode, Immutable):
 
 @public
 class LikelihoodSampling(InCode, Immutable):
-    r"""Draw particles until their likelihoods of a step's measurements sum to a threshold.
+    r"""A number of particles whose likelihoods of a step's measurements sum to a threshold.
 
     Particles are drawn and moved, in batches that double their number, until
 
@@ -174,8 +175,8 @@ class LikelihoodSampling(InCode, Immutable):
 
     Few are drawn where all of them are where the measurements say, and many where most are
     elsewhere. The largest density is that of normal noise at zero residual, and that of a
-    `LikelihoodField` where all beams end at obstacles; sensors of other densities are
-    refused. At steps without measurements the number stays.
+    `LikelihoodField` where all beams end at obstacles; a filter refuses sensors of other densities
+    by a ModelError. At steps without measurements the number stays.
 
     Parameters
     ----------

@@ -111,9 +111,9 @@ class OnlineParticleBelief(Shown, NoArray):
 class OnlineParticles(PointFilter[OnlineParticleBelief]):
     """A particle filter for one step at a time; made by ``OnlineFilter(model, belief=particles)``.
 
-    Draws are keyed by seed, run and step, so that they are those of `pgm.filter`. A belief of one
-    run, whose next inputs or measurements have several, becomes that of each of these, with the
-    same particles.
+    Draws are keyed by seed, run and step, so that they are those of `pgm.filter`. Where a belief
+    has one run, and the inputs or measurements given next have several, each of these runs goes on
+    from the same particles; from the prior each draws its own.
 
     Parameters
     ----------
@@ -123,7 +123,8 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     Raises
     ------
     ModelError
-        If they do not fit, or the particles would not fit memory.
+        If a proposal, start or injection of the particles does not fit the model, or they would not
+        fit memory.
 
     Examples
     --------
@@ -156,8 +157,8 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     ) -> OnlineParticleBelief:
         """The belief one step later.
 
-        Where the next measurements are to choose the draws, it keeps the particles before, to be
-        moved again.
+        Where the measurements of that step are to choose its draws, the new belief keeps the old
+        one's particles too, to be moved again by `_updated`.
         """
         step, before = belief.step + 1, self._spread(belief, bound)
         chain, record = self._chain(bound, belief.step)
@@ -167,9 +168,10 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         return self._belief(step, PREDICTED, cloud, chain.model, bound, log_evidence, record, kept)
 
     def _updated(self, belief: OnlineParticleBelief, bound: BoundEvidence) -> OnlineParticleBelief:
-        """The belief given a step's measurements.
+        """The belief given measurements of its step.
 
-        Where these choose the draws, the prediction is drawn again, from the particles before it.
+        Where measurements choose the draws, those of the step are drawn again, from the particles
+        of the step before; with a `start` those of step 0 are, from its cells.
         """
         step = belief.step
         cloud = self._spread(belief, bound)
@@ -186,7 +188,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         return self._belief(step, FILTERED, known, chain.model, bound, log_evidence, record)
 
     def _chain(self, bound: BoundEvidence, first: int) -> tuple[ParticleChain, Record]:
-        """A chain from the step `first`, with the record of it and of the step after."""
+        """A chain whose inputs begin after the step `first`, and its record up to first + 1."""
         model = ParticleModel(self.model, bound, self.belief.dtype, first)
         record = Record(first + 1, bound.runs)
         return ParticleChain(self._graph, model, self.belief, record), record
@@ -206,8 +208,9 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     ) -> Cloud:
         """The particles of a belief, or those of a given cloud, in the runs of the evidence.
 
-        One run becomes each of the evidence's, with the same particles; of the prior each run draws
-        its own. Runs of another number are refused by an EvidenceError.
+        Particles of a single run are repeated for each run of the evidence; of a prior belief each
+        run draws its own instead. Several runs, of another number than the evidence's, are refused
+        by an EvidenceError.
         """
         cloud, runs = belief._cloud if cloud is None else cloud, bound.runs
         if cloud.runs == runs:
@@ -242,7 +245,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         record: Record,
         before: tuple[Cloud, BoundEvidence] | None = None,
     ) -> OnlineParticleBelief:
-        """The user's belief at a step, with its status, of which a warning may be given.
+        """The user's belief at a step, with its status, which warns of what it finds at fault.
 
         log_evidence: ln p of all measurements so far, (runs,).
         record: What has happened at the step.

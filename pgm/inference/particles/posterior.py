@@ -122,7 +122,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         Parameters
         ----------
         *variables : Variable
-            ``x, m``, or at steps, ``x.at(3), x.at(4)``.
+            ``x, m``, of all steps, or at steps, ``x.at(3), x.at(4)``.
 
         Returns
         -------
@@ -132,8 +132,9 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         Raises
         ------
         EvidenceError
-            If one is no hidden variable of the network, none is named, or they are of several
-            steps where these were not drawn together.
+            If one is no hidden variable of the network, none is named, some are at a step and some
+            over time, a hidden control is at step 0, or they are of several steps, which a filter
+            or a fixed-lag smoother has not drawn together.
         ModelError
             If one stands after the last step, or is named twice.
         """

@@ -13,12 +13,14 @@ from pgm.kernels.arrays import Array
 
 
 class Record:
-    """The clouds of all steps, and what happened at each step in each run, (T+1, runs).
+    """The record of a forward sweep: its clouds, and what happened at each step in each run.
 
-    clouds: The particles given the measurements up to each step.
-    log_density: ln p(z_t | z_0..t−1), estimated.
+    steps: The number of the last step, T.
 
-    The other arrays are those of `ParticleStatus`, with the runs last.
+    clouds: The particles given the measurements up to each step, as far as kept.
+    log_density: ln p(z_t | z_0..t−1), estimated, (T+1, runs).
+
+    The other arrays are those of `ParticleStatus`, but (T+1, runs), zero until they are written.
     """
 
     def __init__(self, steps: int, runs: int) -> None:

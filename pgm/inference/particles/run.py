@@ -54,7 +54,7 @@ def run(
 
 
 def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None:
-    """Refuse, by a ModelError, particles whose proposals do not fit a network."""
+    """Refuse, by a ModelError, particles whose proposal, start or injection does not fit."""
     if particles.proposal is not None:
         require_guidable(model)
     if particles.start is not None:
@@ -64,10 +64,10 @@ def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None
 
 
 def _require_possible(particles: Particles, model: ParticleModel, kind: Kind) -> None:
-    """Refuse what particles cannot do with a model's evidence.
+    """Refuse particles whose injection or start does not fit the schedule or the evidence.
 
-    A ModelError refuses to smooth injected particles, an EvidenceError a start from cells for which
-    step 0 has no measurements.
+    An injection with any `kind` but filtered is a ModelError, a start from cells for which step 0
+    has no measurements an EvidenceError.
     """
     if particles.injection is not None and kind != FILTERED:
         raise ModelError(
@@ -88,7 +88,8 @@ def require_room(size: int, particles: Particles, steps: int, runs: int, kind: K
     """Refuse, by a ModelError, particles that would not fit memory, before any are drawn.
 
     size: The number of components of a particle.
-    steps, runs: How many of each are kept.
+    steps, runs: How many steps, T + 1, and runs are kept.
+    kind: Filtered; of any other kind there are trajectories besides.
     """
     share = np.dtype(particles.dtype).itemsize / 8
     # States, weights and ancestors of the filter; states and weights of trajectories.

@@ -36,8 +36,8 @@ class ParticleStatus(Shown, Immutable):
         (*runs, T+1): how many particles an `Injection` put elsewhere, given the step's
         measurements.
     ignored, restarted : ndarray of bool
-        (*runs, T+1): whether no particle explained the step's measurements, so that they were left
-        out, or the run began anew from the prior; the log-evidence is −∞ then.
+        (*runs, T+1): whether no particle explained the step's measurements, so that these were
+        ignored, or the run was restarted from the prior; the log-evidence is −∞ then.
     unmoved : ndarray or None
         (*runs, T): of a smoother, by step the share of trajectories that have stayed at the
         filter's own ancestor; None of a filter.
@@ -111,7 +111,7 @@ class ParticleStatus(Shown, Immutable):
     def warn(self, first: int = 0) -> None:
         """Warn of few effective particles, and of impossible measurements, by `ParticleWarning`s.
 
-        first: The step of the arrays' first entry, from which messages count.
+        first: The step of the arrays' first entry, from which the warnings' texts count steps.
         """
         if self.few:
             share = np.where(self._few, self.effective, np.inf)

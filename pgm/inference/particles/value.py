@@ -277,12 +277,12 @@ class Particles(InCode, Immutable):
         return self.n if self.number is None else max(self.n, self.number.most)
 
     def _whole(self, name: str, value: Any, least: int) -> None:
-        """Refuse, by a ModelError, an argument that is no whole number from `least` on."""
+        """Refuse, by a ModelError, the argument `name` if it is no whole number from `least` on."""
         if not is_whole(value) or not least <= value < 2**63:
             raise ModelError(f"Particles: {name} is a whole number from {least} on, not {value!r}")
 
     def _one_of(self, name: str, value: Any, choices: tuple[str, ...]) -> None:
-        """Refuse, by a ModelError, an argument that is none of some words."""
+        """Refuse, by a ModelError, the argument `name` if it is none of the words `choices`."""
         if not isinstance(value, str) or value not in choices:
             raise ModelError(f"Particles: {name} is one of {', '.join(choices)}; found {value!r}")
 
