@@ -19,7 +19,7 @@ import numpy as np
 from pgm.errors import PgmError
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, components_last, quiet
-from pgm.tracing.program import Column
+from pgm.tracing.program import Column, Program
 from pgm.tracing.slopes import Points, Slopes, beside, choice, shown
 from pgm.tracing.trace import Tracer
 
@@ -257,7 +257,9 @@ class Judge:
             return None
         found = Answers(tracer, columns, places, variances)
         # A sample suffices where a trace is new and shows all that its function does.
-        own = found.trace if alone is None or not large else alone.traced()
+        own: Program | str = found.trace
+        if large and alone is not None:
+            own = alone.trace or alone.traced()
         if large and not (isinstance(own, str) or own.cast):
             slopes = _ENTRIES // max(len(found.program.slope), 1)
             found.every = math.ceil(count / min(max(slopes, _EVEN), _SLOPES))
