@@ -20,7 +20,7 @@ from models.rings import gaussian_ring
 SCHEDULES = {"flooding", "sequential", "residual"}
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=[pytest.param("quick", marks=pytest.mark.slow)])
 def done(tmp_path_factory):
     out = tmp_path_factory.mktemp("belief_propagation")
     belief_propagation.run(out=out, seed=0, **belief_propagation.QUICK)

@@ -23,7 +23,7 @@ from models.sensors import range_bearing
 from pgm import consistency
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=[pytest.param("quick", marks=pytest.mark.slow)])
 def done(tmp_path_factory):
     out = tmp_path_factory.mktemp("differential_drive")
     with pytest.MonkeyPatch.context() as patched:

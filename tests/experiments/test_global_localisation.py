@@ -183,6 +183,7 @@ def test_draws_from_the_scan_find_a_carried_robot_and_nothing_else_does(world):
 
 
 @needs_house
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("experiment", "ways_due", "files"),
     [

@@ -49,7 +49,7 @@ LANDMARKS = {
 }
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=[pytest.param("quick", marks=pytest.mark.slow)])
 def done(tmp_path_factory):
     out = tmp_path_factory.mktemp("nonlinear_measurement")
     with pytest.MonkeyPatch.context() as patched:

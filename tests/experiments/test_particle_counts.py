@@ -16,7 +16,7 @@ from experiments.particle_counts.study import Estimate, mean_square, study
 from models.networks import wheels
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=[pytest.param("quick", marks=pytest.mark.slow)])
 def done(tmp_path_factory):
     out = tmp_path_factory.mktemp("particle_counts")
     particle_counts.run(out=out, seed=0, **particle_counts.QUICK)

@@ -210,9 +210,10 @@ class AxisSums:
         return cls(shape, axes, None, axes)
 
     def total(self, table: Array, semiring: Semiring) -> Array:
-        """The sums, in C order of the axes that are left, in any shape.
+        """The sums of a table (*shape, [runs]) over `axes`, in C order of the axes that are left.
 
-        The table has an axis of runs behind its own, or none.
+        Axes that are left may come back merged, so that the caller has to reshape the result; that
+        of runs, if there is one, stays last. Without `axes` it is the table itself.
         """
         tail = table.shape[len(self.shape) :]
         if not self.axes:

@@ -198,7 +198,7 @@ class Weights:
         return self._over_runs(found[0]) if runs == 1 else np.moveaxis(found, 0, -1)
 
     def _over_runs(self, single: Array) -> Array:
-        """Weights that all runs share, (*slice), with an axis of runs if beliefs have one."""
+        """Weights (*slice) that all runs share, as (*slice, 1) if beliefs have an axis of runs."""
         return single[..., None] if self.batch else single
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:

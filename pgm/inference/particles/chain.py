@@ -267,11 +267,12 @@ class ParticleChain:
         return known, log_density
 
     def _injected(self, step: int, cloud: Cloud, log_density: Array, injection: Injection) -> Cloud:
-        """The cloud with some particles drawn afresh from cells, where likelihoods have dropped.
+        """The cloud after a step's measurements, with particles injected where these fit badly.
 
-        log_density: ln p(z_t | z_0..t−1), (runs,), from which the averages go on.
-
-        A run with any such particle is resampled, and its weights are equal.
+        A run's share of them is given by `Injection`, from averages that go on by `log_density`,
+        ln p(z_t | z_0..t−1), (runs,), and that the cloud returned has. Such a run is resampled, its
+        weights become equal, and in some of its particles the state of `injection.cells`, a
+        `CellProposal`, is replaced by a draw of it; other states stay.
         """
         measured, cells = self.model.measured(step), injection.cells
         averages = injection.averaged(cloud.averages, log_density, measured)

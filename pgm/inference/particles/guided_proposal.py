@@ -91,10 +91,13 @@ class Guide:
 
     @quiet()
     def _moments(self, row: int, some: Some) -> tuple[Moments, Moments]:
-        """Each particle's moments of the slice, before and after its measurements, runs first.
+        """The moments of each particle's slice, before and after the step's measurements.
 
         Means are (m, n), covariances (m, n, n). Errors of a user's function name the proposal and
         the step.
+
+        row: The row of the step's inputs.
+        some: The particles, with their states at the step before.
         """
         plan = self._plan(row, some)
         chain = MomentChain(plan, _ONCE, keep=False, check=True)
