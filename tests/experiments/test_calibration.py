@@ -29,7 +29,7 @@ def cases(name):
     return list(variants(file(name), plaza_log.SETTINGS[name]))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=[pytest.param("plaza2", marks=pytest.mark.slow)])
 def plaza2():
     return [found(log, model) for _, log, model in cases("plaza2")[1:]]
 

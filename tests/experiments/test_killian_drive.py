@@ -28,7 +28,7 @@ def driven(simulated):
     return drive.driven(simulated)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=[pytest.param("quick", marks=pytest.mark.slow)])
 def done(tmp_path_factory):
     out = tmp_path_factory.mktemp("killian")
     killian.run(out=out, seed=0, **killian.QUICK)

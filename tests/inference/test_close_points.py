@@ -242,7 +242,7 @@ def scales(seed, size=1.0, alpha=1e-4):
 
 @pytest.mark.filterwarnings("ignore::pgm.PrecisionWarning")
 @pytest.mark.parametrize("compiled", [False, True])
-@pytest.mark.parametrize("size", [1e-5, 1.0, 1e5])
+@pytest.mark.parametrize("size", [1.0, 1e5])
 @pytest.mark.parametrize(("alpha", "least"), [(1e-4, 0), (1e-3, 6), (1.0, 8)])
 def test_consistent_readings_are_no_contradiction(alpha, least, size, compiled):
     """What is left of them is the rounding of a regression, which other rules do not have."""

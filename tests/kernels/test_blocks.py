@@ -6,7 +6,7 @@ import pytest
 from pgm.kernels.markov import Blocks
 
 
-@pytest.mark.parametrize("steps", [200, 40_000, 40_001, 40_199])
+@pytest.mark.parametrize("steps", [26, 200, 40_001])
 def test_backward_messages_of_unlikely_measurements(steps):
     """A last block of one step is all padding, during which the others are scaled as ever."""
     rng = np.random.default_rng(0)

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 import pgm
 import pgm.plot
 
-NAMES = ["$x_1$", "$", "a$b", r"$\nonsense{$", "x^2_{", r"\alpha", r"\$3", "$a$ $b$ $"]
+NAMES = ["$x_1$", "a$b", r"$\nonsense{$", r"\$3", "$a$ $b$ $"]
 
 
 def walk(name):
