@@ -40,7 +40,8 @@ def twists(steady: Array) -> Array:
 def composed(parts: Array, first: Integers) -> Array:
     """The motions (m, 3) that successive motions `parts` (n, 3) make together, in m groups.
 
-    Group k is the rows from first[k] up to, but without, first[k + 1], or the end; first[0] is 0.
+    Group k is the rows from first[k] up to, but without, first[k + 1], or the end; first[0] is 0,
+    and no group is empty.
     """
     after = np.cumsum(parts[:, 2])
     before = after - parts[:, 2]

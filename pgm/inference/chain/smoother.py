@@ -356,7 +356,8 @@ class Chain(Generic[Either]):
     def settled(self) -> Mask | bool:
         """Whether graduated robust losses have reached the losses of the model, (runs,).
 
-        A graduated loss begins wide, and is sharpened from one linearisation to the next.
+        A graduated loss begins wide, and is sharpened from one linearisation to the next. True for
+        all runs where no sensor is robust.
         """
         return settled(self.plan)
 
@@ -399,7 +400,8 @@ class _Means:
     def settled(self) -> Mask | bool:
         """Whether graduated robust losses have reached the losses of the model, (runs,).
 
-        A graduated loss begins wide, and is sharpened from one linearisation to the next.
+        A graduated loss begins wide, and is sharpened from one linearisation to the next. True for
+        all runs where no sensor is robust.
         """
         return self.chain.settled()
 

@@ -37,8 +37,8 @@ class Model:
     (CPDs, runs or 1, d) masks the components that were measured, None for all. `shared` says
     whether all runs have the same matrices, covariances and components measured. `points` are the
     means and standard deviations, (CPDs, runs, n), of hidden parents where CPDs were linearised
-    last. `first` is True until `relinearise`: they are then the prior's moments or a start, maybe
-    far from the posterior.
+    last. `first` is True until `relinearise`: until then `points` are the prior's moments or a
+    start, maybe far from the posterior.
     """
 
     layout: Layout

@@ -113,7 +113,10 @@ class Dense:
         return np.ascontiguousarray(array.transpose(self._order)).reshape(groups, -1, count)
 
     def _whole(self, lines: Array, window: Window) -> Array:
-        """Lines (G, cells of resting axes, cells of moved axes) as an array over a window."""
+        """Lines (G, cells of resting axes, cells of moved axes) as an array over a window.
+
+        Resting axes are those that are neither moved nor depended on.
+        """
         shape = [window[k].length for k in self._order]
         found: Array = lines.reshape(shape).transpose(np.argsort(self._order))
         return found
