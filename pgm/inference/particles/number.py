@@ -111,10 +111,8 @@ class KLDSampling(InCode, Immutable):
     ) -> Integers:
         """The places of resampled particles, drawn until they are enough for the bins they occupy.
 
-        states: The particles to draw from, (d, n), with the components of the model's slice.
-        draw: A function of a count, which draws so many places among the n, (count,), by the
-            weights.
-
+        `states` (d, n) are the particles to draw from, with the components of the model's slice;
+        `draw`, a function of a count, draws so many places among the n, (count,), by the weights.
         A particle so far from zero that its bin has no number is refused by a ModelError.
         """
         rows, widths = self._rows(model)
