@@ -53,13 +53,12 @@ def told(posterior: P, schedule: Schedule | None) -> P:
         return posterior
     if status.converged.all():
         return posterior
+    diverged = isinstance(schedule, Loopy) and _diverged(status, schedule)
+    if schedule.tolerance == 0.0 and not diverged:
+        return posterior
     if isinstance(schedule, Loopy):
         assert isinstance(posterior, Posterior)
-        if schedule.tolerance == 0.0 and not _diverged(status, schedule):
-            return posterior
         message = _of_messages(posterior, status, schedule)
-    elif schedule.tolerance == 0.0:
-        return posterior
     else:
         message = _of_linearisations(status, schedule)
     warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())

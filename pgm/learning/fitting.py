@@ -112,6 +112,8 @@ class Search:
         self.stopped = f"after the {iterations} iterations that were asked for"
         # Whether the smoothers of the last E step have settled, as far as they were to iterate.
         self.smoothed = True
+        # Whether all iterations were made.
+        self.exhausted = False
 
     def run(self) -> Fit:
         """Go up until nothing is gained."""
@@ -144,6 +146,8 @@ class Search:
                 converged = True
                 self.stopped = _WITHIN
                 break
+        else:
+            self.exhausted = True
         assert here is not None
         self.smoothed = learner.schedule.iterations == 1 or all(
             bool(each.status.converged.all()) for each in here.posteriors
@@ -276,7 +280,8 @@ def fit(
         The largest number of EM iterations.
     tolerance : float
         The search has converged after a step that raised the log-evidence by no more (in nats) and
-        moved no coordinate by more than a thousandth.
+        moved no coordinate by more than a thousandth. With 0 all iterations are made, and none is
+        missed (no `ConvergenceWarning`).
     accelerate : bool
         Whether quasi-Newton steps are tried.
     progress : bool or callable
@@ -342,14 +347,19 @@ def fit(
     with reporting(progress):
         search = Search(learner, int(iterations), float(tolerance), accelerate=accelerate)
         found = search.run()
-    _tell(found, smoothed=search.smoothed or schedule.tolerance == 0.0)
+    # A tolerance of 0 asks for a number of iterations, of which none is missed.
+    _tell(
+        found,
+        searched=found.status.converged or (tolerance == 0.0 and search.exhausted),
+        smoothed=search.smoothed or schedule.tolerance == 0.0,
+    )
     return found
 
 
-def _tell(found: Fit, *, smoothed: bool) -> None:
-    """Warn, once, of a search that has not converged, or of a last smoother that has not."""
+def _tell(found: Fit, *, searched: bool, smoothed: bool) -> None:
+    """Warn, once, of a search that did not end as it should, or of its last smoothers."""
     status = found.status
-    if not status.converged:
+    if not searched:
         gained = float(np.diff(found.log_evidence[-2:]).sum())
         message = (
             f"the search for parameters ended unconverged, {status.stopped}; its last step gained "

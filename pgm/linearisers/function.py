@@ -215,7 +215,7 @@ class BoundFunction(NamedTuple):
                 value, slope = program.batch(arguments, shape)
             else:
                 value, slope = answers.batch(arguments, shape, std)
-            if answers is None and self._misled(program, arguments, shape, value, slope, std):
+            if answers is None and self._misled(arguments, shape, value, slope, std):
                 return None
             value, slope = components_last(value, 1), components_last(slope, 2)
             if self.group is not None:
@@ -225,7 +225,7 @@ class BoundFunction(NamedTuple):
                 finite = isfinite(value.sum() + slope.sum())
         elif answers is None:
             value, slope, finite = program.single(arguments)
-            if self._misled(program, arguments, shape, value, slope, std):
+            if self._misled(arguments, shape, value, slope, std):
                 return None
         else:
             value, slope, finite = answers.single(arguments, cov)
@@ -247,7 +247,6 @@ class BoundFunction(NamedTuple):
 
     def _misled(
         self,
-        program: Program,
         arguments: list[Array],
         shape: tuple[int, ...],
         value: Array,

@@ -124,21 +124,21 @@ class FunctionTemplate:
     @property
     def slopes(self) -> Slopes | None:
         """The derivatives of `program`, to be looked at; None where there is none."""
-        program, found = self.program, self._looked_at.get("slopes")
-        if program is None or (found is not None and found.program is program):
-            return None if program is None else found
-        noise, angles = np.sqrt(self.variances), self.child.angle_mask
-        made = Slopes(self.function, program, angles, noise)
-        self._looked_at["slopes"] = made
-        return made
+        program = self.program
+        if program is None:
+            return None
+        if not self._slopes or self._slopes[0].program is not program:  # the trace was made anew
+            made = Slopes(self.function, program, self.child.angle_mask, np.sqrt(self.variances))
+            self._slopes[:] = [made]
+        return self._slopes[0]
 
     @cached_property
-    def _looked_at(self) -> dict[str, Slopes]:
-        return {}
+    def _slopes(self) -> list[Slopes]:
+        return []
 
     def __getstate__(self) -> dict[str, Any]:
         # The function that is traced with its derivatives, and machine code, are of this process.
-        keep, own = self.__dict__.items(), ("whole", "compiled", "_looked_at")
+        keep, own = self.__dict__.items(), ("whole", "compiled", "_slopes")
         return {name: value for name, value in keep if name not in own}
 
     @cached_property

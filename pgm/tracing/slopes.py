@@ -48,8 +48,9 @@ def beside(x: Array, std: Array) -> Array:
 
 
 def _steps_beside(x: Array, std: Array) -> Array:
+    """Steps (..., n) of about 10⁻² standard deviations, each another share, by turns of φ."""
     shares = 0.5 + np.modf(0.6180339887498949 * np.arange(1.0, x.size + 1.0))[0]
-    found: Array = _BESIDE * shares.reshape(x.shape) * np.nan_to_num(std, posinf=0.0)
+    found: Array = _BESIDE * shares.reshape(x.shape) * std
     return found
 
 
@@ -57,7 +58,7 @@ def _told(std: Array) -> Array:
     """Standard deviations (..., n) to judge slopes by, all of them finite and above zero.
 
     They are zero of all components where a call linearises at points alone, as at a start, and of
-    those under a flat prior.
+    those under a flat prior; NaN where nobody has told them. All of these are taken to be 10⁻².
     """
     found: Array = np.where(np.isfinite(std) & (std > 0.0), std, _UNTOLD)
     return found

@@ -177,6 +177,9 @@ def test_a_search_for_parameters():
     found, told = said(lambda: pgm.fit(walk, recording, learn=learn))
     assert found.status.converged
     assert told == []
+    found, told = said(lambda: pgm.fit(walk, recording, learn=learn, iterations=2, tolerance=0))
+    assert not found.status.converged
+    assert told == [], "just so many were asked for"
 
 
 def test_a_search_tells_of_its_smoothers_once():
@@ -186,6 +189,9 @@ def test_a_search_tells_of_its_smoothers_once():
         lambda: pgm.fit(squares, recording, learn=learn, schedule=pgm.Smoothing(iterations=2))
     )
     assert len(told) == 1
+    twice = pgm.Smoothing(iterations=2, tolerance=0)
+    _, few = said(lambda: pgm.fit(squares, recording, learn=learn, schedule=twice))
+    assert not any("smoothers of its last step" in each for each in few)
     words = "smoothers of its last step" if found.status.converged else "ended unconverged"
     assert words in told[0]
 

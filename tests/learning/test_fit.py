@@ -11,7 +11,7 @@ from pgm.learning import Coefficients, Covariance, Offset, Parameter, Table
 
 EVERY = (Coefficients(), Offset(), Covariance())
 A, B, D, THETA = pgm.variables("a b d theta")
-# A search of a few iterations, or to a tolerance of zero, is not to converge.
+# A search of a few iterations is not to converge.
 unfinished = pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
 
 
@@ -69,7 +69,6 @@ def learnt_target(steps, **settings):
 
 
 @pytest.mark.slow
-@unfinished
 def test_everything_of_a_target_is_learnt_in_a_fifth_of_the_smoothers():
     plain = learnt_target(60, iterations=400, tolerance=0.0, accelerate=False)
     assert_never_falls(plain)
@@ -79,7 +78,6 @@ def test_everything_of_a_target_is_learnt_in_a_fifth_of_the_smoothers():
     assert 5 * fast.status.e_steps <= plain.status.e_steps
 
 
-@unfinished
 @pytest.mark.slow
 def test_a_long_target_is_learnt_in_a_fifth_of_the_smoothers():
     fast = learnt_target(1000, iterations=400, tolerance=0.0)
@@ -94,7 +92,6 @@ def test_a_long_target_is_learnt_in_a_fifth_of_the_smoothers():
     assert plain.log_evidence[-1] < best - 1e-3
 
 
-@unfinished
 def test_recordings_and_runs_share_their_parameters():
     """A batch is as its runs by themselves, whatever their lengths."""
     rng = np.random.default_rng(5)

@@ -40,7 +40,7 @@ MakePath = Callable[[Beliefs, Conditional], Path]
 
 
 class Arrived(NamedTuple):
-    """What N smoothers have found.
+    """The results of N smoothers.
 
     They are smoothed moments (T+1, N, ...), the states given the slice after them, (T, N, ...), and
     ln of the evidence of the last linearisation, (N,).

@@ -85,7 +85,7 @@ def about(conditional: Conditional, reference: Array) -> Conditional:
 
 
 class Ahead(Protocol):
-    """What a backward pass needs of a forward one: moments before and after measurements."""
+    """A forward pass for a backward one: its moments before and after measurements."""
 
     @property
     def predicted_mean(self) -> Array:

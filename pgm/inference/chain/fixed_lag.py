@@ -38,7 +38,7 @@ from pgm.progress import counted
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """What each window of a chain has found at its newest step, (T+1, runs, ...).
+    """The results of each window of a chain at its newest step, (T+1, runs, ...).
 
     `newest` are the beliefs over each step given the measurements up to it, `log_evidence`
     (T+1, runs) is that of these measurements; `plain` says whether float64 had digits enough for

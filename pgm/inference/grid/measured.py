@@ -40,7 +40,7 @@ class Sharpness(NamedTuple):
 
 @dataclass(eq=False)
 class Shape:
-    """What tests have found of the shape of a sensor's function h, so that it is called less often.
+    """The shape of a sensor's function h as tests have found it, so that it is called less often.
 
     depended: The axes on which each component of h depends.
     turning: The indices of the circles for which h is a sum, h(x) = f(other axes) + g(circles);

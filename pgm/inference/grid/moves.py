@@ -205,7 +205,7 @@ class Split:
 
     @cached_property
     def _rest(self) -> Integers:
-        """What the axes at rest add to each source cell's flat target index, (source cells,)."""
+        """The part of each source cell's flat target index from axes at rest, (source cells,)."""
         counts = [span.length for span in self.target]
         strides = [int(np.prod(counts[k + 1 :])) for k in range(len(counts))]
         total = np.zeros((1,) * len(counts), dtype=np.intp)

@@ -74,7 +74,7 @@ _NONE = 1e-150
 
 
 class Tested(NamedTuple):
-    """What tests have found of a model's functions on a lattice, to be kept from call to call.
+    """Properties of a model's functions on a lattice, tested once and kept from call to call.
 
     motion: By a group's key, the axes on which its displacements depend.
     sensors: By sensor, the shape of its function.
