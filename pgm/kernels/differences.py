@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 
@@ -33,24 +32,36 @@ def over(function: Callable[[Array], Array], x: Array, step: Array, angles: Mask
     """The Jacobian (..., d, n) of a function at points x (..., n) over steps (..., n).
 
     It takes one call of the function, which maps points (..., 4n, n) to their values (..., 4n, d).
-    The derivatives are central differences of fourth order. `angles` (d,) marks the values that are
-    angles, whose differences are wrapped to [−π, π).
+    `angles` (d,) marks the values that are angles, whose differences are wrapped to [−π, π).
     """
-    lead, size = x.shape[:-1], x.shape[-1]
-    step = (x + step) - x  # the step that is taken in floating point
-    values = function(x[..., None, :] + _stencil(size) * step[..., None, :])
-    each = values.reshape(*lead, size, 4, -1)
-    near, far = each[..., 0, :] - each[..., 1, :], each[..., 2, :] - each[..., 3, :]
+    step = taken(x, step)
+    moves = step[..., None] * np.eye(x.shape[-1])
+    slopes: Array = along(function, x, moves, angles) / (12.0 * step[..., None, :])
+    return slopes
+
+
+def taken(x: Array, step: Array) -> Array:
+    """The steps (..., n) from x (..., n) that are taken in floating point: (x + step) − x."""
+    found: Array = (x + step) - x
+    return found
+
+
+def along(function: Callable[[Array], Array], x: Array, moves: Array, angles: Mask) -> Array:
+    """Twelve times the change of a function along moves (..., m, n) from points x (..., n).
+
+    Of each move v it is 12 J v = 8 (f(x + v) − f(x − v)) − (f(x + 2v) − f(x − 2v)), (..., d, m), up
+    to the fifth derivative of the function f, whose Jacobian is J: central differences of fourth
+    order. The function takes points (..., 4m, n); `angles` are as of `over`.
+    """
+    lead, (count, size) = x.shape[:-1], moves.shape[-2:]
+    points = x[..., None, None, :] + _AROUND[:, None] * moves[..., None, :]
+    values = function(points.reshape(*lead, 4 * count, size)).reshape(*lead, count, 4, -1)
+    near, far = values[..., 0, :] - values[..., 1, :], values[..., 2, :] - values[..., 3, :]
     for k in np.flatnonzero(angles):
         near[..., k], far[..., k] = wrap(near[..., k]), wrap(far[..., k])
-    slopes: Array = (8.0 * near - far) / (12.0 * step[..., None])
-    return slopes.swapaxes(-1, -2)
+    change: Array = 8.0 * near - far
+    return change.swapaxes(-1, -2)
 
 
-@lru_cache(maxsize=64)
-def _stencil(size: int) -> Array:
-    """The points of `over` less x, in steps, (4n, n): +1, −1, +2, −2 for each component in turn."""
-    offsets = np.eye(size)[:, None, :] * np.array([1.0, -1.0, 2.0, -2.0])[:, None]
-    stencil: Array = offsets.reshape(4 * size, size)
-    stencil.flags.writeable = False
-    return stencil
+# The multiples of a move at which `along` calls the function.
+_AROUND = np.array([1.0, -1.0, 2.0, -2.0])

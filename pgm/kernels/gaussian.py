@@ -53,6 +53,21 @@ def deviations(cov: Array) -> Array:
     return found
 
 
+def deviations_given_another(cov: Array) -> Array:
+    """The deviation of each component given the one that says most of it, (n, *batch).
+
+    Of covariances P (n, n, *batch) it is √(P_jj (1 − max ρ²_jk)) over the correlations ρ of j with
+    all k ≠ j; at least a thousandth of √P_jj. A function of the difference of two components, both
+    of them known far less than it, varies over such lengths.
+    """
+    variances = np.maximum(np.einsum("ii...->i...", cov), 0.0)
+    unit = np.where(variances > 0.0, variances, 1.0)
+    shared = cov * cov / unit / unit[:, None]
+    np.einsum("ii...->i...", shared)[...] = 0.0
+    found: Array = np.sqrt(variances * np.maximum(1.0 - shared.max(axis=1), 1e-6))
+    return found
+
+
 def root(cov: Array) -> Array | None:
     """The lower triangular L with P = L Lᵀ, (n, n, *batch); None if any P is not clearly regular.
 

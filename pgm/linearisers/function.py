@@ -12,6 +12,7 @@ from pgm.immutable import set_writeable
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask, components_first, components_last, quiet
 from pgm.kernels.differences import jacobian as by_differences
+from pgm.kernels.gaussian import deviations_given_another
 from pgm.linearisers.calls import Call
 from pgm.linearisers.template import Function, FunctionTemplate
 from pgm.tracing import Answers, Points, Program, beside
@@ -143,26 +144,37 @@ class BoundFunction(NamedTuple):
             (..., d, n).
         """
         arguments, shape = self._arguments(x)
-        traced = self._traced(x, std, arguments, shape)
+        cov = None if std is None else std[..., None] * np.eye(x.shape[-1]) * std[..., None, :]
+        traced = self._traced(x, cov, arguments, shape)
         slopes = None if traced is None else traced[1]
         return _along_runs(self._jacobian(x, std, arguments, shape, slopes), 2)
 
-    def tangent(
-        self, x: Array, std: Array | None = None, cov: Array | None = None
-    ) -> tuple[Array, Array]:
-        """The value, (..., d), and the derivative, (..., d, n); arguments as of `jacobian`.
+    def tangent(self, x: Array, cov: Array | None = None) -> tuple[Array, Array]:
+        """The value, (..., d), and the derivative, (..., d, n), as `jacobian` takes it.
 
-        For one run (n,) the covariance (n, n) may stand in for the deviations where a trace has all
-        derivatives, for which these are of little use.
+        Steps of differences are set by the deviation of each component given another, since these
+        may be far less than its own (`deviations_given_another`).
+
+        Parameters
+        ----------
+        x : ndarray
+            (..., n).
+        cov : ndarray, optional
+            Covariances of the belief about x, (..., n, n).
+
+        Returns
+        -------
+        tuple of ndarray
         """
         template, inputs, lead, _, group, _, _ = self
         derivative = template.derivatives[0][3] if template.undivided else None
         if derivative is None or group is not None:
             arguments, shape = self._arguments(x)
-            traced = self._traced(x, std, arguments, shape, cov)
+            traced = self._traced(x, cov, arguments, shape)
             if traced is not None and len(template.missing) == template.size:
                 return traced
             value, slopes = traced or (self._value(x, arguments, shape), None)
+            std = None if slopes is not None else self._lengths(cov)
             return value, self._jacobian(x, std, arguments, shape, slopes)
         # Of a single hidden parent the derivative is all of the Jacobian.
         if lead:
@@ -198,18 +210,21 @@ class BoundFunction(NamedTuple):
     def _traced(
         self,
         x: Array,
-        std: Array | None,
+        cov: Array | None,
         arguments: list[Array],
         shape: tuple[int, ...],
-        cov: Array | None = None,
     ) -> tuple[Array, Array] | None:
-        """The value, (..., d), and the missing derivatives, (..., d, n), by the trace."""
+        """The value, (..., d), and the missing derivatives, (..., d, n), by the trace.
+
+        `cov` (..., n, n) are the covariances of the belief about x (..., n).
+        """
         answers = self.source.answers
         program = self.template.program if answers is None else answers.program
         if program is None or (answers is not None and answers.fault is not None):
             return None
+        std = None
         if cov is not None and (shape or answers is None):
-            std = np.sqrt(np.maximum(cov.diagonal(), 0.0))
+            std = np.sqrt(np.maximum(np.einsum("...ii->...i", cov), 0.0))
         if shape:
             if answers is None:
                 value, slope = program.batch(arguments, shape)
@@ -237,7 +252,7 @@ class BoundFunction(NamedTuple):
                 return None
             value = due
         if not finite:
-            numerical = self._differences(x, std)[..., list(self.template.missing)]
+            numerical = self._differences(x, self._lengths(cov))[..., list(self.template.missing)]
             slope = np.where(np.isfinite(slope), slope, numerical)
         if len(self.template.missing) < self.template.size:
             wide = np.zeros((*slope.shape[:-1], self.template.size))
@@ -291,6 +306,13 @@ class BoundFunction(NamedTuple):
             error = np.abs(difference(due, value, self.template.child.angle_mask))
             wrong = ~(error <= 1e-9 * np.abs(due) + 1e-6 * noise)
             return not (wrong & np.isfinite(due)).any()
+
+    @staticmethod
+    def _lengths(cov: Array | None) -> Array | None:
+        """The lengths (..., n) over which a function may vary, by covariances (..., n, n)."""
+        if cov is None:
+            return None
+        return components_last(deviations_given_another(components_first(cov, 2)), 1)
 
     def _differences(self, x: Array, std: Array | None) -> Array:
         spread = np.zeros_like(x) if std is None else std

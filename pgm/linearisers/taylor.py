@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.kernels.arrays import Array, components_first, components_last
-from pgm.kernels.gaussian import deviations
+from pgm.kernels.gaussian import deviations_given_another
 from pgm.linearisers.function import BoundFunction
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared
 from pgm.linearisers.template import FunctionTemplate
@@ -59,25 +59,22 @@ class Taylor(ArrayLineariser):
 
 
 def _analytic(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    if mean.ndim == 1 and isinstance(function, BoundFunction):
-        value, slope = function.tangent(mean)
-        return Line(slope, value, None)
     return _tangent(function, mean, None)
 
 
 def _numerical(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    one = mean.ndim == 1 and isinstance(function, BoundFunction)
-    if one and not function.template.numerical and function.source.answers is not None:
-        value, slope = function.tangent(mean, cov=cov)
+    return _tangent(function, mean, cov)
+
+
+def _tangent(function: BoundFunction, mean: Array, cov: Array | None) -> Line:
+    if mean.ndim == 1 and isinstance(function, BoundFunction):
+        value, slope = function.tangent(mean, cov)
         return Line(slope, value, None)
-    return _tangent(function, mean, components_last(deviations(cov), 1))
-
-
-def _tangent(function: BoundFunction, mean: Array, std: Array | None) -> Line:
     x = components_last(mean, 1)
     if isinstance(function, BoundFunction):
-        value, slope = function.tangent(x, std)
+        value, slope = function.tangent(x, None if cov is None else components_last(cov, 2))
     else:  # one of the user's own, which stands in for it
+        std = None if cov is None else components_last(deviations_given_another(cov), 1)
         value, slope = function(x), function.jacobian(x, std)
     if mean.ndim > 1:
         value = np.ascontiguousarray(components_first(value, 1))

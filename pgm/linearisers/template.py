@@ -123,9 +123,9 @@ class FunctionTemplate:
 
     @property
     def slopes(self) -> Slopes | None:
-        """The derivatives of `program`, to be looked at; None where there is none."""
+        """The derivatives of `program` to be looked at; None where there is none, or no need."""
         program = self.program
-        if program is None:
+        if program is None or program.smooth:
             return None
         if not self._slopes or self._slopes[0].program is not program:  # the trace was made anew
             made = Slopes(self.function, program, self.child.angle_mask, np.sqrt(self.variances))

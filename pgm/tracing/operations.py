@@ -51,6 +51,9 @@ def _written(where: str) -> dict[str, str]:
 _NAMED = (*_IN_MATH, *_ROUNDING)
 BOOLEAN = {*_COMPARISONS, *_LOGICAL}
 COMMUTATIVE = {"add", "multiply", "equal", "not_equal", "logical_and", "logical_or", "hypot"}
+# Of these and their like the derivative neither cancels nor jumps.
+SMOOTH = {"constant", "input", "add", "subtract", "multiply", "negative", "arctan", "arcsinh"}
+SMOOTH |= {"sin", "cos", "sinh", "cosh", "tanh", "exp", "exp2", "expm1"}
 # Of Python; and of compiled code, for floats and for packs of them, of which there is no branch.
 SCALAR = _written("({1} if {0} else {2})")
 MACHINE = _written("where({0}, {1}, {2})")

@@ -12,7 +12,7 @@ import numpy as np
 
 from pgm.kernels.arrays import Array
 from pgm.tracing.derivatives import derivatives
-from pgm.tracing.operations import BATCH, MACHINE, PYTHON, SCALAR
+from pgm.tracing.operations import BATCH, MACHINE, PYTHON, SCALAR, SMOOTH
 from pgm.tracing.traced import Recorder
 
 _PART = 4096
@@ -64,6 +64,22 @@ class Program:
             found = replace(self, graph=graph, value=value, columns=columns, slope=slope)
             self._by[columns, len(value)] = found
         return found
+
+    @cached_property
+    def smooth(self) -> bool:
+        """Whether the derivative is right wherever it is finite, as the operations show.
+
+        That of sums, products, waves and exponentials is: it has no terms that grow as they cancel,
+        as a quotient's has, and is of no branch that the function took by a comparison.
+        """
+        operations = [self.graph.operations[k] for k in self.graph.reachable(self.value)]
+        return not self.cast and all(self._is_smooth(*operation) for operation in operations)
+
+    def _is_smooth(self, name: str, *operands: Any) -> bool:
+        if name not in ("divide", "remainder", "power"):
+            return name in SMOOTH
+        constant = self.graph.value(operands[1])
+        return constant is not None and (name != "power" or constant in range(1, 100))
 
     @property
     def _components(self) -> list[Column]:

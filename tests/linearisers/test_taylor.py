@@ -98,3 +98,32 @@ def test_batches(jacobian):
     assert_allclose(affine.F, by_state(mean, u), atol=1e-8)
     value = np.einsum("...ij,...j->...i", affine.F, mean) + affine.b
     assert_allclose(value, drive(mean, u), atol=1e-12)
+
+
+@pytest.mark.parametrize("apart", [0.1, 1e-3])
+@pytest.mark.parametrize("traced", [True, False])
+@pytest.mark.parametrize("runs", [(), (3,)])
+def test_a_range_between_two_places_of_which_neither_is_known(apart, traced, runs):
+    """Differences over a share of what is unknown, 10 m here, would leap over the landmark."""
+    robot, mark, z = pgm.variables("robot mark z")
+
+    def see(a, b):
+        if not traced and (a > 1e9).any():  # which no trace follows
+            return a
+        return np.sqrt(1.0 + (b - a) ** 2)
+
+    far = np.full((*runs, 1), 3.0)
+    see_it = pgm.NonlinearGaussianCPD(z, given=(robot, mark), function=see, cov=1e-4)
+    assert ("numerical" in str(see_it.derivatives)) != traced
+    model = pgm.BayesianNetwork(
+        [
+            pgm.GaussianCPD(robot, far, 1e6),
+            pgm.LinearGaussianCPD(mark, {robot: 1.0}, cov=apart**2, offset=2.0),
+            see_it,
+        ]
+    )
+    found = pgm.infer(pgm.compile(model), {z: np.full((*runs, 1), np.sqrt(5.0))})
+    cov = found.joint(robot, mark).cov
+    due = 1.0 / (apart**-2 + (2.0 / np.sqrt(5.0)) ** 2 / 1e-4)
+    variance = cov[..., 0, 0] + cov[..., 1, 1] - 2.0 * cov[..., 0, 1]
+    assert_allclose(variance, np.full(runs, due), rtol=1e-5, atol=2e-9)

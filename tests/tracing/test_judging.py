@@ -157,6 +157,81 @@ def test_one_run_of_very_many_goes_through_a_singularity(compiled):
     assert_turned(found[:3], 0.2)
 
 
+def chord(d, straight=1e-9):
+    """(1 − cos d)/d, whose slope at 0 is 1/2; zero where d is nearly so."""
+    small = np.abs(d) < straight
+    divisor = np.where(small, 1.0, d)
+    return np.where(small, 0.0, (1.0 - np.cos(divisor)) / divisor)
+
+
+D = pgm.Variable("d", components=("a", "b"))
+
+
+def together(apart):
+    """The covariance of two components, known to 10³, whose difference is known to `apart`."""
+    return np.array([[1e6, 1e6], [1e6, 1e6 + apart**2]])
+
+
+def pair(a, b):
+    return np.stack([a, b], axis=-1)
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize(
+    ("function", "mean", "cov", "slope"),
+    [
+        # Deviations are 10⁴ and 10⁶ times that of the difference, and its function bends over 1.
+        *[
+            (lambda x: x[..., 0] + chord(x[..., 1] - x[..., 0]), [0.3, 0.3 + off], cov, [0.5, 0.5])
+            for off in (0.0, 2e-9)
+            for cov in (together(0.1), together(1e-3))
+        ],
+        # A component that is as good as unknown, beside the turn rate in one entry.
+        *[
+            (
+                lambda x, s=s: 0.1 * x[..., 0] + np.cos(x[..., 0]) * chord(x[..., 1], s),
+                [0.7, 1e-12],
+                [wide**2, 1.0],
+                [0.1, 0.5 * np.cos(0.7)],
+            )
+            for wide in (30.0, 1000.0)
+            for s in (1e-9, 1e-4)
+        ],
+    ],
+)
+def test_slopes_beside_what_is_known_far_less(function, mean, cov, slope, compiled):
+    """Of a function of a difference, or of a product, by exact slopes; also online."""
+    move = pgm.NonlinearGaussianCPD(
+        D, D.previous, lambda x: pair(function(x), x[..., 1]), cov=[1e-4, 1e-4]
+    )
+    model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(D, mean, cov)], [move], [])
+    found = [pgm.filter(model, {}, steps=1, compiled=compiled)[D].cov[1]]
+    robot = pgm.OnlineFilter(model, compiled=compiled)
+    found.append(robot.predict(robot.initial())[D].cov)
+    cov = np.diag(cov) if np.ndim(cov) == 1 else np.asarray(cov)
+    due = np.array([slope, [0.0, 1.0]]) @ cov @ np.array([slope, [0.0, 1.0]]).T
+    for each in found:
+        difference = np.array([1.0, -1.0])
+        assert_allclose(each - np.diag([1e-4, 1e-4]), due, rtol=1e-6)
+        if np.ndim(cov) == 2 and cov[0, 1]:
+            apart = difference @ (each - 1e-4 * np.eye(2)) @ difference
+            assert_allclose(apart, difference @ due @ difference, rtol=1e-2, atol=1e-8)
+
+
+def test_a_branch_that_holds_while_either_of_two_is_small_is_told():
+    """Along each component its slope is right, and not along both at once."""
+
+    def cross(x):
+        a, w = x[..., 0], x[..., 1]
+        small = (np.abs(a) < 1e-4) | (np.abs(w) < 1e-4)
+        return pair(np.where(small, 0.0, a + chord(w)), w)
+
+    move = pgm.NonlinearGaussianCPD(D, D.previous, cross, cov=[1e-4, 1e-4])
+    model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(D, [0.0, 0.0], [1.0, 1.0])], [move], [])
+    pgm.filter(model, {}, steps=1)
+    assert "along [1, 0.658359], is 1.32" in move.derivatives.reason
+
+
 NARROW = {
     "tanh": (lambda a: np.tanh(a), lambda a: 1.0 / np.cosh(a) ** 2),
     "saturated": (lambda a: a / np.sqrt(1.0 + a * a), lambda a: (1.0 + a * a) ** -1.5),
@@ -238,7 +313,7 @@ def test_wrong_slopes_are_told_with_their_point():
     assert abs(slope[0, 0] + 0.5) > 0.1  # which is what is to be found
     found.close()
     assert "[1e-09]" in found.fault
-    assert "[-0.5]" in found.fault
+    assert "is -0.5 by differences" in found.fault
 
 
 @pytest.mark.parametrize("sampled", [True, False])

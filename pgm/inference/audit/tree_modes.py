@@ -20,7 +20,7 @@ from pgm.inference.audit.starts import images, white_points
 from pgm.inference.audit.tree_density import TreeDensity
 from pgm.inference.gaussian.beliefs import Calibrated
 from pgm.inference.gaussian.joints import joint_moments
-from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.model import LinearisedAt, Model
 from pgm.inference.gaussian.prior import prior_predictive
 from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.gaussian.tree import TreePlan, calibrate
@@ -161,7 +161,6 @@ class Search:
             there = at[:, group.parents].swapaxes(0, 1)
             family.linearise(slice(None), there, np.zeros((*there.shape, there.shape[-1])))
         frame = prior_predictive(layout, families, len(at), shared=False, start=at)
-        spread = np.broadcast_to(frame.scale, frame.mean.shape)
         readings = [None if r is None else tiled(r, self.count) for r in model.readings]
         moved = [
             None if r is None else np.broadcast_to(r, (len(r), len(at), r.shape[2]))
@@ -176,10 +175,7 @@ class Search:
             [None if t is None else tiled(t, self.count) for t in model.taken],
             False,
             frame,
-            [
-                (frame.mean[:, g.parents].swapaxes(0, 1), spread[:, g.parents].swapaxes(0, 1))
-                for g in layout.groups
-            ],
+            [LinearisedAt.prior(frame, group) for group in layout.groups],
         )
         made._follow(frame.mean, np.ones(len(at), dtype=bool))
         return made

@@ -32,7 +32,7 @@ def rounding(model: Model, g: int) -> Array:
     family = model.families[g]
     rule, template = family.lineariser, family.template
     assert template is not None
-    at, spread = model.points[g]
+    at, spread, lengths = model.points[g]
     here: Array = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
     away: Array = apply(np.abs(family.matrix), spread)
     if not family.hidden:
@@ -45,7 +45,8 @@ def rounding(model: Model, g: int) -> Array:
     share = np.ones((*at.shape[:-1], 1))
     if isinstance(rule, Taylor):
         some = list(template.numerical)
-        share += (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
+        reach = spread / differences.steps(at, lengths)
+        share += reach[..., some].sum(axis=-1, keepdims=True)
         away = away if some else np.zeros_like(away)
     return ROUNDING * (here * share + away)
 
@@ -60,7 +61,7 @@ def shift(model: Model) -> float:
     for g, family in enumerate(model.families):
         if cancellation(family):
             noise = deviation(family.noise)
-            prior = apply(np.abs(family.matrix), model.points[g][1])
+            prior = apply(np.abs(family.matrix), model.points[g].std)
             unit = np.where(noise > 0.0, noise, prior)
             lost = rounding(model, g) / np.where(unit > 0.0, unit, np.inf)
             most = max(most, float(lost.max(initial=0.0)) / ROUNDING)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,12 +19,42 @@ from pgm.inference.family import Family
 from pgm.inference.gaussian.layout import Group, Layout
 from pgm.inference.gaussian.prior import Frame, Predictive, prior_predictive
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Mask, deviation
+from pgm.kernels.arrays import Array, Mask, components_first, components_last, deviation
+from pgm.kernels.gaussian import deviations_given_another
 from pgm.linearisers import Lineariser
 from pgm.tracing import Judge
 from pgm.variables import Variable
 
 Kind = TypeVar("Kind", np.float64, np.bool_)
+
+
+class LinearisedAt(NamedTuple):
+    """Moments of the hidden parents of a group's CPDs where these were linearised.
+
+    Attributes
+    ----------
+    mean, std : ndarray
+        Means and standard deviations, (CPDs, runs, n).
+    lengths : ndarray
+        Deviations of each component given another, by which `Taylor` takes differences, of the same
+        shape; see `deviations_given_another`.
+    """
+
+    mean: Array
+    std: Array
+    lengths: Array
+
+    @classmethod
+    def prior(cls, frame: Frame, group: Group) -> LinearisedAt:
+        """The moments that a frame tells, before any CPD of a group has been linearised."""
+        std = np.broadcast_to(frame.scale, frame.mean.shape)[:, group.parents].swapaxes(0, 1)
+        return cls(frame.mean[:, group.parents].swapaxes(0, 1), std, std)
+
+    @classmethod
+    def belief(cls, mean: Array, cov: Array) -> LinearisedAt:
+        """The moments of beliefs N(mean, cov), of (CPDs, runs, n) and (CPDs, runs, n, n)."""
+        lengths = components_last(deviations_given_another(components_first(cov, 2)), 1)
+        return cls(mean, deviation(cov), lengths)
 
 
 @dataclass(eq=False)
@@ -36,9 +66,8 @@ class Model:
     are the same with angles on the branch nearest the CPD's value where it was linearised; `taken`
     (CPDs, runs or 1, d) masks the components that were measured, None for all. `shared` says
     whether all runs have the same matrices, covariances and components measured. `points` are the
-    means and standard deviations, (CPDs, runs, n), of hidden parents where CPDs were linearised
-    last. `first` is True until `relinearise`: until then `points` are the prior's moments or a
-    start, maybe far from the posterior.
+    moments of hidden parents where CPDs were linearised last. `first` is True until `relinearise`:
+    until then `points` are the prior's moments or a start, maybe far from the posterior.
     """
 
     layout: Layout
@@ -49,7 +78,7 @@ class Model:
     taken: list[Mask | None]
     shared: bool
     frame: Frame
-    points: list[tuple[Array, Array]]
+    points: list[LinearisedAt]
     first: bool = True
 
     @classmethod
@@ -91,11 +120,7 @@ class Model:
                 family.linearise(slice(None), at, np.zeros((*at.shape, at.shape[-1])))
         find = prior_predictive if start is not None else predictive
         frame = find(layout, families, bound.runs, shared=shared, start=start)
-        spread = np.broadcast_to(frame.scale, frame.mean.shape)
-        points = [
-            (frame.mean[:, group.parents].swapaxes(0, 1), spread[:, group.parents].swapaxes(0, 1))
-            for group in layout.groups
-        ]
+        points = [LinearisedAt.prior(frame, group) for group in layout.groups]
         moved = [
             None if rows is None else np.broadcast_to(rows, (len(rows), bound.runs, rows.shape[2]))
             for rows in readings
@@ -134,10 +159,10 @@ class Model:
         for g, (family, at) in enumerate(zip(self.families, parents, strict=True)):
             if at is not None:
                 family.linearise(slice(None), *at, active)
-                new = at[0], deviation(at[1])
-                before, spread = self.points[g]
-                one = active[:, None]
-                self.points[g] = np.where(one, new[0], before), np.where(one, new[1], spread)
+                pairs = zip(LinearisedAt.belief(*at), self.points[g], strict=True)
+                self.points[g] = LinearisedAt(
+                    *(np.where(active[:, None], new, before) for new, before in pairs)
+                )
         self._follow(mean, active)
         self.first = False
 
