@@ -12,7 +12,7 @@ from pgm.kernels.arrays import Array, Mask
 
 
 def steps(x: Array, std: Array) -> Array:
-    """The difference steps at x, (..., n): max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|).
+    """The steps of differences at points x, (..., n) both: max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|).
 
     `std` (..., n) are the standard deviations of x.
     """
@@ -21,20 +21,22 @@ def steps(x: Array, std: Array) -> Array:
 
 
 def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: Mask) -> Array:
-    """The Jacobian (..., d, n) of a function at points x (..., n), over the steps of `steps`.
+    """The Jacobian (..., d, n) of a function at points x (..., n), by differences.
 
-    `std` (..., n) are the standard deviations of x, and `angles` (d,) marks the values of the
-    function that are angles. `over`, which finds the Jacobian, says what the function takes.
+    The function maps points (..., 4n, n) to their values (..., 4n, d) and is called once. The steps
+    are those of `steps` for the standard deviations `std` (..., n) of x. `angles` (d,) marks the
+    components of the values that are angles.
     """
     return over(function, x, steps(x, std), angles)
 
 
 def over(function: Callable[[Array], Array], x: Array, step: Array, angles: Mask) -> Array:
-    """The Jacobian (..., d, n) of a function at points x (..., n) over steps (..., n).
+    """The Jacobian (..., d, n) of a function at points x (..., n), by differences over given steps.
 
-    It takes one call of the function, which maps points (..., 4n, n) to their values (..., 4n, d).
-    The derivatives are central differences of fourth order. `angles` (d,) marks the values that are
-    angles, whose differences are wrapped to [−π, π).
+    The function maps points (..., 4n, n) to their values (..., 4n, d) and is called once. The
+    derivatives are central differences of fourth order, with `step` (..., n) the step along each
+    component of x. `angles` (d,) marks the components of the values that are angles, whose
+    differences are wrapped to [−π, π).
     """
     lead, size = x.shape[:-1], x.shape[-1]
     step = (x + step) - x  # the step that is taken in floating point
@@ -49,7 +51,10 @@ def over(function: Callable[[Array], Array], x: Array, step: Array, angles: Mask
 
 @lru_cache(maxsize=64)
 def _stencil(size: int) -> Array:
-    """The points of `over` less x, in steps, (4n, n): +1, −1, +2, −2 for each component in turn."""
+    """The offsets (4n, n) from x, in steps, of the points at which `over` calls the function.
+
+    For each of the n components in turn they are +1, −1, +2 and −2 along that component.
+    """
     offsets = np.eye(size)[:, None, :] * np.array([1.0, -1.0, 2.0, -2.0])[:, None]
     stencil: Array = offsets.reshape(4 * size, size)
     stencil.flags.writeable = False
