@@ -2,8 +2,9 @@
 
 Each operation on a component goes along a contiguous row of runs. Covariances P (n, n, runs) are
 exactly symmetric. A measurement of a belief N(m, P) is z = H x + n, n ~ N(0, R), of d components;
-r = z − H m is its residual, S = H P Hᵀ + R the covariance of r. It is *mild* where S is at most a
-thousand times R in every direction: then no variance falls more than a thousand times.
+r = z − H m is its residual, S = H P Hᵀ + R the covariance of r. The measurement is *mild* where S
+is at most a thousand times R in every direction: then it shrinks no variance more than a thousand
+times.
 
 Symmetric matrices are factorised as U D Uᵀ, with U unit lower triangular and D the diagonal of
 pivots: a pivot is the variance of a component given those before it.
@@ -27,9 +28,10 @@ _SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
-    """Put the covariance F P Fᵀ + noise into `out`, (d, d, runs); F is `matrix`, (d, n, runs).
+    """Put the covariance F P Fᵀ + noise of a prediction F x + n into `out`, (d, d, runs).
 
-    P is `cov` (n, n, runs); `noise` is (d, d, runs or 1).
+    F is `matrix`, (d, n, runs), P = `cov`, (n, n, runs), the covariance of x, and `noise`,
+    (d, d, runs or 1), that of n.
     """
     half = np.einsum(_TIMES_TRANSPOSED, matrix, cov)
     np.einsum(_TIMES_TRANSPOSED, half, matrix, out=out)
@@ -41,8 +43,8 @@ class Update(NamedTuple):
     """The belief N(mean, cov) after a measurement, and the factors of S = U diag(pivots) Uᵀ.
 
     `mean` is (n, runs) and `cov` (n, n, runs); `log_density` (runs,) is ln N(r; 0, S). `pivots` is
-    (d, runs). Below the diagonal the entries of `unit` (d, d, runs) are those of U; on and above it
-    they are not. `mild`: whether the measurement is known to be mild in all runs.
+    (d, runs). Of `unit` (d, d, runs) only the entries below the diagonal are those of U. `mild`:
+    whether the measurement is known to be mild in all runs.
     """
 
     mean: Array
@@ -59,12 +61,13 @@ class Update(NamedTuple):
 
 
 def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
-    """The bound 1000 det R on det S, (runs or 1,): below it a measurement is mild.
+    """The bound 1000 det R on det S, (runs or 1,): a measurement with a smaller det S is mild.
 
     `noise` is R, (d, d, runs or 1). Since S ≥ R, a smaller det S leaves S at most 1000 R in every
-    direction: P − G S Gᵀ then loses at most three of sixteen digits, and S is regular. The bound is
-    0, so that no measurement counts as mild, where a pivot of R is at most 1000 · `least` times its
-    diagonal entry, or det R is no more than the smallest normal float64.
+    direction: S is then regular, and the new covariance P − G S Gᵀ, with the gain G = P Hᵀ S⁻¹,
+    loses at most three of sixteen digits. The bound is 0, so that no measurement counts as mild,
+    where a pivot of R is at most 1000 · `least` times its diagonal entry, or det R is no more than
+    the smallest normal float64.
     """
     pivots = _eliminate(noise.copy())
     regular = (pivots > _MILD * least * np.einsum("iir->ir", noise)).all(axis=0)
@@ -131,10 +134,11 @@ def update(
 
 
 def open_share(cov: Array) -> float:
-    """The smallest share of a variance that the components before it leave open, in any run.
+    """The smallest ratio of a component's variance given the components before it to its variance.
 
-    It is the minimum of L_ii² / P_ii for covariances P = L Lᵀ, (n, n, runs), and at most 1. `cov`
-    is overwritten; components without a variance do not count.
+    It is the minimum of L_ii² / P_ii over all components i and all runs of covariances P = L Lᵀ,
+    (n, n, runs), and at most 1. `cov` is P and is overwritten; components without a variance do not
+    count.
     """
     variances = np.einsum("iir->ir", cov)
     variances[variances == 0.0] = 1.0
@@ -143,11 +147,12 @@ def open_share(cov: Array) -> float:
 
 
 def inflation(cov: Array) -> Array:
-    """The variance inflation factors of covariances (n, n, runs) added up: tr C⁻¹, (runs,).
+    """The sum of the variance inflation factors of each covariance (n, n, runs), as (runs,).
 
-    C are the correlations; a factor is a variance over the share of it that all other components
-    leave open. With C = U D Uᵀ it is Σ_k Σ_i (U⁻¹)²_ki / D_k. `cov` is overwritten; the factor of a
-    component without a variance is one, and the sum is infinite where C is not positive definite.
+    The factor of a component is its variance divided by its variance given all other components.
+    The sum is tr C⁻¹ for the correlations C, and with C = U D Uᵀ it is Σ_k Σ_i (U⁻¹)²_ki / D_k.
+    `cov` is overwritten; the factor of a component without a variance is one, and the sum is
+    infinite where C is not positive definite.
     """
     size = len(cov)
     own = np.einsum("iir->ir", cov)
@@ -229,7 +234,11 @@ def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
 
 
 def _sum_of_squares(gain: Array, cov: Array, matrix: Array, noise: Array, out: Array) -> None:
-    """Put Joseph's form (1 − G H) P (1 − G H)ᵀ + G R Gᵀ, (n, n, runs), with noise R, into `out`."""
+    """Put the covariance after an update, (I − G H) P (I − G H)ᵀ + G R Gᵀ, into `out`.
+
+    This form, Joseph's, holds for any gain G. `out` and P = `cov` are (n, n, runs), G = `gain`
+    (n, d, runs), H = `matrix` (d, n, runs) and R = `noise` (d, d, runs or 1).
+    """
     size, height, runs = gain.shape
     # [1 − G H, G] and [(1 − G H) P, G noise].
     factor, spread = np.empty((2, size, size + height, runs))
@@ -245,7 +254,10 @@ def _sum_of_squares(gain: Array, cov: Array, matrix: Array, noise: Array, out: A
 
 
 def divide(matrix: Array, lower: Array) -> Array:
-    """The F with F L = J, (d, n, runs), for J = `matrix` and lower triangular L (n, n, runs)."""
+    """The solution F of F L = J, (d, n, runs), for J = `matrix` and lower triangular L = `lower`.
+
+    J is (d, n, runs), L (n, n, runs).
+    """
     result = np.empty_like(matrix)
     for j in reversed(range(len(lower))):
         column = matrix[:, j]

@@ -1,4 +1,4 @@
-"""Angles in radians: equal ones in [−π, π), differences, and the branch nearest a reference."""
+"""Angles in radians: wrapping to [−π, π), differences, and the branch nearest a reference."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ TURN = 2.0 * np.pi
 
 
 def wrap(angle: Array) -> Array:
-    """The same angles, moved by whole turns into [−π, π)."""
+    """The angles, of any shape, moved by whole turns into [−π, π)."""
     wrapped = angle - TURN * np.floor((angle + np.pi) / TURN)  # a remainder takes thrice as long
     # Rounding can pass either end by a last digit.
     return np.where((wrapped < -np.pi) | (wrapped >= np.pi), -np.pi, wrapped)
@@ -28,7 +28,7 @@ def difference(a: Array, b: Array, angles: Mask) -> Array:
 
 
 def nearest_branch(value: Array, reference: Array, angles: Mask) -> Array:
-    """The value, (..., d), its angles moved by whole turns to within π of those of `reference`.
+    """The vectors `value` (..., d), with angles moved by whole turns to within π of `reference`.
 
     `angles` (d,) marks the components that are angles; other components stay as they are. The
     reference is (..., d) and broadcasts with the value.

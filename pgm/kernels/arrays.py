@@ -51,7 +51,10 @@ def _last_to(memory: Array, place: int) -> Array:
 
 
 def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """A view of an array (own axes, *batch) with its first `own` axes last, as users see it."""
+    """A view of an array with its first `own` axes, those of components, moved behind the batch.
+
+    With `own` = 2, (n, n, *batch) becomes (*batch, n, n), the order in which users see arrays.
+    """
     axes = array.ndim
     if axes == own:
         return array
@@ -60,7 +63,10 @@ def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
 
 
 def components_first(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """A view of an array (*batch, own axes) with its last `own` axes first, as kernels take it."""
+    """A view of an array with its last `own` axes, those of components, moved before the batch.
+
+    With `own` = 2, (*batch, n, n) becomes (n, n, *batch), the order that kernels of one step take.
+    """
     axes = array.ndim
     if axes == own:
         return array
@@ -78,7 +84,7 @@ def times(matrix: Array, vector: Array) -> Array:
 
 
 def within(cov: Array, places: Index) -> Array:
-    """The block of covariances (n, n, *batch) at the components `places`, as rows and columns."""
+    """The covariances (k, k, *batch) of the k components `places` within `cov` (n, n, *batch)."""
     return cov[places][:, places]
 
 
@@ -109,14 +115,14 @@ def by_runs(matrix: Array) -> bool:
 
 
 def room(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """An uninitialised array (*lead, *shape), in memory with all its leading axes fastest."""
+    """An uninitialised array (*lead, *shape), in memory with all axes of `lead` fastest."""
     own = len(shape)
     memory = np.empty((*shape, *lead))
     return memory.transpose(*range(own, memory.ndim), *range(own))
 
 
 def contiguous(matrix: Array) -> Array:
-    """The matrices in C order; those that lie by runs as a copy in the layout of `room`."""
+    """The matrices (..., m, n) in C order; if they lie by runs, a copy as `room` lays it out."""
     if not by_runs(matrix):
         return np.ascontiguousarray(matrix)
     copy = room(matrix.shape[:-2], matrix.shape[-2:])
@@ -125,7 +131,10 @@ def contiguous(matrix: Array) -> Array:
 
 
 def multiply(a: Array, b: Array) -> Array:
-    """The product A B, stacked; computed along the runs where A or B lies by runs."""
+    """The products A B, (..., m, n), of stacked matrices A (..., m, k) and B (..., k, n).
+
+    They are computed along the runs where A or B lies by runs.
+    """
     many_a, many_b = by_runs(a), by_runs(b)
     if not (many_a or many_b):
         return a @ b
@@ -137,7 +146,10 @@ def multiply(a: Array, b: Array) -> Array:
 
 
 def times_transposed(a: Array, b: Array) -> Array:
-    """A Bᵀ, stacked; the fastest product where both are laid out as by `contiguous`."""
+    """The products A Bᵀ, (..., m, n), of stacked matrices A (..., m, k) and B (..., n, k).
+
+    This is the fastest product where both are laid out as by `contiguous`.
+    """
     many_a, many_b = by_runs(a), by_runs(b)
     if many_a and many_b:
         return _along_runs("...ij,...kj->...ik", a, b, b.shape[-2])
@@ -147,7 +159,10 @@ def times_transposed(a: Array, b: Array) -> Array:
 
 
 def times_symmetric(a: Array, b: Array) -> Array:
-    """A B, stacked, for a symmetric B: as A Bᵀ where that is faster."""
+    """The products A B, (..., m, n), of A (..., m, n) and symmetric B (..., n, n).
+
+    They are computed as A Bᵀ where both lie by runs, which is faster.
+    """
     return times_transposed(a, b) if by_runs(a) and by_runs(b) else multiply(a, b)
 
 
@@ -166,12 +181,15 @@ def _along_runs(product: str, a: Array, b: Array, width: int) -> Array:
 
 
 def distinct(matrix: Array) -> Array:
-    """The one matrix (m, n) that a stack (R, m, n) repeats as a view; any other stack itself."""
+    """The matrix (m, n) that a stack (R, m, n) repeats as a broadcast view; else the stack."""
     return matrix[0] if matrix.ndim == 3 and matrix.strides[0] == 0 else matrix
 
 
 def _times_one(many: Array, one: Array) -> Array:
-    """A Bᵀ, (R, m, k), for many A (R, m, n) and one B (k, n), as m products of B with (n, R)."""
+    """The products A Bᵀ, (R, m, k), of R matrices A (R, m, n) and one matrix B (k, n).
+
+    They are computed as m products of B with a matrix (n, R).
+    """
     product: Array = one @ many.transpose(1, 2, 0)
     return product.transpose(2, 0, 1)
 
@@ -185,7 +203,7 @@ def apply(matrix: Array, vector: Array) -> Array:
 
 
 def inner(a: Array, b: Array) -> Array:
-    """Inner product of stacked vectors, (...)."""
+    """The inner products (...) of stacked vectors (..., n)."""
     product: Array = np.einsum("...i,...i->...", a, b)
     return product
 
@@ -202,7 +220,7 @@ def deviation(cov: Array) -> Array:
 
 
 def symmetric(matrix: Array) -> Array:
-    """(A + Aᵀ) / 2, which removes the rounding of a symmetric product."""
+    """The matrices (A + Aᵀ) / 2, (..., n, n), without the asymmetry that rounding has left in A."""
     return 0.5 * (matrix + transpose(matrix))
 
 
@@ -219,12 +237,12 @@ def make_symmetric(matrix: Array) -> Array:
 
 
 def sandwich(factor: Array, matrix: Array) -> Array:
-    """F P Fᵀ, stacked, for a symmetric P."""
+    """The matrices F P Fᵀ, (..., d, d), for F (..., d, n) and symmetric P (..., n, n)."""
     return times_transposed(times_symmetric(factor, matrix), factor)
 
 
 def one_minus(matrix: Array) -> Array:
-    """I − A, stacked; where A lies by runs it is overwritten with the result."""
+    """The matrices I − A, (..., n, n); where A lies by runs it is overwritten with the result."""
     if not by_runs(matrix):
         return np.eye(matrix.shape[-1]) - matrix
     np.negative(matrix, out=matrix)
@@ -243,24 +261,25 @@ def as_index(positions: npt.ArrayLike) -> Index:
 
 
 def block(matrix: Array, rows: Index, columns: Index) -> Array:
-    """The block of a stacked matrix at some rows and columns; a view where both are slices."""
+    """The blocks of matrices (..., m, n) at some rows and columns; a view where both are slices."""
     if isinstance(rows, slice) or isinstance(columns, slice):
         return matrix[..., rows, :][..., columns]
     return matrix[..., rows[:, None], columns]
 
 
 def independent(cov: Array, seen: Mask) -> Array:
-    """Covariances (..., n, n) with unit variance and no correlation of each component not `seen`.
+    """Covariances (..., n, n) in which components that `seen` does not mark are independent.
 
-    `seen` (..., n) marks the components whose variances and covariances stay.
+    `seen` (..., n) marks the components whose variances and covariances stay. Each other component
+    gets the variance one and no covariance, so that it adds a known constant to a log-density.
     """
     return np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
 
 
 def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kind]:
-    """An array cut to some runs along its axis `axis`, of runs; of length one, it stays whole.
+    """An array cut to the runs of the slice `runs` along `axis`, its axis of runs.
 
-    An axis of length one stands for all runs.
+    An axis of runs of length one stands for all runs: the array is then returned whole.
     """
     return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]
 
@@ -280,9 +299,9 @@ def frozen(array: Array) -> Array:
 
 
 def unravelled(index: Integers, shape: Sequence[int]) -> tuple[Integers, ...]:
-    """The indices along each axis, (...) each, of flat indices (...) into an array of a shape.
+    """The indices along each axis, (...) each, of flat indices (...) into an array of `shape`.
 
-    NumPy's function is wrong for more than 8,192 indices whose last axis has length one.
+    NumPy's own function is wrong for more than 8,192 indices whose last axis has length one.
     """
     if np.ndim(index) < 2:
         return np.unravel_index(index, shape)

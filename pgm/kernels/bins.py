@@ -14,10 +14,10 @@ _FARTHEST = 2.0**52
 
 
 def keys(points: Array, widths: Array, angles: Mask) -> Integers | None:
-    """The whole-number bin of each point (d, n) along each axis, (d, n).
+    """The whole numbers (d, n) of the bins that n points (d, n) fall into along each of d axes.
 
-    `widths` (d,) are those of the bins; on the axes that `angles` (d,) marks, they are changed so
-    that a whole number of bins makes a turn. None if a point is 2⁵² bins or more from zero.
+    `widths` (d,) are the widths of the bins; on the axes that `angles` (d,) marks, they are changed
+    so that a whole number of bins makes a turn. None if a point is 2⁵² bins or more from zero.
     """
     scaled = np.asarray(points, dtype=np.float64) / widths[:, None]
     for k in np.flatnonzero(angles):
@@ -30,7 +30,7 @@ def keys(points: Array, widths: Array, angles: Mask) -> Integers | None:
 
 
 def occupied(bins: Integers) -> int:
-    """The number of different bins, columns of (d, n), among n draws."""
+    """The number of different bins among those of n draws, the columns of `bins` (d, n)."""
     low = bins.min(axis=1, keepdims=True)
     spans = [int(span) for span in (bins.max(axis=1) - low[:, 0] + 1)]
     if math.prod(spans) < 2**62:

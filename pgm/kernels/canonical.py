@@ -27,7 +27,7 @@ Canonical = tuple[Array, Array, Array]
 
 
 def strict_root(matrix: Array) -> Array:
-    """The lower root L, L Lᵀ = A, of positive definite A (..., n, n); NaN where A is not that."""
+    """The lower triangular L, L Lᵀ = A, of A (..., n, n); NaN where A is not positive definite."""
     lower = roots.root(matrix)
     singular: Mask = np.asarray(roots.determined(lower).any(axis=-1))
     if singular.any():
@@ -36,10 +36,10 @@ def strict_root(matrix: Array) -> Array:
 
 
 def _invertible_root(cov: Array) -> Array:
-    """The lower root of regular covariances (..., n, n); NaN where one is singular or indefinite.
+    """The lower triangular L with L Lᵀ = `cov` (..., n, n); NaN where it is singular or indefinite.
 
-    One is singular where a pivot is rounding, or an eigenvalue of the correlations is below 10⁻¹³,
-    which pivots alone can miss.
+    A covariance counts as singular where a pivot is rounding, or an eigenvalue of the correlations
+    is below 10⁻¹³, which pivots alone can miss.
     """
     lower = strict_root(cov)
     variances = np.diagonal(cov, axis1=-2, axis2=-1)
@@ -55,7 +55,10 @@ def _column(vector: Array) -> Array:
 
 
 def from_moments(mean: Array, cov: Array, log_weight: Array) -> Canonical:
-    """exp(log_weight) N(x; mean, cov) in canonical form; NaN where the covariance is singular."""
+    """The canonical form K, h, g of exp(log_weight) N(x; mean, cov).
+
+    `mean` is (..., n), `cov` (..., n, n), `log_weight` (...). NaN where `cov` is singular.
+    """
     size = mean.shape[-1]
     lower = _invertible_root(cov)
     precision = symmetric(solving.solve(lower, np.broadcast_to(np.eye(size), cov.shape)))
@@ -81,7 +84,7 @@ def to_moments(precision: Array, h: Array, g: Array) -> tuple[Array, Array, Arra
 
 
 def marginalise(precision: Array, h: Array, g: Array, keep: Index, drop: Index) -> Canonical:
-    """The form over the components `keep`, with those at `drop` integrated out.
+    """The canonical form over the components `keep`, with the components `drop` integrated out.
 
     NaN where the block of K at `drop` is not positive definite.
     """
@@ -101,7 +104,10 @@ def marginalise(precision: Array, h: Array, g: Array, keep: Index, drop: Index) 
 def reduce(
     precision: Array, h: Array, g: Array, keep: Index, fixed: Index, value: Array
 ) -> Canonical:
-    """The form over the components `keep`, with those at `fixed` set to `value`, (..., d)."""
+    """The canonical form over the components `keep`, with the d components `fixed` set to a value.
+
+    `value` is (..., d).
+    """
     inside = apply(block(precision, fixed, fixed), value)
     return (
         block(precision, keep, keep),
@@ -111,9 +117,10 @@ def reduce(
 
 
 def from_affine(matrix: Array, offset: Array, noise: Array) -> Canonical:
-    """N(y; F x + b, noise) as a form over the stacked vector (y, x), F being `matrix` (..., d, n).
+    """The canonical form over the stacked vector (y, x) of N(y; F x + b, Σ).
 
-    NaN where the noise covariance (..., d, d) is singular.
+    F is `matrix` (..., d, n), b `offset` (..., d) and Σ `noise` (..., d, d). NaN where Σ is
+    singular.
     """
     size = matrix.shape[-2]
     lower = _invertible_root(noise)
@@ -129,10 +136,11 @@ def from_affine(matrix: Array, offset: Array, noise: Array) -> Canonical:
 def backward(
     matrix: Array, offset: Array, noise: Array, precision: Array, h: Array, g: Array
 ) -> Canonical:
-    """∫ N(y; F x + b, Σ) C(y; K, h, g) dy as a canonical form over x, F being `matrix` (..., d, n).
+    """The canonical form over x of the integral ∫ N(y; F x + b, Σ) C(y; K, h, g) dy.
 
-    The noise covariance Σ is never inverted and may be singular. With a root K = R Rᵀ nothing is
-    subtracted from K either, so that a vague noise after a sharp message costs no digits. An
+    F is `matrix` (..., d, n), b `offset` (..., d) and Σ `noise` (..., d, d); y has d components. Σ
+    is never inverted and may be singular. For a semidefinite K a root R, K = R Rᵀ, is used, so that
+    nothing is subtracted from K and a vague noise after a sharp message costs no digits. An
     indefinite K is allowed where the integral converges; else the result is NaN.
     """
     root = roots.root(precision)
@@ -159,11 +167,12 @@ def backward(
 
 
 def _split(root: Array, vector: Array) -> tuple[Array, Array]:
-    """The q and r, (..., n), with vector = R q + r; r is zero for a vector in the range of R.
+    """The vectors q and r, (..., n) both, with `vector` = R q + r, for `vector` (..., n).
 
     R = `root` (..., n, n) is lower triangular with a zero column for each determined component. At
-    these q is zero, and r is `vector` less R q, or zero where that is at most 10⁻⁹ of its summands'
-    sizes, which is rounding. At all other components r is zero.
+    determined components q is zero, and r is `vector` − R q, or zero where this difference is at
+    most 10⁻⁹ of the sizes of its terms, which is rounding. At all other components r is zero; it is
+    zero throughout for a vector in the range of R.
     """
     fixed = roots.determined(root)
     found = solving.solve_lower(root, _column(vector))[..., 0]
@@ -176,10 +185,11 @@ def _split(root: Array, vector: Array) -> tuple[Array, Array]:
 def _backward_indefinite(
     matrix: Array, offset: Array, noise: Array, precision: Array, h: Array, g: Array
 ) -> Canonical:
-    """The integral of `backward` for an indefinite K, by a root L of the noise, Σ = L Lᵀ, instead.
+    """The integral of `backward`, with its arguments, for an indefinite K.
 
-    Quotients of messages have such K. The integral converges where I + LᵀKL is positive definite;
-    elsewhere it is NaN.
+    The quotient of two messages can have an indefinite K. It has no root, so that a root L of the
+    noise, Σ = L Lᵀ, is used instead. The integral converges where I + LᵀKL is positive definite;
+    elsewhere the result is NaN.
     """
     root = roots.root(noise)
     reach = precision @ root
@@ -202,14 +212,14 @@ def _backward_indefinite(
 
 
 def product(a: Canonical, b: Canonical) -> Canonical:
-    """The product of two forms over the same variables."""
+    """The product of two canonical forms over the same variables."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def combine(
     mean: Array, cov: Array, precision: Array, h: Array, g: Array
 ) -> tuple[Array, Array, Array]:
-    """The mean, covariance and log-integral of N(x; mean, cov) C(x; K, h, g).
+    """The mean, covariance and log-integral (...) of the product N(x; mean, cov) C(x; K, h, g).
 
     With cov = L Lᵀ, which may be singular, the covariance is L (I + LᵀKL)⁻¹ Lᵀ. All three are NaN
     where I + LᵀKL is not positive definite.
@@ -232,6 +242,6 @@ def combine(
 
 
 def shift(precision: Array, h: Array, g: Array, by: Array) -> Canonical:
-    """The canonical form over x = y + by, from the form K, h, g over y; `by` is (..., n)."""
+    """The canonical form over x = y + `by`, from the form K, h, g over y; `by` is (..., n)."""
     moved = apply(precision, by)
     return precision, h + moved, g - inner(h, by) - 0.5 * inner(moved, by)

@@ -1,7 +1,7 @@
 """Arrays of `decimal.Decimal`: arithmetic in as many digits as a model needs.
 
-A Decimal has any float64 exactly, and unlimited exponents, so that nothing underflows; an operation
-takes about a microsecond an element: this is for small problems.
+A Decimal represents any float64 exactly, and its exponent is unlimited, so that nothing underflows.
+An operation takes about a microsecond an element, so that only small problems are solved this way.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def floats(array: Decimals) -> Array:
 
 
 def sqrt(array: Decimals) -> Decimals:
-    """The square roots; of a negative number NaN, if called in the context of `precision`."""
+    """The square roots of decimals; NaN for a negative one, within the context of `precision`."""
     return np.asarray(_root(array), dtype=object).reshape(np.shape(array))
 
 
@@ -72,5 +72,5 @@ def log(number: Decimal) -> float:
 
 
 def total(a: Decimals) -> Decimals:
-    """The sums over the last axis, (...) of (..., n); zero where n is zero."""
+    """The sums (...) of decimals (..., n) over the last axis; zero where n is zero."""
     return np.asarray(a.sum(axis=-1) if a.shape[-1] else zeros(*a.shape[:-1]), dtype=object)

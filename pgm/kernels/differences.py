@@ -11,7 +11,7 @@ from pgm.kernels.arrays import Array, Mask
 
 
 def steps(x: Array, std: Array) -> Array:
-    """The difference steps at x, (..., n): max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|).
+    """The steps of differences at points x, (..., n) both: max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|).
 
     `std` (..., n) are the standard deviations of x.
     """
@@ -20,19 +20,22 @@ def steps(x: Array, std: Array) -> Array:
 
 
 def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: Mask) -> Array:
-    """The Jacobian (..., d, n) of a function at points x (..., n), over the steps of `steps`.
+    """The Jacobian (..., d, n) of a function at points x (..., n), by differences.
 
-    `std` (..., n) are the standard deviations of x, and `angles` (d,) marks the values of the
-    function that are angles. `over`, which finds the Jacobian, says what the function takes.
+    The function maps points (..., 4n, n) to their values (..., 4n, d) and is called once. The steps
+    are those of `steps` for the standard deviations `std` (..., n) of x. `angles` (d,) marks the
+    components of the values that are angles.
     """
     return over(function, x, steps(x, std), angles)
 
 
 def over(function: Callable[[Array], Array], x: Array, step: Array, angles: Mask) -> Array:
-    """The Jacobian (..., d, n) of a function at points x (..., n) over steps (..., n).
+    """The Jacobian (..., d, n) of a function at points x (..., n), by differences over given steps.
 
-    It takes one call of the function, which maps points (..., 4n, n) to their values (..., 4n, d).
-    `angles` (d,) marks the values that are angles, whose differences are wrapped to [−π, π).
+    The function maps points (..., 4n, n) to their values (..., 4n, d) and is called once. The
+    derivatives are central differences of fourth order, with `step` (..., n) the step along each
+    component of x. `angles` (d,) marks the components of the values that are angles, whose
+    differences are wrapped to [−π, π).
     """
     step = taken(x, step)
     moves = step[..., None] * np.eye(x.shape[-1])

@@ -63,13 +63,13 @@ class Belief(NamedTuple):
 
 
 def compose(first: Element, then: Element) -> Element:
-    """The element of two segments, the second beginning where the first ends.
+    """The element of two segments as one, the second beginning where the first ends.
 
-    With M = (I + Σ₁K₂)⁻¹: F = F₂MF₁, b = F₂M(b₁ + Σ₁h₂) + b₂, Σ = F₂MΣ₁F₂ᵀ + Σ₂, K = F₁ᵀK₂MF₁ + K₁,
-    h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁. With Σ₁ = L Lᵀ, the lower triangular root U of I + LᵀK₂L = U Uᵀ, and
-    X = U⁻¹Lᵀ, MΣ₁ is XᵀX, M is I − XᵀXK₂, and K₂M is MᵀK₂M + GᵀG with G = U⁻ᵀXK₂: sums of
-    semidefinite terms, so that sharp evidence after a vague noise costs no digits. g is None if
-    either segment's is.
+    Subscript 1 is for `first`, 2 for `then`. With M = (I + Σ₁K₂)⁻¹ the result is F = F₂MF₁,
+    b = F₂M(b₁ + Σ₁h₂) + b₂, Σ = F₂MΣ₁F₂ᵀ + Σ₂, K = F₁ᵀK₂MF₁ + K₁ and h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁.
+    With Σ₁ = L Lᵀ, the lower triangular root U of I + LᵀK₂L = U Uᵀ, and X = U⁻¹Lᵀ, MΣ₁ is XᵀX, M is
+    I − XᵀXK₂, and K₂M is MᵀK₂M + GᵀG with G = U⁻ᵀXK₂: sums of semidefinite terms, so that sharp
+    evidence after a vague noise costs no digits. g is None if the g of either segment is.
     """
     white, upper = _meet(first.cov, then.K)
     reach = multiply(multiply(white, then.K), first.F)
@@ -105,14 +105,15 @@ def _meet(cov: Array, precision: Array) -> tuple[Array, Array]:
 
 
 def _gram(a: Array) -> Array:
-    """The Gram matrix AᵀA, which is semidefinite whatever rounding does to A."""
+    """The Gram matrices AᵀA, (..., n, n), of A (..., m, n): semidefinite even with A rounded."""
     return multiply(transpose(a), a)
 
 
 def _log_weight(mean: Array, h: Array, rest: Array, white: Array, upper: Array) -> Array:
     """The log-integral ln ∫ N(x; m, L Lᵀ) exp(−½ xᵀK x + hᵀx) dx, (...).
 
-    `rest` is h − K m, `upper` the U of `_meet`, and `white` is X (h − K m) with the X of `_meet`.
+    m is `mean` and `rest` h − K m, (..., n) as `h`. `upper` is the lower triangular root U of
+    I + LᵀKL = U Uᵀ, (..., n, n), and `white` is X (h − K m), (..., n), with X = U⁻¹Lᵀ.
     """
     level = 0.5 * (inner(h + rest, mean) + inner(white, white))
     return level - 0.5 * solving.log_determinant(upper)
@@ -132,7 +133,7 @@ class Known(NamedTuple):
 
     `mean` is (..., n). With P = L Lᵀ, U is the lower triangular root of I + LᵀKL = U Uᵀ, and X =
     U⁻¹Lᵀ, (..., n, n) both; `white` is X (h − K m), (..., n). `log_weight` (...) is the logarithm
-    of the product's integral; None if belief or likelihood has no log-scale.
+    of the product's integral; None if the belief has no `log_weight` or the likelihood no g.
     """
 
     mean: Array

@@ -100,7 +100,7 @@ class Twofold:
 
 
 def where(mask: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
-    """The numbers of `a` where the mask holds, and those of `b` elsewhere."""
+    """The numbers of `a` where the mask is true, those of `b` elsewhere; all three broadcast."""
     a, b = _twofold(a), _twofold(b)
     return Twofold(np.where(mask, a.hi, b.hi), np.where(mask, a.lo, b.lo))
 

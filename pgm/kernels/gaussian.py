@@ -4,8 +4,9 @@ Each function chooses the fastest code: for one small Gaussian, Python generated
 (`unrolled`); for a larger one LAPACK; for a batch of runs `along_runs`. Where S is nearly singular,
 all go to `moments`, which tells singular covariances from rounding.
 
-A measurement of d components is z = H x + n, n ~ N(0, R); S = H P Hᵀ + R. The components of a
-prediction that are *bare* have no noise of their own: what they have is F x + b.
+A measurement of d components of a belief N(m, P) is z = H x + n, n ~ N(0, R); S = H P Hᵀ + R is the
+covariance of its residual z − H m. A component of a prediction F x + b + n is *bare* if n is zero
+in it, so that the component is that of F x + b.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ _REGULAR = 1e-11
 
 @lru_cache(maxsize=1)
 def _lapack() -> ModuleType:
+    """SciPy's module of LAPACK functions, imported at the first call."""
     from scipy.linalg import lapack  # here, since it is slow to import
 
     module: ModuleType = lapack
@@ -71,7 +73,7 @@ def deviations_given_another(cov: Array) -> Array:
 def root(cov: Array) -> Array | None:
     """The lower triangular L with P = L Lᵀ, (n, n, *batch); None if any P is not clearly regular.
 
-    That is, where a pivot L_jj² is at most 10⁻¹¹ P_jj.
+    P is `cov` (n, n, *batch). It is not clearly regular if a pivot L_jj² is at most 10⁻¹¹ P_jj.
     """
     if cov.ndim > 2:
         return roots.regular_root(cov, _REGULAR)
@@ -86,7 +88,10 @@ def root(cov: Array) -> Array | None:
 
 
 def divide(matrix: Array, lower: Array) -> Array:
-    """The F with F L = J, (d, n, *batch), for J = `matrix`, lower triangular L (n, n, *batch)."""
+    """The solution F of F L = J, (d, n, *batch), for J = `matrix` and lower triangular L = `lower`.
+
+    J is (d, n, *batch), L (n, n, *batch).
+    """
     if lower.ndim == 2:
         found: Array = _lapack().dtrtrs(lower, matrix.T, 1, 1)[0].T
         return found
@@ -96,10 +101,11 @@ def divide(matrix: Array, lower: Array) -> Array:
 def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float) -> bool:
     """Whether N(mean, cov) is well conditioned, and not far narrower than the covariance `before`.
 
-    `mean` is (n, *batch), `cov` and `before` (n, n, *batch). In all of the batch, given the earlier
-    components each one is to keep more than the share `least` of its variance; its variance is to
-    be at least `least` times that in `before`, and its mean finite, with a square of at most `far`
-    variances. A component without a variance passes if it has none in `before`.
+    `mean` is (n, *batch), `cov` and `before` (n, n, *batch). In the whole batch each component is
+    to have a variance given the earlier components of more than `least` times its variance, a
+    variance of at least `least` times that in `before`, and a finite mean whose square is at most
+    `far` times its variance. A component without a variance passes if it has none in `before` and
+    its mean is finite.
     """
     if cov.ndim == 2:
         written = checking(len(cov), least, far)
@@ -116,8 +122,8 @@ def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ())
 
     `cov` P (n, n, *batch) is exactly symmetric; of `matrix` F (d, n, *batch) and `noise`
     (d, d, *batch) the batch may be of length one. `bare` are the places in the prediction of its
-    bare components: where the variance of one is no more than rounding, it and its covariances
-    become zero.
+    bare components: where the variance of such a component is no more than rounding, its variance
+    and covariances become zero.
     """
     if cov.ndim == 2:
         written = predicting(len(noise), len(cov))
@@ -132,10 +138,12 @@ def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ())
 
 
 def _certain(spread: Array, cov: Array, matrix: Array, bare: tuple[int, ...]) -> Array:
-    """A prediction (d, d, *batch) with zeros where a bare component has no more than rounding.
+    """The covariance `spread` of a prediction, with zeros for bare components that are certain.
 
-    That is, a variance of at most 10⁻¹⁴ of what was summed up, the diagonal of |F| |P| |F|ᵀ; F is
-    `matrix` and P `cov`.
+    `spread` is F P Fᵀ + noise, (d, d, *batch), F = `matrix` (d, n, *batch), P = `cov`
+    (n, n, *batch). The row and column of each of the components `bare` become zero where its
+    variance is only rounding: at most 10⁻¹⁴ of its entry of the diagonal of |F| |P| |F|ᵀ, the sizes
+    of the terms that the variance is summed from.
     """
     variances = np.einsum("ii...->i...", cov)
     if cov.ndim == 2:
@@ -173,10 +181,10 @@ def extend(
     """Write the moments of a child y = F x + b + n into those of a joint that has room for it.
 
     `mean` (m, *batch) and `cov` (m, m, *batch) of the joint are changed in place at the components
-    `child`; x is at the components `parents`. `value` (d, *batch) is the mean F E x + b of y,
+    `child`; x is at the components `parents`. `value` (d, *batch) is the mean F E[x] + b of y,
     `matrix` F (d, number of parents, *batch) and `noise` (d, d, *batch) the covariance of n. `bare`
-    are the places in y of its bare components: where the variance of one is no more than rounding,
-    it and its covariances become zero.
+    are the places in y of its bare components: where the variance of such a component is no more
+    than rounding, its variance and covariances become zero.
     """
     mean[child] = value
     if not matrix.shape[1]:
@@ -196,11 +204,12 @@ def extend(
 class Update(NamedTuple):
     """A belief N(mean, cov) given a measurement, and the measurement's log-density (*batch).
 
-    Measured components that those before them determine add nothing to the density; `left`
-    (d, *batch) has their distances from the values determined, and zero for all others; None if
-    none is determined. `regular`: S is not nearly singular, so that its pivots are at least 10⁻⁶ of
-    its diagonal entries, or of a batch above the `least` of these that `update` was given. `mild`:
-    the measurement is known to shrink no variance more than a thousand times.
+    A measured component that the components before it determine adds nothing to the density; `left`
+    (d, *batch) has its distance from the value determined, and zero for all other components; None
+    if none is determined. `regular`: S is not nearly singular, which is to say that each of its
+    pivots is at least 10⁻⁶ of its diagonal entry, or, for a batch, more than `least` of it, the
+    argument of `update`. `mild`: the measurement is known to shrink no variance more than a
+    thousand times.
     """
 
     mean: Array
@@ -231,9 +240,10 @@ def update(
     and `noise` (d, d, *batch) the batch may be of length one.
 
     `out`, a mean and a covariance other than those given, may be overwritten with a batch's new
-    moments. `exact` says that the noise may be singular: `moments` then tells zeros from rounding.
-    A batch goes there, too, if a pivot of S is at most `least` times its diagonal entry. `sharp` is
-    the result of `along_runs.sharpness(noise, least)`, computed if None.
+    moments. `exact` says that the noise may be singular: `moments` then computes the update, and
+    tells zeros from rounding. `moments` also takes over where a pivot of S is at most 10⁻⁶ times
+    its diagonal entry, or, for a batch, at most `least` times. `sharp` is the result of
+    `along_runs.sharpness(noise, least)`, computed if None.
     """
     if not exact:
         if cov.ndim > 2:

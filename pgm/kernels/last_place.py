@@ -1,7 +1,8 @@
 """The last place of a mean in float64, counted in standard deviations.
 
-A float64 m is a multiple of its last place u(m), the distance to the next number: ε |m| at most,
-and more than half of that. However a mean was found, it is off by up to half a last place.
+A float64 m is a multiple of its last place u(m), the distance to the next number, which is at most
+ε |m| and more than half of that, with ε = 2⁻⁵². However a mean was found, it is off by up to half a
+last place.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ _FLOOR = 1e-9
 
 
 def rounding(mean: Array, std: Array, largest: Array) -> Array:
-    """The largest ½ u(m) / σ of the components of means and deviations (..., n), as (...).
+    """The largest ratio ½ u(m) / σ over the components of means m (..., n), as (...).
 
-    `largest` (..., n) are the largest deviations that the components ever had, of which 10⁻⁹ is the
-    least σ to count in. A component whose deviation is zero or infinite, or whose mean is not
-    finite, counts as zero.
+    `std` (..., n) are the standard deviations σ, and `largest` (..., n) the largest deviations that
+    the components ever had: a σ below 10⁻⁹ of the largest is replaced by that bound. The ratio of a
+    component whose deviation is zero or infinite, or whose mean is not finite, counts as zero.
     """
     open_ = (std > 0.0) & (std < np.inf) & np.isfinite(mean)
     half = 0.5 * np.spacing(np.abs(np.where(open_, mean, 0.0)))
@@ -32,8 +33,9 @@ def rounding(mean: Array, std: Array, largest: Array) -> Array:
 def may_count(mean: Array, variance: Array, share: float) -> bool:
     """Whether u(m) of some mean (..., n) may be more than `share` standard deviations.
 
-    `variance` (..., n) are the variances of the means. The answer is from a bound that takes little
-    time: the farthest mean of each component is compared with its least variance that is not zero.
+    `variance` (..., n) are the variances of the means. The answer is found in little time from a
+    bound: the farthest mean of each component is compared with the component's least variance that
+    is not zero.
     """
     axes = tuple(range(mean.ndim - 1))
     farthest = np.maximum(mean.max(axis=axes, initial=0.0), -mean.min(axis=axes, initial=0.0))

@@ -6,10 +6,11 @@ displacement of mean μ and variance s² has the weights
 
     w_k ∝ exp(a k − b k (k − 1)),  Σ w_k k = μ,  Σ w_k (k − μ)² = max(s², f (1 − f)),  f = μ − ⌊μ⌋:
 
-the normal density of least distortion on a lattice, f(1 − f) being the least variance, of two
-points. Means and variances then add up exactly from step to step. With k counted from ⌊μ⌋ the
-conditions are E k = f and E k(k − 1) = max(s² − f(1 − f), 0), the *excess*, which Newton's method
-solves for a and b with the tails cut off, so that cutting them costs no digit of the moments.
+the normal density of least distortion on a lattice. The least variance that a mean μ allows is
+f(1 − f), that of a kernel on the two points around μ. Means and variances add up exactly from step
+to step. With k counted from ⌊μ⌋ the conditions are E k = f and E k(k − 1) = max(s² − f(1 − f), 0),
+the *excess*. Newton's method solves them for a and b with the tails cut off, so that cutting them
+costs no digit of the moments.
 """
 
 from __future__ import annotations
@@ -166,9 +167,9 @@ def _norm(residual: tuple[Array, Array], excess: Array) -> Array:
 
 
 class Span(NamedTuple):
-    """An interval of an axis: `length` cells from `first` on, on a periodic axis past its end too.
+    """An interval of an axis: the `length` cells from the cell `first` on.
 
-    Past the end of a periodic axis the cells go on with cell 0.
+    On a periodic axis the interval may go past the last cell, and there goes on with cell 0.
     """
 
     first: int
@@ -178,8 +179,8 @@ class Span(NamedTuple):
 def reached(low: int, high: int, cells: int, periodic: bool) -> Span:
     """The span from cell `low` up to, but without, cell `high`, of an axis of so many `cells`.
 
-    On a periodic axis it begins at `low` modulo `cells`; one of `cells` or more is the whole axis,
-    from 0 on. On any other axis it is cut to the axis, and has at least one cell.
+    On a periodic axis the span begins at `low` modulo `cells`; a span of `cells` or more is the
+    whole axis, from 0 on. On any other axis the span is cut to the axis, and has at least one cell.
     """
     if periodic:
         return Span(0, cells) if high - low >= cells else Span(low % cells, high - low)
@@ -190,11 +191,12 @@ def reached(low: int, high: int, cells: int, periodic: bool) -> Span:
 def matrices(
     first: Integers, weights: Array, source: Span, target: Span, cells: int, periodic: bool
 ) -> Array:
-    """The kernels as matrices (n, target cells, source cells): entry (i, j) moves mass from j to i.
+    """The n kernels as matrices (n, target cells, source cells) along an axis of `cells` cells.
 
-    `first` holds the displacements of the first taps, (n, 1) if they are equal from all source
-    cells, else (n, source cells); `weights` is (*first.shape, taps). `cells` is the length of the
-    axis. Mass that leaves the target, or an axis that is not periodic, is lost.
+    Entry (i, j) moves mass from cell j of the span `source` to cell i of the span `target`. `first`
+    holds the displacements of the first taps, (n, 1) if they are equal from all source cells, else
+    (n, source cells); `weights` is (*first.shape, taps). Mass that leaves the target, or an axis
+    that is not periodic, is lost.
     """
     count, own, taps = weights.shape
     low = source.first - target.first
@@ -235,9 +237,10 @@ def matrices(
 def along(matrix: Array, array: Array, axis: int, by: tuple[int, ...]) -> Array:
     """The array with each of its lines along `axis`, of source cells, multiplied by a matrix.
 
-    `matrix` is (n, target cells, source cells), one for each of the n cells of the other axes `by`,
-    ascending, in C order; without such axes n is one. Lines that differ in further axes only share
-    a matrix. The result has target cells along the axis.
+    `matrix` is (n, target cells, source cells): one matrix for each of the n places along the other
+    axes `by`, which are given in ascending order, places in C order; n is one if `by` is empty.
+    Lines that differ only in further axes share a matrix. The result has the target cells along
+    `axis`.
     """
     rest = tuple(k for k in range(array.ndim) if k not in (axis, *by))
     last = axis == array.ndim - 1 and by + rest + (axis,) == tuple(range(array.ndim))

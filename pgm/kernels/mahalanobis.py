@@ -12,17 +12,21 @@ from pgm.kernels.roots import NEGLIGIBLE
 
 
 def square_within(probability: float, dimension: Integers) -> Array:
-    """The chi-square quantile q: νᵀ S⁻¹ ν < q with `probability`, ν of `dimension` components."""
+    """The chi-square quantiles q, νᵀ S⁻¹ ν < q with `probability`, for ν of `dimension` components.
+
+    They have the shape of `dimension`.
+    """
     from scipy.special import chdtri  # here, since it is slow to import
 
     return np.asarray(chdtri(dimension, 1.0 - probability), dtype=np.float64)
 
 
 def squares(residual: Array, cov: Array) -> Array:
-    """The distances νᵀ S⁻¹ ν, (k, *batch), of k innovations ν (k, d, *batch), S (k, d, d, *batch).
+    """The squared distances νᵀ S⁻¹ ν, (k, *batch), of k stacked innovations ν ~ N(0, S).
 
-    Components are eliminated one after another, in the whole stack at once. A component that
-    earlier ones determine, its pivot in S at most 10⁻¹³ of its variance, adds nothing.
+    ν is `residual` (k, d, *batch), S `cov` (k, d, d, *batch). Components are eliminated one after
+    another, in the whole stack at once. A component that earlier components determine, its pivot in
+    S being at most 10⁻¹³ of its variance, adds nothing.
     """
     size = residual.shape[1]
     if size == 1:
@@ -43,9 +47,11 @@ def squares(residual: Array, cov: Array) -> Array:
 
 
 def _share(left: Array, pivot: Array, diagonal: Array) -> Array:
-    """The term `left`² / `pivot` of one component, (k, *batch); zero if earlier ones determine it.
+    """The term `left`² / `pivot` of one component in the squared distances, (k, *batch).
 
-    `left` is what earlier components leave of the innovation, `pivot` of its variance `diagonal`.
+    `left` is the component of the innovation less its mean given the earlier components, `pivot`
+    its variance given them, and `diagonal` its whole variance, (k, *batch) each. The term is zero
+    where earlier components determine this one.
     """
     proper = pivot > NEGLIGIBLE * diagonal
     if proper.all():

@@ -35,13 +35,13 @@ def masses(rows: Array) -> Array:
 def forward(
     applies: Iterable[Apply], weights: Array, belief: Array, rows: Array, every: int = EVERY
 ) -> Masses:
-    """Fill rows with forward messages; returns their masses, and those of the beliefs before.
+    """Fill rows with forward messages; returns the masses of the rows and of the beliefs before.
 
-    Row t is weights[t] times the transition applied to the belief before it: row t − 1, which is
-    scaled to mass one for this, not in `rows`, after every `every` steps. Each of `applies`, one a
-    step, is a function of a belief and an array, into which it puts the belief's product by the
+    Row t is weights[t] times the transition applied to the belief before it, which is row t − 1, or
+    after every `every` steps a copy of row t − 1 scaled to mass one. Each of `applies`, one a step,
+    is a function of a belief and an array, into which it puts the belief's product by the
     transition into the step; `weights` and `rows` are (steps, states, [runs]); `belief` (states,
-    [runs]), of mass one, is the belief before the first step.
+    [runs]), of mass one, is the belief before the first step. The masses are (steps, [runs]) both.
     """
     before = np.ones((len(rows), *belief.shape[1:]))
     for k, (apply, weight, row) in enumerate(zip(applies, weights, rows, strict=False)):
@@ -77,12 +77,13 @@ def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int =
 
 
 class Blocks:
-    """The forward and backward sweeps of one run of few states, in blocks of √T steps side by side.
+    """The forward and backward sweeps of one run of T steps and few states, in blocks of √T steps.
 
-    The transfer matrix of a block is the matrix product of p(x_t | x_{t−1}) p(z_t | x_t) over its
-    steps: its entry (i, j) leads from state i before the block to state j at its end. Its rows are
-    kept with sum one, each with the logarithm of its own scale: else the row of a likely state
-    would be lost beside that of an unlikely one whose measurements are likelier. `matrix`
+    All blocks are swept at once. The transfer matrix of a block is the matrix product of
+    p(x_t | x_{t−1}) p(z_t | x_t) over its steps: its entry (i, j) leads from state i before the
+    block to state j at its end. Each of its rows is scaled to sum one, and the logarithm of the
+    scale is stored for each row: with a common scale the row of a state that is likely before the
+    block could underflow where the measurements are far likelier from an unlikely state. `matrix`
     (states, states) is the constant transition, parents first; `weights` is (steps, states).
     """
 
@@ -125,8 +126,8 @@ class Blocks:
     def forward(self, belief: Array, rows: Array) -> Masses:
         """Fill rows (steps, states) with forward messages; returns masses as `markov.forward` does.
 
-        These are the masses of the rows, and those of the beliefs that each was made from, (steps,)
-        both. `belief` (states,), of mass one, is that before the first step.
+        The masses returned are those of the rows, and those of the beliefs that the rows were made
+        from, (steps,) both. `belief` (states,), of mass one, is the belief before the first step.
         """
         held = self._starts(belief)
         found = np.empty(self.weights.shape)
@@ -144,7 +145,7 @@ class Blocks:
         return self._in_order(totals), self._in_order(before)
 
     def backward(self, rows: Array) -> None:
-        """Fill rows (steps + 1, states) with backward messages, row 0 being to the step before all.
+        """Fill rows (steps + 1, states) with backward messages; row 0 is before the first step.
 
         The last row is constant, 1 / states, as nothing is measured after it.
         """
@@ -165,15 +166,16 @@ class Blocks:
         rows[-1] = 1.0 / self.size
 
     def _in_order(self, found: Array) -> Array:
-        """Values (length, blocks, ...), by step within each block, as (steps, ...)."""
+        """Values (length, blocks, ...) of the steps within each block, as (steps, ...) in order."""
         return found.swapaxes(0, 1).reshape(-1, *found.shape[2:])[: self.steps]
 
     def _starts(self, belief: Array) -> Array:
         """The belief before each block, (blocks, states), of sum one, by the transfer matrices.
 
-        `belief` (states,) is that before the first block. Scales are applied in logarithms, since
-        two rows' scales may be further apart than float64 holds. If a block is impossible, all
-        later blocks get the belief before it: its own sweep will find a mass of zero.
+        `belief` (states,) is the belief before the first block. Scales are applied in logarithms,
+        since two rows' scales may be further apart than float64 holds. If a block's evidence is
+        impossible, all later blocks get the belief before that block, whose own sweep will find a
+        mass of zero.
         """
         found = np.empty(self.scale.shape)
         for k, (own, logs) in enumerate(zip(self.transfer, self.scale, strict=True)):
@@ -191,7 +193,8 @@ class Blocks:
     def _ends(self) -> Array:
         """The backward message to the last step of each block, (blocks, states), of sum one.
 
-        If a block is impossible, all earlier ones get the message to its own last step.
+        If a block's evidence is impossible, all earlier blocks get the message to that block's last
+        step.
         """
         found = np.empty(self.scale.shape)
         message = np.full(self.size, 1.0 / self.size)

@@ -1,8 +1,9 @@
 """Gaussians in moment form on arrays: mean (..., n), covariance (..., n, n), singular ones too.
 
-A variance that ought to be zero is left at about 10⁻¹⁴ of the summands it was computed from
-(`ROUNDING`): that tells zeros from small variances. Measurements of d components are z = H x + n,
-n ~ N(0, noise), with S = H P Hᵀ + noise.
+Rounding leaves a variance that ought to be zero at up to about 10⁻¹⁴ of the summands that it was
+computed from (`ROUNDING`): by this bound zeros are told from small variances. A measurement of d
+components of a belief N(m, P) is z = H x + n, n ~ N(0, noise); S = H P Hᵀ + noise is the covariance
+of its residual z − H m.
 """
 
 from __future__ import annotations
@@ -35,9 +36,10 @@ ROUNDING = 1e-14
 class Update(NamedTuple):
     """The belief N(mean, cov) after a measurement, and the measurement's log-density (...).
 
-    `lower` (..., d, d) is the lower root of S, NaN where S is indefinite. Measured components that
-    those before them determine add nothing to the density; `left` (..., d) has their distances from
-    the values determined, and zero for the others; None if none is determined.
+    `lower` (..., d, d) is the lower triangular root L of S = L Lᵀ, NaN where S is indefinite. A
+    measured component that the components before it determine adds nothing to the density; `left`
+    (..., d) has its distance from the value determined, and zero for all other components; None if
+    none is determined.
     """
 
     mean: Array
@@ -84,9 +86,10 @@ def update(
 
 
 def joseph(cov: Array, gain: Array, matrix: Array, noise: Array) -> tuple[Array, Array]:
-    """The factor I − G H and the covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ, for any gain G.
+    """The factor I − G H and the covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ after an update.
 
-    Both are (..., n, n); G is `gain` (..., n, d), H `matrix` (..., d, n), and P `cov`.
+    Both are (..., n, n), as P = `cov`; G is any gain, `gain` (..., n, d), H `matrix` (..., d, n),
+    and `noise` (..., d, d).
     """
     keep = one_minus(multiply(gain, matrix))
     return keep, make_symmetric(sandwich(keep, cov) + sandwich(gain, noise))
@@ -95,8 +98,8 @@ def joseph(cov: Array, gain: Array, matrix: Array, noise: Array) -> tuple[Array,
 def spread(matrix: Array, cov: Array, noise: Array) -> Array:
     """The sums of the sizes of all terms in the variances of F P Fᵀ + noise, (..., d).
 
-    They are the diagonal of |F| |P| |F|ᵀ + noise, F being `matrix` (..., d, n): a variance that is
-    far smaller may be rounding.
+    They are the diagonal of |F| |P| |F|ᵀ + noise, F being `matrix` (..., d, n), P `cov`
+    (..., n, n): a variance that is far smaller may be rounding.
     """
     size = np.abs(matrix)
     summed: Array = (multiply(size, np.abs(cov)) * size).sum(axis=-1)
@@ -130,9 +133,10 @@ def reverse(
 ) -> Conditional:
     """Bayes' rule for y = A x + c + n, n ~ N(0, noise): p(x | y) from x ~ N(mean, cov).
 
-    A is `matrix` (..., d, n), `noise` (..., d, d). With y ~ N(m_y, P_y), m_y = `forward_mean` and
-    P_y = `forward_cov`, and the gain G = P Aᵀ P_y⁺, it is x = G y + (m − G m_y) + e. The covariance
-    of e, (I − GA) P (I − GA)ᵀ + G noise Gᵀ, subtracts nothing from P.
+    A is `matrix` (..., d, n), `noise` (..., d, d), m `mean` and P `cov`. The prediction of y is
+    N(m_y, P_y), m_y = `forward_mean` (..., d) and P_y = `forward_cov` (..., d, d). With the gain
+    G = P Aᵀ P_y⁺ the result is x = G y + (m − G m_y) + e. The covariance of e is computed as
+    (I − GA) P (I − GA)ᵀ + G noise Gᵀ, which subtracts nothing from P.
     """
     cross = transpose(times_symmetric(matrix, cov))
     # The rest is right for any gain: only what is no more than rounding has to go.
@@ -149,7 +153,10 @@ def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Arra
 
 
 def log_density(residual: Array, cov: Array) -> Array:
-    """The log-density ln N(residual; 0, cov), (...); NaN where cov is singular or indefinite."""
+    """The log-density ln N(residual; 0, cov), (...), of residuals (..., n).
+
+    NaN where `cov` (..., n, n) is singular or indefinite.
+    """
     lower = roots.root(cov)
     singular = roots.determined(lower).any(axis=-1)
     white = solving.solve_lower(lower, residual[..., None])[..., 0]
@@ -193,9 +200,10 @@ def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
 
 
 def marginal_error(mean: Array, other: Array, std: Array) -> Array:
-    """The largest |mean − other| / s of means (T, ..., n) over the first and the last axis, (...).
+    """The largest |mean − other| / s of two arrays of means (T, ..., n), as (...).
 
-    s is the standard deviation `std`; where that is zero, max(|mean|, 1).
+    The largest is over the first and the last axis. s is the standard deviation `std` (T, ..., n),
+    or max(|mean|, 1) where `std` is zero.
     """
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     largest: Array = (np.abs(mean - other) / unit).max(axis=(0, -1), initial=0.0)
@@ -203,11 +211,12 @@ def marginal_error(mean: Array, other: Array, std: Array) -> Array:
 
 
 def moved(mean: Array, other: Array, std: Array) -> Array:
-    """How far means m (T, ..., n) move in an iteration from m′ = `other`: zero for rounding alone.
+    """How far an iteration has moved means from `other` to `mean`, m′ to m, (T, ..., n) both.
 
-    It is the largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the first and the last axis, (...),
-    where s is the standard deviation `std`, or max(|m|, 1) where that is zero, and ε the rounding
-    unit of float64. If rounding counted, means of 10⁸ standard deviations would never settle.
+    The move is the largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the first and the last axis,
+    (...), where s is the standard deviation `std`, or max(|m|, 1) where that is zero, and ε the
+    rounding unit of float64: it is zero for rounding alone. If rounding counted, means of 10⁸
+    standard deviations would never settle.
     """
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     rounding = LAST_PLACES * np.maximum(np.abs(mean), np.abs(other))

@@ -30,15 +30,16 @@ SLACK = 3.0 * NEGLIGIBLE**0.5
 
 
 def draw(mean: Array, lower: Array, white: Array) -> Array:
-    """Points mean + L w, (..., d), which for white noise w ~ N(0, I) are those of N(mean, L Lᵀ)."""
+    """The points mean + L w, (..., d), draws from N(mean, L Lᵀ) for w = `white` from N(0, I)."""
     return mean + apply(lower, white)
 
 
 def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
-    """The whitened residuals (..., S, d), and what they leave of determined components, or None.
+    """The whitened residuals, and their rests at determined components, (..., S, d) both.
 
-    White residuals are zero at determined components. What is left, (..., S, d), is the residual
-    there less that which the open components determine, and zero elsewhere; None if all are open.
+    Whitened residuals are zero at determined components. The rest at a determined component is the
+    residual less the value that the open components determine for it; at open components it is
+    zero. None is returned for the rests if all components are open.
     """
     white = transpose(solve_lower(lower, transpose(residual)))
     fixed = determined(lower)
@@ -48,7 +49,7 @@ def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
 
 
 def whitener(lower: Array) -> Array | None:
-    """L⁻¹, (..., d, d), by which many residuals are whitened; None if a component is determined."""
+    """The inverse L⁻¹, (..., d, d), to whiten many residuals; None if a component is determined."""
     if determined(lower).any():
         return None
     return solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape))
@@ -76,9 +77,10 @@ def log_density(lower: Array, white: Array) -> Array:
 def off(lower: Array, left: Array, error: Array) -> Mask:
     """Whether residuals, wrong by at most `error`, are off the range of L, (..., S).
 
-    Off the range the density is zero. `left` (..., S, d) is what `whitened` leaves at determined
-    components. A residual is off if some |left| exceeds |L⁻¹| error, L having ones for its zero
-    pivots, by more than `SLACK` standard deviations of the component. `error` is (..., S, d).
+    Off the range the density is zero. `left` (..., S, d) are the rests of the residuals at
+    determined components that `whitened` returns. A residual is off if some |left| exceeds |L⁻¹|
+    error, L having ones for its zero pivots, by more than `SLACK` standard deviations of the
+    component. `error` is (..., S, d).
     """
     # What is left depends linearly on the residuals: by this matrix.
     spread = np.abs(solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))

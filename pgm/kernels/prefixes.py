@@ -1,11 +1,12 @@
 """A parallel prefix scan over segments of a chain, in 2 log₂ T rounds, each one batched call.
 
-A segment is what leads from the value at its left end, such as a belief, to that at its right end;
-two neighbours *compose* to one segment. Up a balanced tree neighbours are composed; down again the
-value at the left end is pushed through every other segment (Blelloch, 1990).
+A segment maps the value at its left end, such as a belief, to the value at its right end; two
+neighbours *compose* to one segment. Up a balanced tree neighbours are composed; down again, on each
+level, the values at left ends are pushed through every second segment (Blelloch, 1990).
 
 Segments and values are named tuples of stacks (T, R, ...) of T steps and R runs, some of them None.
-In memory components are first, so that each is a row of steps, along which kernels go.
+In memory the axes of components come first, so that each component is a row of steps and runs,
+along which kernels go.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ _CHUNK = 3072
 def by_rows(array: Array, *, copy: bool = False) -> Array:
     """A stack (T, R, ...) with each component a row of steps and runs in memory.
 
-    It is the array itself where that lies so already, unless `copy` is true; else a copy.
+    The array itself is returned if it is already laid out in this way and `copy` is false; else a
+    copy is.
     """
     axes = array.ndim
     along, across = array.strides[:2]
@@ -44,7 +46,10 @@ def by_rows(array: Array, *, copy: bool = False) -> Array:
 
 
 def gather(array: Array, steps: Integers) -> Array:
-    """A copy of the steps of a stack at some indices, with components first in memory."""
+    """A copy (k, R, ...) of the steps of a stack (T, R, ...) at the indices `steps` (k,).
+
+    It has components first in memory.
+    """
     axes = array.ndim
     memory = array.transpose(*range(2, axes), 0, 1).take(steps, axis=axes - 2)
     return memory.transpose(axes - 2, axes - 1, *range(axes - 2))
@@ -59,7 +64,8 @@ def in_chunks(kernel: Callable[..., Any], *stacks: Any) -> Any:
     """The result of a kernel of named tuples of stacks, computed a chunk of steps at a time.
 
     `kernel` takes as many named tuples as there are `stacks`, all of the same steps and runs, and
-    returns one. The first part of the first must not be None: it tells how many steps there are.
+    returns one. The first stack of the first named tuple must not be None: its shape gives the
+    numbers of steps and runs.
     """
     steps, runs = stacks[0][0].shape[:2]
     size = max(_CHUNK // max(runs, 1), 1)
@@ -96,8 +102,8 @@ def prefixes(
 ) -> Beliefs:
     """Down the tree of `levels`: the values at the right ends of all segments, (T, R, ...).
 
-    `start` (1, R, ...) is the value at the left end of the first segment. Of stacks of values at
-    the left ends of segments, ``push(values, segments)`` gives those at the right ends.
+    `start` (1, R, ...) is the value at the left end of the first segment. From values at the left
+    ends of segments, ``push(values, segments)`` gives the values at their right ends.
     """
     found = in_chunks(push, start, tree[-1])
     for segments in reversed(tree[:-1]):
@@ -119,7 +125,7 @@ def _rows(parts: Any, steps: slice) -> Any:
 def _merge(first: Any, second: Any, steps: int, here: slice, there: slice) -> Any:
     """Two named tuples of stacks as one of `steps` steps: `first` at `here`, `second` at `there`.
 
-    A part that is None in either is None.
+    `here` and `there` are slices of the steps. A member that is None in either tuple is None.
     """
     merged = []
     for a, b in zip(first, second, strict=True):

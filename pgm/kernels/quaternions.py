@@ -1,7 +1,8 @@
 """Unit quaternions (x, y, z, w) of rotations in space, and their angles roll, pitch and yaw.
 
-Both stand on the last axis. The angles turn about x, then y, then z, axes that stay where they are,
-so that R = R_z(yaw) R_y(pitch) R_x(roll).
+The components of a quaternion, and the three angles, are along the last axis of arrays. The angles
+turn about x, then y, then z, axes that do not turn with the body, so that the rotation matrix is
+R = R_z(yaw) R_y(pitch) R_x(roll).
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ _UPRIGHT = 1e-12
 def of_angles(angles: Array) -> Array:
     """The quaternions (..., 4) of roll, pitch and yaw (..., 3), in radians.
 
-    Of the two quaternions ±q of a rotation, that of angles wrapped to [−π, π): w is not negative
-    where roll and pitch are zero.
+    Of the two quaternions ±q of a rotation, the result is the one computed from the angles wrapped
+    to [−π, π): its w is not negative where roll and pitch are zero.
     """
     a, b, c = np.moveaxis(np.sin(0.5 * wrap(angles)), -1, 0)
     u, v, w = np.moveaxis(np.cos(0.5 * wrap(angles)), -1, 0)
@@ -38,7 +39,7 @@ def angles(quaternion: Array) -> Array:
     """The roll, pitch and yaw (..., 3) of unit quaternions (..., 4), in radians.
 
     Roll and yaw are in [−π, π), pitch in [−π/2, π/2]. Where the body's x axis points straight up or
-    down, only yaw ± roll is known: roll is zero, and yaw the whole of it.
+    down, only yaw − roll or yaw + roll is known: roll is then set to zero, and yaw to this angle.
     """
     x, y, z, w = np.moveaxis(quaternion, -1, 0)
     east, north = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)  # of the body's x axis

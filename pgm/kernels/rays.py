@@ -5,9 +5,10 @@ along a row and y along a column. A *stop* is a cell that ends rays, such as an 
 cells are free.
 
 A ray from p along the unit vector u leaves an axis-parallel box at the least t of the crossings
-(edge − p) / u of its axes. From one cell's box to the next, it visits all its cells (Amanatides &
-Woo, 1987). Where the next stop is c cells away in the maximum norm, all cells less than c away are
-free and their box is left in one step: the same hits, exactly (as Cohen & Sheffer, 1994).
+(edge − p) / u of its axes. Going from the box of one cell to that of the next, it visits all cells
+on its way (Amanatides & Woo, 1987). Where the nearest stop is c cells away in the maximum norm, all
+cells less than c away are free, and the ray leaves the box that they form in one step, which gives
+exactly the same hits (as Cohen & Sheffer, 1994).
 
 In `summed` the ends of beams are computed in float32, to some ten thousandths of a cell on maps of
 some thousand cells a side: an end that near to an edge may count as in the next cell.
@@ -43,7 +44,7 @@ def clearances(stops: Mask) -> Cells:
 
 
 def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
-    """The distances (n,) in cells at which rays enter a stop; infinite for none within `most`.
+    """The distances (n,) in cells at which rays enter a stop; infinite if none is within `most`.
 
     `clear` is `clearances` of the stops. Rays begin at `points` (2, n), x and y in cells of the
     grid without its ring, and go along the unit vectors `units` (2, n). To enter the ring, and so
@@ -59,8 +60,9 @@ def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
 def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array) -> None:
     """Put the distances of `cast` into `found` (n,), at rays that enter a stop within `most`.
 
-    The entries of all other rays stay. Each ray is followed in a frame of its own, mirrored so that
-    it goes up along both axes, from the edge of one box of free cells to that of the next.
+    The entries of all other rays stay; the arguments before `found` are those of `cast`. Each ray
+    is followed in a frame of its own, mirrored so that both its coordinates increase, from the edge
+    of one box of free cells to that of the next.
     """
     height, width = clear.shape
     sizes, strides = np.array([[width], [height]]), np.array([[1.0], [width]])
@@ -97,8 +99,9 @@ def _advance(rays: Array, step: Array) -> None:
     """Move rays, in place, to where they leave the square of free cells around their cells.
 
     `rays` (13, n) has a ray in each column, in its own frame. Its rows are, for x and y each, where
-    the ray begins, its direction, one over that, the stride of the flat grid and the cell; then the
-    flat index of cell (0, 0), the distance so far and where it ends. Distance and cell change.
+    the ray begins, its direction, the reciprocal of the direction, the stride of the flat grid and
+    the cell; then the flat index of cell (0, 0), the distance so far and the distance at which the
+    ray ends. The distance so far and the cell are changed.
     The square's edge ahead along each axis is `step` (n,) cells from the near edge of the ray's
     cell; the ray goes to the first of these two edges that it reaches.
     """
@@ -125,11 +128,11 @@ def _between(low: Array, place: Array, edge: Array) -> Array:
 
 
 def entered(points: Array, ends: Array, width: int) -> Integers:
-    """The flat indices row · width + column of all cells that segments enter, one for each entry.
+    """The flat indices row · width + column of all cells that n line segments enter, as one array.
 
     Segments lead from `points` to `ends`, (2, n), x and y in cells, none negative; their first
     cells are included. The crossings of all segments with the lines of the grid are found at once,
-    each leading into one cell; a cell that several segments enter is there as often.
+    each leading into one cell; a cell that several segments enter occurs once for each of them.
     """
     first, last = np.floor(points).astype(np.intp), np.floor(ends).astype(np.intp)
     count = np.abs(last - first)
@@ -226,7 +229,7 @@ class _Work:
         self.cut(shape[0])
 
     def cut(self, size: int) -> None:
-        """Make `column`, `row` and the indices views of the work space of `size` poses."""
+        """Make `column`, `row` and the arrays of indices views of work space for `size` poses."""
         self.column, self.row = self._floats[:, :size]
         self._index, self._other = self._indices[:, :size]
 

@@ -1,8 +1,9 @@
 """Linear models of functions by regression on sigma points.
 
-The points s are those of a standard normal vector of n components, mapped to x = m + L s by a root
-L; the N values Y of the function are regressed on s by weighted least squares. The weights of means
-and of covariances (N,) are those of the rule that the points belong to.
+The N points s are sigma points of a standard normal vector of n components, mapped to x = m + L s
+by a root L of the covariance of x; the values Y of the function at them are regressed on s by
+weighted least squares. The weights of means and of covariances (N,) are those of the rule that the
+points belong to.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class Fit(NamedTuple):
 def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
     """The matrix of the regression on points s (N, n), for a root without a zero column.
 
-    It is that of `regress`, with the mean and covariance of s as in the sample.
+    The regression is that of `regress`, with the mean and covariance of s taken from the sample.
     """
     count, size = s.shape
     s_mean = mean_weights @ s

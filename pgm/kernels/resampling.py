@@ -1,9 +1,10 @@
 """Drawing particles anew in proportion to their weights.
 
-Each way takes weights (n,), which need not sum to one, the number `count` of draws and a generator,
-and returns how often each particle is drawn, (n,): whole numbers that sum to `count`, zero where
-the weight is. All are unbiased, E[counts_i] = count · w_i / Σ w; the variance of systematic draws
-is least in most uses, that of multinomial ones largest (Douc, Cappé & Moulines, 2005).
+Each resampling function takes weights (n,), which need not sum to one, the number `count` of draws
+and a generator, and returns how often each particle is drawn, (n,): whole numbers that sum to
+`count`, zero where the weight is zero. All are unbiased, E[counts_i] = count · w_i / Σ w; the
+variance of systematic draws is least in most uses, that of multinomial draws largest (Douc, Cappé &
+Moulines, 2005).
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ Resampler = Callable[[Array, int, np.random.Generator], Integers]
 def systematic(weights: Array, count: int, rng: np.random.Generator) -> Integers:
     """Systematic resampling: `count` evenly spaced levels with one random offset.
 
-    Each particle is drawn ⌊·⌋ or ⌈·⌉ of count · w / Σ w times. Madow, On the theory of systematic
-    sampling, 1949; the low variance sampler of Thrun, Burgard & Fox, Probabilistic Robotics, 2005,
-    table 4.4.
+    A particle of weight w is drawn count · w / Σ w times, rounded down or up. Source: Madow, On
+    the theory of systematic sampling, 1949; the low variance sampler of Thrun, Burgard & Fox,
+    Probabilistic Robotics, 2005, table 4.4.
     """
     edges = _edges(weights, count)
     edges -= rng.random()
@@ -43,7 +44,11 @@ def stratified(weights: Array, count: int, rng: np.random.Generator) -> Integers
 
 
 def residual(weights: Array, count: int, rng: np.random.Generator) -> Integers:
-    """⌊count · w / Σ w⌋ copies of each particle, the rest drawn independently (Liu & Chen 1998)."""
+    """Residual resampling: ⌊count · w / Σ w⌋ copies of each particle, and independent draws.
+
+    The draws that are still missing are made in proportion to the fractional parts of
+    count · w / Σ w (Liu & Chen 1998).
+    """
     expected = count * (weights / weights.sum(dtype=np.float64))
     # Whole numbers that rounding left a little short are whole: else equal weights, which are to be
     # drawn once each, would all be left to chance.
@@ -69,7 +74,7 @@ def multinomial(weights: Array, count: int, rng: np.random.Generator) -> Integer
 
 
 def indices(counts: Integers) -> Integers:
-    """The particle of each draw, ascending, from counts (n,): (2, 0, 1) gives 0, 0, 2."""
+    """The index of each draw's particle, ascending, from counts (n,): (2, 0, 1) gives 0, 0, 2."""
     return np.repeat(np.arange(len(counts)), counts)
 
 

@@ -19,13 +19,13 @@ def mounted(poses: Array, mount: Array) -> Array:
 
 
 def points_from(frame: Array, points: Array) -> Array:
-    """Points (..., 2) of the world as seen in the frame of a pose (3,)."""
+    """The coordinates in the frame of a pose (3,) of points (..., 2) given in the world."""
     away = points - frame[:2]
     return away if frame[2] == 0.0 else turned(away, -frame[2])
 
 
 def points_out_of(frame: Array, points: Array) -> Array:
-    """Points (..., 2) in the world, from their coordinates in the frame of a pose (3,)."""
+    """Points (..., 2) in the world, from their coordinates (..., 2) in the frame of a pose (3,)."""
     along = points if frame[2] == 0.0 else turned(points, frame[2])
     return along + frame[:2]
 

@@ -51,8 +51,9 @@ def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIB
 def regular_root(matrix: Array, least: float, scale: Array | None = None) -> Array | None:
     """The lower roots (n, n, *batch) of positive definite matrices (n, n, *batch), or None.
 
-    None if a pivot, of any matrix, is at most `least` times its entry of `scale` (n, *batch), which
-    is the diagonal if None. It is fast where the batch stands together in memory.
+    None is returned if a pivot, of any matrix, is at most `least` times its entry of `scale`
+    (n, *batch), which stands for the diagonal of the matrices if it is None. The function is fast
+    where the batch axes are contiguous in memory.
     """
     lower = np.zeros_like(matrix)
     with np.errstate(invalid="ignore", divide="ignore"):  # such pivots are not proper: see below
@@ -68,7 +69,9 @@ def regular_root(matrix: Array, least: float, scale: Array | None = None) -> Arr
 
 
 def _semidefinite_root(matrix: Array, diagonal: Array, negligible: float) -> Array:
-    """The root by columns, with zero columns of determined components (Higham, 2002, section 10.3).
+    """The root (..., n, n), found column by column, with a zero column for a determined component.
+
+    Source: Higham (2002), section 10.3.
 
     A pivot of at most `negligible` times `diagonal` (..., n) is zero, and so is its column. A
     matrix counts as indefinite, and its root is NaN, where it is not finite, where a pivot is

@@ -1,9 +1,10 @@
 """Messages between clusters as `rows.Rows`: products, damping, and how much they change.
 
-Stacks of B messages over s variables have rows (V, B, s, s) and right sides (V, B, s, N): V runs
-have a matrix each and N = 1, or N runs share one and V = 1. The *exact relations* of a message are
-its equations C x = c without noise. Variables are in the units of the model's frame, (x − prior
-mean) / prior standard deviation, so that differences compare.
+A message over s variables x is exp(−½ ‖A x − r‖²), times a delta function for each of its *exact
+relations*, the equations C x = c without noise, if there are any. A stack of B messages has rows
+A (V, B, s, s) and right sides r (V, B, s, N), C (V, B, m, s) and c (V, B, m, N): V runs have a
+matrix each and N = 1, or N runs share one and V = 1. Variables are in the units of the model's
+frame, (x − prior mean) / prior standard deviation, so that differences compare.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ STEADY = 1e-12
 
 
 def product(a: Rows, b: Rows) -> Rows:
-    """The product of each factor of a stack with the same one of another: the rows of both.
+    """The product of each factor of the stack `a` and the corresponding factor of the stack `b`.
 
-    The rows of `a` come first. The product has no exact relations if `a` or `b` has None.
+    A product has the rows of both factors, those of `a` first. It has no exact relations if those
+    of `a` or `b` are None.
     """
     parts = zip(a, b, strict=True)
     return Rows._make(None if p is None or q is None else _together(p, q) for p, q in parts)
@@ -52,8 +54,9 @@ def change(old: Rows, new: Rows, against: Rows) -> Array:
     A message has the information K and h; ΔK and Δh are those of `new` less those of `old`. The new
     message times `against`, the message the opposite way, is the sepset's belief, with means m and
     standard deviations on the diagonal of D. The change is the largest entry of D |ΔK| D; of
-    (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, the move of the mean in standard deviations less its rounding;
-    and of the difference of exact relations. It is infinite where the belief does not exist.
+    (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, the move of the mean in standard deviations less its rounding,
+    ε being the rounding unit of float64; and of the difference of exact relations. It is infinite
+    where the belief does not exist.
     """
     belief = eliminate(product(new, against), new.matrix.shape[-1])
     std = np.sqrt(np.maximum(np.diagonal(belief.noise, axis1=-2, axis2=-1), 0.0))[..., None]
@@ -114,9 +117,10 @@ def choose(active: Mask, new: Rows, old: Rows) -> Rows:
 
 
 def _relations(old: Rows, new: Rows) -> tuple[Array, Array, Array, Array] | None:
-    """The matrix and right side of the old exact relations, then of the new ones.
+    """The exact relations C x = c of old and new messages: C and c of the old, C and c of the new.
 
-    The old ones are cut to as many rows as the new ones have. None if either has no relations.
+    The old relations are cut to as many rows as the new ones have. None if the old or the new
+    messages have no exact relations.
     """
     exact, sides, new_exact, new_sides = *old[2:], *new[2:]
     if exact is None or sides is None or new_exact is None or new_sides is None:
@@ -126,10 +130,11 @@ def _relations(old: Rows, new: Rows) -> tuple[Array, Array, Array, Array] | None
 
 
 def _moved(exact: Array, sides: Array, new_exact: Array, new_sides: Array) -> Array:
-    """The largest difference of exact relations C x = c, (V, B, N), in units of the frame.
+    """The largest difference of old and new exact relations C x = c, (V, B, N).
 
-    It is that of the entries of CᵀC and Cᵀc, which are the same for any orthonormal rows C of the
-    same relations.
+    The difference is taken of the entries of CᵀC and Cᵀc, in units of the frame: they are the same
+    for any orthonormal rows C of the same relations. The arguments are C and c of the old
+    relations, then of the new ones.
     """
     relations = transpose(new_exact) @ new_exact - transpose(exact) @ exact
     targets = transpose(new_exact) @ new_sides - transpose(exact) @ sides
@@ -139,5 +144,5 @@ def _moved(exact: Array, sides: Array, new_exact: Array, new_sides: Array) -> Ar
 
 
 def _together(a: Array, b: Array) -> Array:
-    """The rows of two matrices below one another."""
+    """The rows of matrices a (..., k, n) above those of b (..., l, n), as (..., k + l, n)."""
     return np.concatenate([a, b], axis=-2)

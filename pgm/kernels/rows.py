@@ -45,9 +45,10 @@ class Eliminated(NamedTuple):
     is the factor over s, with an upper triangular A (..., e, e); `log_scale` (..., N) is its g less
     that of the given factor. `contradiction` (..., N) marks right sides whose exact relations
     contradict one another; None if there are no relations. `largest` measures the digits that exact
-    relations cost, as the largest of all factors: an entry of the rows after x was solved for in
-    them, or the reciprocal of a singular value divided by; infinite where it is not certain which
-    relations are independent, 0 if there are none.
+    relations cost: it is the largest number, over the whole stack, among the entries of the rows
+    after the relations were substituted for x, and the reciprocals of the singular values that the
+    relations were divided by; infinite where it is not certain which relations are independent, 0
+    if there are none.
     """
 
     gain: Array
@@ -83,9 +84,9 @@ def triangular(matrix: Array, right: Array) -> Array:
 
 
 def largest_first(correlation: Array) -> Integers:
-    """The pivot order of components, (..., n), of correlations (..., n, n).
+    """The indices of components, (..., n), in pivot order, for correlations (..., n, n).
 
-    Each has the largest variance given those before it in the order.
+    Each component has, of those not yet in the order, the largest variance given the earlier ones.
     """
     left = correlation
     order = np.empty(left.shape[:-1], dtype=np.intp)

@@ -1,8 +1,8 @@
 """Segments of a chain without evidence, which compose: affine conditionals, and affine maps.
 
-A segment leads from the variables at its left end to those at its right end. `prefixes` composes
-many: conditionals take moments from end to end (`compose_conditionals`, `push_moments`), maps take
-vectors (`after`, `send`).
+A segment leads from the variables at its left end to the variables at its right end; `prefixes`
+composes many segments. An affine conditional maps the moments at the left end to those at the right
+end (`compose_conditionals`, `push_moments`), an affine map does so for vectors (`after`, `send`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ def compose_conditionals(first: Conditional, then: Conditional) -> Conditional:
 
 
 def push_moments(belief: Moments, conditional: Conditional) -> Moments:
-    """The moments of F x + b + n, n ~ N(0, cov), for x of these moments and a conditional of x."""
+    """The moments of F x + b + n, n ~ N(0, cov), for x of the moments `belief`.
+
+    F, b and cov are the `matrix`, `offset` and `cov` of the conditional.
+    """
     return Moments(*moments.push(*belief, conditional))
 
 
@@ -60,5 +63,5 @@ class Value(NamedTuple):
 
 
 def send(value: Value, through: Map) -> Value:
-    """The vector F x + b of a vector x and a map."""
+    """The vector F x + b, (..., n), to which the map `through` takes the vector x, `value`."""
     return Value(apply(through.matrix, value.value) + through.offset)

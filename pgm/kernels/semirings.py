@@ -33,12 +33,12 @@ class Semiring:
     linear: bool
 
     def divisor(self, values: Array) -> Array:
-        """The values with `one` for each `zero`: as divisors they make zero over zero zero."""
+        """The values with each `zero` replaced by `one`, so that zero divided by them is zero."""
         safe: Array = np.where(values == self.zero, self.one, values)
         return safe
 
     def entries(self, values: Array) -> Array:
-        """Non-negative numbers as entries of this semiring."""
+        """Non-negative numbers as entries of this semiring: themselves, or their logarithms."""
         if self.linear:
             return values
         with np.errstate(divide="ignore"):

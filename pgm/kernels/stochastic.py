@@ -1,6 +1,6 @@
-"""Matrices of p(child | parent) as linear maps: dense, sparse, and Kronecker products of such.
+"""Matrices of p(child | parent) as linear maps: dense, sparse, and Kronecker products of both.
 
-A map is applied along one axis of an array, for all others at once: forward, an axis of parents
+A map is applied along one axis of an array, for all other axes at once: forward, an axis of parents
 becomes one of children; backward, one of children becomes one of parents.
 """
 
@@ -36,10 +36,10 @@ class Transition(ABC):
 
     @abstractmethod
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """The sum of `forward`, or if `back` that of `backward`, of logarithms, as logarithms.
+        """The logarithms of the result of `forward`, or, if `back`, of `backward`.
 
-        `values` are ln belief or ln message. `semiring` is one of logarithms; its own sum, ln Σ exp
-        or the maximum, takes the place of Σ.
+        `values` are ln belief or ln message, with parents or children along `axis`. `semiring` is a
+        semiring of logarithms; its sum, ln Σ exp or the maximum, takes the place of Σ.
         """
 
     @abstractmethod
@@ -93,7 +93,10 @@ class Dense(Transition):
         return _along(self.matrix, message, axis)
 
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """Logarithms moved along an axis, in pieces that fit the memory; see `Transition.logs`."""
+        """Apply the matrix to logarithms along an axis, in pieces that fit into the memory.
+
+        See `Transition.logs`.
+        """
         own = self._logarithms if back else self._logarithms.T
         moved = np.moveaxis(values, axis, 0)
         flat = moved.reshape(len(moved), -1)
@@ -144,7 +147,7 @@ class Dense(Transition):
 
 
 class Sparse(Transition):
-    """A sparse matrix (parents, children) of SciPy's, copied by rows without its zeros."""
+    """A SciPy sparse matrix (parents, children), copied by rows (CSR) without its stored zeros."""
 
     def __init__(self, matrix: Any) -> None:
         own = matrix.tocsr(copy=True)
@@ -167,9 +170,10 @@ class Sparse(Transition):
         return _along(self.matrix, message, axis)
 
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """Logarithms moved along an axis: the k-th stored entries of all rows at once, k by k.
+        """Apply the matrix to logarithms along an axis; see `Transition.logs`.
 
-        The rows are of the transpose, or with `back` of the matrix itself; see `Transition.logs`.
+        For each k in turn the k-th stored entries of all rows are added at once. The rows are those
+        of the transpose, or with `back` those of the matrix itself.
         """
         own = self.matrix if back else self.turned
         moved = np.moveaxis(values, axis, 0)
@@ -195,7 +199,8 @@ class Sparse(Transition):
     def _levels(self) -> Array:
         """For each stored entry, the index of its row plus the cumulative probability in the row.
 
-        So one array (entries,) ascends over all rows, which one search serves.
+        The array (entries,) therefore ascends over all rows, so that one search in it draws the
+        children of many parents.
         """
         own = self.matrix
         rows = np.repeat(np.arange(own.shape[0]), np.diff(own.indptr))
@@ -232,7 +237,7 @@ class Sparse(Transition):
 
 
 class Product(Transition):
-    """The Kronecker product of maps: the state has several axes, and each factor moves one.
+    """The Kronecker product of maps: the state has several axes, and each factor acts on one axis.
 
     States are numbered by flat indices in C order: of parents over `before`, the numbers of parents
     of the factors, and of children over `after`.
@@ -259,7 +264,7 @@ class Product(Transition):
         return self._joined(found, message, axis, self.shape[0])
 
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
-        """Logarithms moved by each factor along its own axis; see `Transition.logs`."""
+        """Apply each factor to logarithms along its own axis; see `Transition.logs`."""
         found = self._split(values, axis, self.after if back else self.before)
         for k, factor in enumerate(self.factors):
             found = factor.logs(found, axis + k, semiring, back=back)
@@ -287,7 +292,7 @@ class Product(Transition):
         return found
 
     def _parts(self, parent: Integers, child: Integers) -> tuple[Any, Any]:
-        """The indices along each factor's axis, of flat indices of parents and of children."""
+        """The indices along the factors' axes: a tuple for flat `parent`, a tuple for `child`."""
         return unravelled(parent, self.before), unravelled(child, self.after)
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
@@ -311,7 +316,7 @@ class Product(Transition):
         return math.prod(factor.smallest for factor in self.factors)
 
     def dense(self) -> Array:
-        """The whole matrix: the Kronecker product of the factors'."""
+        """The whole matrix, (parents, children): the Kronecker product of the factors' matrices."""
         found: Array = self.factors[0].dense()
         for factor in self.factors[1:]:
             found = np.asarray(np.kron(found, factor.dense()), dtype=np.float64)
@@ -319,9 +324,10 @@ class Product(Transition):
 
 
 def _along(matrix: Any, values: Array, axis: int) -> Array:
-    """A matrix (k, n), dense or sparse, times an array along one of its axes, of length n.
+    """The array `values` with its axis `axis`, of length n, multiplied by a matrix (k, n).
 
-    Dense products leave the array as it lies in memory; a sparse matrix needs the axis first.
+    That axis of the result has the length k. The matrix is dense or sparse. Dense products leave
+    the array as it lies in memory; a sparse matrix needs the axis first.
     """
     if values.ndim == 1:
         product: Array = matrix.dot(values)

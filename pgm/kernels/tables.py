@@ -32,8 +32,9 @@ OUTSIDE = 3000.0
 def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
     """The same tables, as values and log-scale, with extreme largest entries divided out.
 
-    A table whose largest entry is below 10⁻¹⁰⁰ or above 10¹⁰⁰ is divided by it, and its logarithm
-    is added to the log-scale. If there is any such table, tables of zeros get the log-scale zero.
+    A table whose largest entry is below 10⁻¹⁰⁰ or above 10¹⁰⁰ is divided by this entry, whose
+    logarithm is added to the log-scale. If there is any such table, tables of zeros get the
+    log-scale zero.
     """
     top = largest(values, axes)
     extreme = (top < SMALL) | (top > LARGE)
@@ -45,7 +46,7 @@ def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
 
 
 def multiply(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
-    """The products of tables of values a and b, which broadcast, as values and log-scale (...).
+    """The products of tables of values a and b, which broadcast, as values and log-scales (...).
 
     Log-scales of a and b themselves are for the caller to add.
     """
@@ -53,7 +54,7 @@ def multiply(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
 
 
 def divide(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
-    """The quotients of tables of values a and b, zero wherever b is, as values and log-scale (...).
+    """The quotients of tables of values a and b, zero where b is, as values and log-scales (...).
 
     Log-scales of a and b themselves are for the caller to subtract.
     """
@@ -61,7 +62,7 @@ def divide(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
 
 
 def _quotient(a: Array, b: Array) -> Array:
-    """The quotients a / b; zero where b is, since 0 / 0 arises at impossible states."""
+    """The quotients a / b; zero where b is zero, since 0 / 0 arises at impossible states."""
     zeros = np.zeros(np.broadcast_shapes(a.shape, b.shape))
     return np.divide(a, b, out=zeros, where=b > 0.0)
 
@@ -69,9 +70,9 @@ def _quotient(a: Array, b: Array) -> Array:
 def _combined(
     of_values: Operation, of_powers: Operation, a: Array, b: Array, axes: int
 ) -> tuple[Array, Array]:
-    """A product or quotient of values a and b, as values and log-scale.
+    """The product or quotient of tables of values a and b, as values and log-scales (...).
 
-    `of_values` combines numbers, `of_powers` their powers of two accordingly: by sum or difference.
+    `of_values` multiplies or divides numbers, and `of_powers` adds or subtracts powers of two.
     Tables that would lose digits to overflow or underflow are computed again as mantissas and
     powers of two.
     """
@@ -87,10 +88,11 @@ def _combined(
 
 
 def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
-    """The mask (...) of tables of which a product or quotient `result` of a and b lost nothing.
+    """The mask (...) of tables that lost no digits in `result`, the product or quotient of a and b.
 
     A table whose largest entry is finite and above 10⁻⁶ has lost only entries 10⁻³⁰⁰ times smaller.
-    Another finite one has lost nothing if no entry is below 10⁻³⁰⁰ but where a or b is zero.
+    Any other finite table has lost nothing if all its entries are 10⁻³⁰⁰ or more, apart from those
+    where a or b is zero.
     """
     top = largest(result, axes)
     held = (top > SAFE) & (top < np.inf)
@@ -101,9 +103,10 @@ def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
 
 
 def _instead(plain: Array, held: Mask, values: Array, log_scale: Array) -> tuple[Array, Array]:
-    """Tables and their log-scales: `plain` and zero where `held` (...), else those scaled.
+    """Tables and their log-scales (...), each table chosen from two computations of it.
 
-    The scaled tables are `values`, with `log_scale` (...).
+    Where the mask `held` (...) is true they are `plain` and zero, elsewhere `values` and
+    `log_scale` (...).
     """
     kept = _per_table(held, plain.ndim - held.ndim)
     return np.where(kept, plain, values), np.where(held, 0.0, log_scale)
@@ -167,9 +170,10 @@ def _exponents(values: Array) -> tuple[Array, Array]:
 
 
 def _assemble(mantissa: Array, power: Array, axes: int) -> tuple[Array, Array]:
-    """Tables mantissa · 2^power as values and log-scale, which takes each table's largest power.
+    """The tables mantissa · 2^power as values and log-scales (...).
 
-    A table that is all zero has the log-scale zero.
+    The largest power of two of each table goes into its log-scale. A table that is all zero has the
+    log-scale zero.
     """
     top = power.max(axis=_span(axes))
     values: Array = np.ldexp(mantissa, power - _per_table(top, axes))

@@ -1,8 +1,8 @@
 """Motions (forward, left, turn) in the plane: composed, inverted, and divided along their arcs.
 
-A motion leads from a pose (x, y, heading) to another: forward and left are the other's place in the
-frame of the first, turn, in radians, is the difference of headings. A *steady* motion has constant
-velocities forward, left and of the turn; times its whole duration they are its *twist*
+A motion leads from a first pose (x, y, heading) to a second: forward and left are the place of the
+second in the frame of the first, turn, in radians, is the difference of headings. A *steady* motion
+has constant velocities forward, left and of the turn; times its whole duration they are its *twist*
 τ = (v, w, φ). After the share s of its time it has made the motion
 
     [forward; left] = s sinc(s φ / 2) R(s φ / 2) [v; w],    turn = s φ,
@@ -31,7 +31,7 @@ def motions(twists: Array, share: Array | float = 1.0) -> Array:
 
 
 def twists(steady: Array) -> Array:
-    """The twists (..., 3) of steady motions (..., 3) of less than a whole turn, `WHOLE`."""
+    """The twists (..., 3) of steady motions (..., 3), which must turn by less than `WHOLE`."""
     half = 0.5 * steady[..., 2]
     chord = turned(steady[..., :2], -half) / _sinc(half)[..., None]
     return np.concatenate([chord, steady[..., 2:]], axis=-1)
@@ -82,5 +82,6 @@ def inverse(motions: Array) -> tuple[Array, Array]:
 
 
 def _sinc(angle: Array) -> Array:
+    """The values sin a / a of angles a, of any shape, in radians; one at zero."""
     found: Array = np.sinc(angle / np.pi)
     return found

@@ -1,4 +1,4 @@
-"""Single queries: the joint of a few variables, from the part of a network that bears on it."""
+"""Single queries: the joint of a few variables, from the part of a network that it depends on."""
 
 from pgm.inference.query.question import query
 

@@ -1,9 +1,10 @@
-"""Summing the variables of a query out, for many runs at once; impossible evidence is refused.
+"""Summing variables out for a query, for many runs at once; impossible evidence is refused.
 
-The factors of an elimination are numbered: the CPDs' tables first, then the weights of evidence
-that is soft or of some runs alone, as in the scopes of the `EliminationPlan`, then the result of
-each of its steps. A table has an axis for each variable of its scope, whose members are places in
-the plan's order, and a last axis of runs: (sizes..., runs or 1).
+The factors of an elimination are numbered: first the CPDs' tables, then the evidence weights of
+variables with soft evidence or observed in some runs alone, as in the scopes of the
+`EliminationPlan`, then the result of each step of the plan. The scope of a table is a tuple of
+variables, given by their places in the plan's order. A table has an axis for each variable of its
+scope, and a last axis of runs: (sizes..., runs or 1).
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) ->
 
 
 class Tables:
-    """The tables of an elimination under way, (sizes..., runs or 1); `last` is that made last."""
+    """The tables of an elimination under way, (sizes..., runs or 1); `last` is the newest."""
 
     last: Array
 
@@ -71,8 +72,8 @@ class Tables:
     def do(self, step: Step) -> None:
         """Multiply the factors of a step and sum over its first axes: that makes one more factor.
 
-        Steps are to be done in the order of the plan, each once.
-        Plain numbers are divided by their largest entry in each run, since only ratios matter.
+        Steps are to be done in the order of the plan, each once. Without logarithms the new table
+        is divided by its largest entry in each run, since only ratios matter.
         """
         product: Array | None = None
         for factor in step.factors:
@@ -109,8 +110,8 @@ class Tables:
     def _reduced(self, cpd: TableCPD, unknown: Sequence[Discrete], scope: Sequence[int]) -> Array:
         """A CPD's table at the states of its observed variables, (sizes of scope..., runs or 1).
 
-        `unknown` are its variables that are not observed in all runs, `scope` the places of these,
-        ascending.
+        `unknown` are the CPD's variables of more than one state that are not observed in all runs,
+        and `scope` the places of these variables in the plan's order, ascending.
         """
         states = self.evidence.states
         index: list[int | slice] = []
@@ -137,8 +138,8 @@ class Tables:
     def _weights(self, variable: Discrete) -> Array:
         """The weights (states, runs or 1) that the evidence gives a variable of `plan.weighted`.
 
-        They are soft weights, or, of states observed in some runs alone, one for the state observed
-        and zero for the others; all ones in the other runs.
+        They are the soft weights; or, for a variable observed in some runs alone, one for the state
+        observed and zero for its other states, and all ones in runs without an observation.
         """
         soft = self.evidence.weights.get(variable)
         if soft is not None:
@@ -146,9 +147,10 @@ class Tables:
         return one_hot(np.asarray(self.evidence.states[variable]), variable.size)
 
     def _over(self, scope: Sequence[int], own: Sequence[int], table: Array) -> Array:
-        """A view of a table over `own`, some of `scope`, with an axis for each of `scope`.
+        """A view of a table with an axis for each variable of `scope`, and the last axis of runs.
 
-        Axes that the table does not have get length one.
+        The table is over the variables `own`, some of those of `scope`; axes of variables that it
+        lacks get length one.
         """
         if len(own) == len(scope):
             return table
@@ -192,8 +194,8 @@ def _contradiction(plan: EliminationPlan, run: int) -> tuple[list[Discrete], Sta
     """The evidence of a run that contradicts itself, and the variables whose states it excludes.
 
     The elimination is done again up to the first table that is zero throughout. Returns the
-    variables with hard, then with soft evidence of which that table was made, and its scope before
-    its sum.
+    variables whose evidence went into that table, first those with hard, then those with soft
+    evidence; and the variables of the table before its sum.
     """
     evidence = some_runs(plan.requisite.evidence, slice(run, run + 1))
     tables = Tables(plan, evidence, LOG_SUM_PRODUCT)

@@ -1,11 +1,12 @@
 """Whether the evidence that a query leaves out is possible.
 
-A query leaves out the CPDs that evidence separates from the variables asked for: summed over their
-other variables, their product is a constant of the evidence, which a posterior does not depend on
-unless it is zero. That it can only be where tables have zeros. So of the CPDs left out those are
-looked at whose tables have a zero at the evidence, less those whose child nothing else restricts:
-some state of it is always possible. What remains falls into parts that share no unknown variable,
-and of each the probability of its evidence, up to a factor, is found by elimination.
+A query leaves out the CPDs that evidence separates from the variables asked for. Summed over all
+unknown variables, the product of these CPDs is a constant given the evidence. The posterior does
+not depend on the constant unless it is zero: then the evidence is impossible. The constant can be
+zero only where tables have zeros. So only the CPDs are examined whose tables have a zero at the
+evidence, less those whose child is in no other of them and has no evidence: some state of the child
+is always possible. The CPDs that remain fall into *parts* that share no unknown variable, and the
+probability of the evidence of each part, up to a factor, is found by elimination.
 
 A variable is *known* if it has one state alone or is observed in all runs. A *family* is a CPD with
 those of its variables that are unknown.
@@ -40,17 +41,18 @@ Family = tuple[TableCPD, States]
 
 @dataclass(frozen=True, eq=False)
 class Contradiction:
-    """Evidence of probability zero in a part that a query leaves out.
+    """Evidence of probability zero in CPDs that a query leaves out.
 
-    lost: (runs,): the runs that have it; one at least.
-    part: The elimination that found it; or the CPD, with all variables known, whose table is zero.
+    lost: The mask (runs,) of the runs with such evidence; it marks one at least.
+    part: The plan of the elimination that found the probability zero; or a CPD, with all variables
+        known, whose table is zero at their states.
     """
 
     lost: Mask
     part: EliminationPlan | TableCPD
 
     def error(self, evidence: BoundStates) -> ImpossibleEvidence:
-        """The error that refuses it, for the evidence of the whole network."""
+        """The error that refuses the impossible evidence; `evidence` is of the whole network."""
         if isinstance(self.part, EliminationPlan):
             return refusal(self.part, self.lost, evidence.lead)
         cpd, lead = self.part, evidence.lead
@@ -67,11 +69,13 @@ class Contradiction:
 
 
 def contradictions(left_out: Sequence[Family], evidence: BoundStates) -> list[Contradiction]:
-    """Where the evidence in the CPDs that a query leaves out has probability zero.
+    """The contradictions among the CPDs that a query leaves out: evidence of probability zero.
 
-    A part is not looked at where elimination would need tables above the limit of memory.
+    There is one for each part, or CPD with all variables known, whose evidence is impossible in
+    some run. A part is not examined where elimination would need tables above the limit of memory.
 
-    evidence: That of the whole network.
+    left_out: The CPDs that the query leaves out, each with its unknown variables.
+    evidence: The evidence of the whole network.
     """
     constraints = [family for family in left_out if _has_zero(family, evidence)]
     if not constraints:
@@ -100,14 +104,16 @@ def contradictions(left_out: Sequence[Family], evidence: BoundStates) -> list[Co
 
 
 def _state(variable: Discrete, evidence: BoundStates) -> int | Integers:
-    """The state of a known variable, or of each run, (runs or 1,)."""
+    """The state of a known variable: a number for all runs, or an array of states (runs or 1,)."""
     return 0 if variable.size == 1 else evidence.states[variable]
 
 
 def _has_zero(family: Family, evidence: BoundStates) -> bool:
-    """Whether a CPD's table has a zero at the states that are known and given once for all runs.
+    """Whether a CPD's table has a zero after known states that are equal in all runs are put in.
 
-    A table above the limit of memory, of a CPD that was given by its structure, is not looked at.
+    A variable that is unknown, or whose state is given by run, counts with all its states. A table
+    above the limit of memory, of a CPD given by its structure, as a sparse matrix is, is not
+    examined: the answer is then False.
     """
     cpd, unknown = family
     if cpd._maps and math.prod(sizes(discrete(cpd.scope))) > limits.LIMIT:
@@ -122,10 +128,11 @@ def _has_zero(family: Family, evidence: BoundStates) -> bool:
 
 
 def _restricting(constraints: Sequence[Family], evidence: BoundStates) -> list[Family]:
-    """The CPDs with unknown variables that may exclude the evidence, in their order.
+    """The families of `constraints` that may make the evidence impossible, in their order.
 
-    One is left out if its child has no evidence and is in no other: whatever its parents' states,
-    some state of it is possible. That may leave others without their children's CPDs in turn.
+    Families without unknown variables are left out, and so is a family whose child is unknown, has
+    no evidence and is in no other family: whatever the states of its parents, some state of the
+    child is possible. Leaving a family out may free the children of others in the same way.
     """
     left = {cpd.child: (cpd, unknown) for cpd, unknown in constraints if unknown}
     count = Counter(v for _, unknown in left.values() for v in unknown)
@@ -144,7 +151,7 @@ def _restricting(constraints: Sequence[Family], evidence: BoundStates) -> list[F
 
 
 def _parts(families: Sequence[Family]) -> Iterator[list[Family]]:
-    """The families in parts that share no unknown variable."""
+    """The families in parts: two families of different parts share no unknown variable."""
     holding: dict[Discrete, list[int]] = {}
     for k, (_, unknown) in enumerate(families):
         for variable in unknown:

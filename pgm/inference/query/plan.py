@@ -27,7 +27,7 @@ class Step:
     """A product of tables over `scope`, summed over the first `summed` variables of it.
 
     `factors` are the numbers of the tables, the smallest table first; numbers count the tables of
-    `EliminationPlan.scopes`, then the results of its steps.
+    `EliminationPlan.scopes`, then the results of the plan's steps. `summed` may be zero.
     """
 
     factors: tuple[int, ...]
@@ -44,9 +44,9 @@ class EliminationPlan:
 
     requisite: The CPDs and the evidence that bear on the query.
     order: The hidden variables of `requisite`, in the order in which they are summed out.
-    scopes: Those of the CPDs' tables, then of the evidence weights of each of `weighted`.
-    weighted: Hidden variables with soft evidence, or observed in some runs alone.
-    steps: The last one multiplies what is left to the joint.
+    scopes: The scopes of the CPDs' tables, then of the evidence weights of each of `weighted`.
+    weighted: The hidden variables with soft evidence, or observed in some runs alone.
+    steps: The products to make, in order; the last one multiplies the tables left to the joint.
     """
 
     requisite: Requisite
@@ -90,11 +90,11 @@ class EliminationPlan:
         weights: Sequence[int],
         stages: Sequence[int],
     ) -> EliminationPlan:
-        """The plan in weighted min-fill order: variables of stage 0, then those of 1, which stay.
+        """The plan in weighted min-fill order: variables of stage 0 first, which are summed out.
 
-        The vertices of the graph `adjacent` are places in `requisite.hidden`, as are the variables
-        of the CPDs' tables in `families`. `weights` (numbers of states, or ones) and `stages`
-        have a number for each vertex.
+        Variables of stage 1, those asked for, come last. The vertices of the graph `adjacent` are
+        places in `requisite.hidden`, as are the variables of the CPDs' tables in `families`.
+        `weights` (numbers of states, or ones) and `stages` have a number for each vertex.
         """
         found = min_fill(adjacent, weights, stages)
         position = [0] * len(found)
@@ -112,13 +112,13 @@ class EliminationPlan:
 
     @cached_property
     def sizes(self) -> list[int]:
-        """The entries of the table of each step, before its sum."""
+        """The number of entries of the table of each step, before its sum, for one run."""
         states = [v.size for v in self.order]
         return [math.prod([states[k] for k in step.scope]) for step in self.steps]
 
     @cached_property
     def cost(self) -> int:
-        """The entries of the tables of all steps together, before their sums, for one run."""
+        """The number of entries of the tables of all steps, before their sums, for one run."""
         return sum(self.sizes)
 
     @cached_property
@@ -157,9 +157,9 @@ def _steps(scopes: Sequence[tuple[int, ...]], sizes: Sequence[int], hidden: int)
     """The steps of bucket elimination for tables over `scopes`: the first `hidden` are summed out.
 
     `sizes` are the numbers of states of all variables. Each table waits in the bucket of the first
-    of its variables; a step multiplies those of a bucket, and its result goes to a later one. A
-    result alone in its bucket is summed over one more variable by the step that makes it. The last
-    step multiplies what is left, and sums over nothing.
+    of its variables; a step multiplies the tables of a bucket, and its result goes to a later
+    bucket. A result alone in its bucket is summed over one more variable by the step that makes it.
+    The last step multiplies the tables that are left, and sums over nothing.
     """
     buckets: list[list[int]] = [[] for _ in range(hidden + 1)]
     held = list(scopes)

@@ -67,12 +67,13 @@ def query(
     variables : Discrete or iterable of Discrete
         Not observed in all runs. The axes of the result are in this order.
     evidence : mapping of Discrete, optional
-        As for `infer`; leading axes are runs. Where other evidence separates it from the
-        variables, it is looked at for being possible alone: by elimination, among the CPDs whose
-        tables have zeros; but not where this would need tables above the limit of memory.
+        As for `infer`; leading axes are runs. Evidence that other evidence separates from the
+        variables is only checked for being possible: by elimination, among the CPDs whose tables
+        have zeros, except where this would need tables above the limit of memory.
     impossible : str
-        What is done where evidence has probability zero: ``"raise"``, or ``"allow"``, where such
-        runs have probabilities of NaN, and the others theirs.
+        What is done where evidence has probability zero: ``"raise"`` raises an EvidenceError; with
+        ``"allow"`` the probabilities of runs with such evidence are NaN, and those of other runs
+        are found.
 
     Returns
     -------
@@ -88,8 +89,8 @@ def query(
         If the network is dynamic or continuous, or if a table on the way, or the answer over all
         runs, is too large.
     ModelError
-        If it is no network, one of the variables is asked for twice, or `impossible` is neither of
-        the two.
+        If `network` is no network, one of the variables is asked for twice, or `impossible` is
+        neither ``"raise"`` nor ``"allow"``.
 
     References
     ----------
@@ -136,10 +137,10 @@ def query(
 def _require_possible_elsewhere(
     elsewhere: Sequence[Contradiction], evidence: BoundStates, before: int
 ) -> None:
-    """Raise the error of the first run that `elsewhere` contradicts, if earlier than run `before`.
+    """Raise the error of the first run with a contradiction, if that run is before run `before`.
 
-    `elsewhere` are the contradictions in what the query leaves out, `evidence` is that of the whole
-    network.
+    `elsewhere` are the contradictions among the CPDs that the query leaves out, `evidence` is that
+    of the whole network.
     """
     first = min(elsewhere, key=lambda each: int(each.lost.argmax()), default=None)
     if first is not None and int(first.lost.argmax()) < before:
@@ -201,8 +202,8 @@ def _answer(
 ) -> Array:
     """The joint of the variables `scope`, (sizes..., runs or 1), in whichever way takes less time.
 
-    That is from the posterior of the tree `graph`, if there is one, or by elimination. With
-    `allow`, runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
+    The two ways are the posterior of `graph`, if that is a tree, and elimination. With `allow`,
+    runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
     """
     if not requisite.hidden:
         return np.ones((*sizes(scope), 1))

@@ -20,11 +20,13 @@ class Requisite:
     A variable is *known* if it has one state alone or is observed in all runs.
 
     cpds: The CPDs of the part.
-    open: The variables of each of them that are not known.
-    hidden: All variables that are not known, those asked for first.
-    evidence: That of the variables of the part; its `lead` is () if it is given once for all runs.
-    left_out: The other CPDs of variables with evidence or above them, each with its variables that
-        are not known: they bear on nothing but the evidence's probability.
+    open: The variables of each of these CPDs that are not known.
+    hidden: All variables of the part that are not known, those asked for first.
+    evidence: The evidence on the variables of the part; its `lead` is () if it is given once for
+        all runs.
+    left_out: The CPDs outside the part whose child has evidence or is an ancestor of a variable
+        with evidence, each with its variables that are not known: they bear on nothing but the
+        probability of the evidence.
     """
 
     cpds: tuple[TableCPD, ...]
@@ -39,10 +41,11 @@ class Requisite:
     ) -> Requisite:
         """Find the part of a network that bears on the variables `wanted`, given evidence.
 
-        A variable is *barren* if neither it nor any variable below it is asked for or observed:
-        its CPD sums to one. Others bear on the query if CPDs join them to it through variables
-        whose state is not known; the CPDs of the rest are a constant. A variable with evidence in
-        some runs alone, or soft evidence, is not known; one of a single state is.
+        A variable is *barren* if neither it nor any of its descendants is asked for or observed:
+        its CPD sums to one, and is left out. Any other CPD bears on the query if a path of CPDs,
+        each sharing with the next a variable that is not known, joins it to a variable asked for;
+        the product of all the rest is a constant. A variable with evidence in some runs alone, or
+        with soft evidence, is not known; a variable of a single state is.
 
         Source: Lauritzen, Dawid, Larsen and Leimer (1990), Independence properties of directed
         Markov fields. Shachter (1998), Bayes-Ball: The rational pastime.
@@ -94,7 +97,8 @@ def certain(evidence: BoundStates) -> set[Discrete]:
 def evidence_of(evidence: BoundStates, members: set[Variable]) -> BoundStates:
     """The evidence of the variables `members`, without those of a single state.
 
-    States (1,), given once for all runs, become a number; if all evidence is such, `lead` is ().
+    States (1,), given once for all runs, become a number; if all evidence is given once for all
+    runs, `lead` of the result is ().
     """
     states = {
         v: s if isinstance(s, int) or s.size > 1 else int(s[0])
