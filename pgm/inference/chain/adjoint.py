@@ -1,18 +1,21 @@
 """The backward pass in twice the digits: a smoother that inverts no covariance of states.
 
-The forward pass (`careful`) takes in scalar measurements z = h x + e one by one, each with a gain
-G, an innovation v = z − h m and its variance S. The backward pass begins with r = 0 and N = 0
-behind the last step, and goes back through each scalar and through each transition A (from a slice
-x to the next, A x and noise):
+Numbers are pairs of float64. The forward pass (`careful`) conditions the belief over a slice x, of
+mean m and covariance P, on scalar measurements z = h x + e one by one, each with a gain G, an
+innovation v = z − h m and its variance S. The backward pass begins with r = 0 and N = 0 behind the
+last step, and goes back through each scalar and through each transition A (from a slice x to the
+next, A x plus noise):
 
     r ← (1 − G h)ᵀ r + hᵀv/S,    N ← (1 − G h)ᵀ N (1 − G h) + hᵀh/S;    r ← Aᵀ r,    N ← Aᵀ N A.
 
-r and N are the *message* of all measurements passed so far. With them a belief m, P that knows only
-the earlier measurements becomes m + P r, P − P N P. Where that would leave too few digits (an
-unstable motion, a wide prior), the smoothed belief is found from the next slice's by Bayes' rule
-instead (Bryson & Frazier, 1963; de Jong, 1989; Durbin & Koopman, 2012, 4.4 to 4.7).
+r and N are the *message* of all measurements passed so far. A belief m, P that knows only the
+earlier measurements becomes, given the message, m + P r, P − P N P. Where this difference would
+leave too few digits (an unstable motion, a wide prior), the smoothed belief is found from the next
+slice's by Bayes' rule instead (Bryson & Frazier, 1963; de Jong, 1989; Durbin & Koopman, 2012, 4.4
+to 4.7).
 
-With a flat prior m is a function of the unknown δ (q components; see `careful`), and so is r.
+With a flat prior (infinite variances) the mean is an affine function m + D δ of an unknown vector δ
+(q components; see `careful`), and so is r.
 """
 
 from __future__ import annotations
@@ -53,9 +56,10 @@ class Later(NamedTuple):
     """The message of later measurements to a belief over a slice: r as a function of δ, and N.
 
     `vector` has the columns [r R] (runs, n, 1 + q) of r + R δ; `matrix` is N (runs, n, n). As in a
-    `Belief`, `rounding` B (runs, n, n) bounds the rounding error E of N, −B ≤ E ≤ B, and `drift`
-    (runs, n, n) is taken for the covariance of the rounding error of r. `blurred` (runs,) is the
-    largest share of an innovation variance S, over the later measurements, that may be rounding.
+    `Belief`, `rounding` B (runs, n, n) bounds the rounding error E of N, −B ≤ E ≤ B in the order of
+    semidefinite matrices, and `drift` (runs, n, n) is taken for the covariance of the rounding
+    error of r. `blurred` (runs,) is the largest share of its innovation variance S that may be
+    rounding, over all later measurements.
     """
 
     vector: Twofold
@@ -65,10 +69,11 @@ class Later(NamedTuple):
     blurred: Array
 
     def before(self, components: list[Component]) -> Later:
-        """The message to a step's predicted belief, from this one to its belief after measurements.
+        """Carry the message back through the measurements of a step.
 
-        It then knows the step's own measurements, too. They are `components`, in the order in which
-        the forward pass took them in.
+        This message is to the belief after those measurements. The result is to the step's
+        predicted belief, and includes them. `components` are the measurements as scalars, in the
+        order in which the forward pass took them in.
         """
         vector, matrix, rounding, drift, blurred = self
         for row, keep, innovation, weight, error, blur, moved in reversed(components):
@@ -85,7 +90,10 @@ class Later(NamedTuple):
         return Later(vector, matrix, rounding, drift, blurred)
 
     def back(self, matrix: Twofold) -> Later:
-        """The message Aᵀ r, Aᵀ N A to the slice before; A = `matrix` is the transition from it."""
+        """The message Aᵀ r, Aᵀ N A to the slice one step before.
+
+        A = `matrix` (runs or 1, n, n) is the transition from that slice to the present one.
+        """
         slope, said = matrix.hi.mT, self.matrix
         rounding = through(slope, self.rounding) + rounded(slope, said.hi)
         drift = through(slope, self.drift)
@@ -97,8 +105,7 @@ class Back(NamedTuple):
     """The gain G of Bayes' rule, by which a smoothed belief follows from the next slice's.
 
     `gain` is (runs, n, n), with rows of the slice and columns of the next; `lost` (runs, 1, 1)
-    marks the runs in which the smoothed belief was found by it, since P − P N P would have left
-    fewer digits.
+    marks the runs in which this gain was used, since P − P N P would have left fewer digits.
     """
 
     gain: Twofold
@@ -106,11 +113,11 @@ class Back(NamedTuple):
 
 
 class Smooth(NamedTuple):
-    """The belief over the slice at `step`, given the measurements up to some last step.
+    """The smoothed belief over the slice at `step`, given the measurements up to some last step.
 
-    `here` is the message of the measurements from `step` on, its own among them, up to the last:
-    one to the predicted belief. `back` has the gains of Bayes' rule, None where no run needed it.
-    `parts` (runs, n) are the shares of the belief's variances that may be rounding.
+    `here` is the message to the predicted belief at `step`, of the measurements from `step` itself
+    up to that last step. `back` has the gains of Bayes' rule from the next slice, None if that rule
+    was not tried. `parts` (runs, n) are the shares of the belief's variances that may be rounding.
     """
 
     step: int
@@ -124,9 +131,10 @@ class Smooth(NamedTuple):
 class CarefulSmoothed:
     """A chain smoothed in twice the digits: the forward pass `careful`, and the smoothed slices.
 
-    `slices` has one entry a step, given all measurements, or those up to a lag after the step.
-    `beliefs` are their moments in float64. `proper` (T+1, runs, n, n) are finite covariances, along
-    the directions that are known, if `beliefs` has infinite variances at any step; else None.
+    `slices` has for each step its belief given all measurements, or given the measurements up to a
+    fixed lag after the step. `beliefs` are the moments of these beliefs in float64. `layout` says
+    where the variables stand in a slice. If `beliefs` has infinite variances at any step, `proper`
+    (T+1, runs, n, n) are finite covariances along the directions that are known; else it is None.
     """
 
     careful: Careful
@@ -140,8 +148,8 @@ class CarefulSmoothed:
         """Smooth a forward pass; each slice is given the measurements up to `lag` steps later.
 
         None for `lag` means all measurements. `careful` is the forward pass over all steps of
-        `plan`. A moment that is not finite is refused with a NumericalError; the infinite variances
-        that a flat prior leaves are no such moments.
+        `plan`. A moment that is not finite is refused with a NumericalError, except for infinite
+        variances that a flat prior leaves.
         """
         shape = careful.forward.mean.shape
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
@@ -180,7 +188,11 @@ class CarefulSmoothed:
 
     @cached_property
     def point(self) -> Point:
-        """The smoothed moments to linearise at: of slices, and of pairs unless `layout.single`."""
+        """The smoothed moments as a point of linearisation.
+
+        They are those of the slices, and, unless `layout.single` says that no CPD needs them, the
+        covariances of `pairs`.
+        """
         pairs = None if self.layout.single else self.pairs()
         return Point(self.beliefs.mean, self.beliefs.cov, pairs, self.proper)
 
@@ -201,7 +213,10 @@ class CarefulSmoothed:
         return block(np.array(found), wanted, wanted) if found else np.zeros(shape)
 
     def at(self, plan: ChainPlan, mean: Array) -> CarefulSmoothed:
-        """The same result with `mean` (T+1, runs, n) as its means, as step control may keep it."""
+        """A copy of the result whose smoothed means are `mean` (T+1, runs, n).
+
+        A step control (Levenberg–Marquardt) reports means of its own in place of the solution's.
+        """
         shift = mean - self.beliefs.mean
         slices = [
             each._replace(belief=each.belief.shifted(own))
@@ -298,11 +313,10 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
 
 
 def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
-    """The belief m + P r, P − P N P over a slice, from its filtered belief and the later message.
+    """The smoothed belief m + P r, P − P N P over a slice, from its filtered belief `known`, m, P.
 
-    `later` is the message to the belief after the slice's measurements. The second result are the
-    shares of the smoothed variances that may be rounding, (runs, n). The smoothed belief has its
-    own bounds of rounding, too.
+    `later` is the message r, N of the measurements after the slice's own. Returns the belief, with
+    its own bounds of rounding, and the shares of its variances that may be rounding, (runs, n).
     """
     columns, cov, own, drift, largest = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
@@ -372,5 +386,5 @@ def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
 
 
 def _symmetric(cov: Twofold) -> Twofold:
-    """(P + Pᵀ) / 2, since rounding makes products unsymmetric."""
+    """(P + Pᵀ) / 2 of a covariance P (..., n, n), since rounding makes products unsymmetric."""
     return 0.5 * (cov + cov.mT)

@@ -1,12 +1,14 @@
 r"""Associating sightings of unknown identity, for Gaussian beliefs: each with a candidate.
 
-A sighting is *open* if one parent of its sensor is unknown: one of k candidates m_k with prior
-probabilities w_k, say the landmarks of a map. Beside these it may be *spurious* or of a *new*
-thing. At the belief N(μ, P) of its step, candidate m_k of a sighting z has the innovation ν_k = z −
-ẑ_k with covariance S_k = H_k P H_kᵀ + R_k. It is considered where ν_kᵀ S_k⁻¹ ν_k is within the
-candidates' gate, and the likeliest one has the largest ln w_k + ln N(ν_k; 0, S_k), each sighting by
-itself or all of a step together (`joint_compatibility.py`). A step's sensors whose sightings are
-not open are taken in first, then one open sensor after another, with the candidates chosen.
+A sighting is one measurement of a sensor. It is *open* if one parent of the sensor is unknown: one
+of k candidates m_j with prior probabilities w_j, say the landmarks of a map. An open sighting may
+also be *spurious*, or of a *new* thing that is no candidate. At the belief N(μ, P) of its step, a
+sighting z that is linearised with candidate m_j as ẑ_j + H_j (x − μ) + e, e ~ N(0, R_j), has the
+innovation ν_j = z − ẑ_j with covariance S_j = H_j P H_jᵀ + R_j. Candidates whose ν_jᵀ S_j⁻¹ ν_j
+exceeds the χ² quantile of the candidates' gate, a probability, are ruled out. Of the others the one
+of largest ln w_j + ln N(ν_j; 0, S_j) is chosen, for each sighting by itself or for all of a step
+together (`joint_compatibility.py`). The belief is conditioned on the step's sightings that are not
+open first, then on those of one open sensor after another, with the candidates chosen.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ from pgm.variables import Variable
 
 
 class Associated(NamedTuple):
-    """Evidence without open sightings, and what was decided about those that were open.
+    """Evidence in which all open sightings have been decided, and the record of the decisions.
 
     In `bound` the parent that was unknown has the value of the candidate chosen for the sighting;
     of a spurious or new sighting no component counts as measured. `found` has the probabilities of
@@ -56,9 +58,9 @@ def associated(
 ) -> Associated:
     """Associate the open sightings of all steps by a filter that linearises each CPD once.
 
-    `gate` is the filter's (see `gate.py`), for all sightings that are taken in, those with a chosen
-    candidate among them; None for no gate. An EvidenceError refuses a prior of infinite variance,
-    and sensors whose `association` is "sum".
+    `bound` is the evidence, open sightings included. `gate` is the filter's gate (see `gate.py`),
+    for all sightings: an open one is tested with its chosen candidate. None is no gate. An
+    EvidenceError refuses a prior of infinite variance, and sensors whose `association` is "sum".
     """
     known = replace(bound, readings=tuple(r for r in bound.readings if r.unknown is None))
     plan = ChainPlan.make(graph, known, lineariser)
@@ -107,7 +109,10 @@ def associated_at(
 
 
 def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
-    """The evidence with its open sightings closed, once those of all steps are associated."""
+    """The result of an association: the evidence `bound` with its open sightings decided.
+
+    `pending` are the sensors with open sightings, of which all have been associated.
+    """
     closed = {each.reading.cpd.child: each.closed for each in pending}
     readings = tuple(closed.get(r.cpd.child, r) for r in bound.readings)
     found = dict(
@@ -117,13 +122,14 @@ def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
 
 
 class _Pending:
-    """The open sightings of a sensor, as far as they are associated.
+    """The open sightings of one sensor, and the associations of those decided so far.
 
-    `probability`, `values` and `taken` have one array for each sighting associated so far, in the
-    order of the reading: the probabilities (runs, k + 2) of the candidates, of spurious and of new;
-    the value (runs, p) of the parent, of p components; and the mask (runs, d) of the sighting's d
-    components that were taken in. The `reading` must have an `unknown`; an EvidenceError refuses
-    one whose `association` is "sum". `gate` is that of the filter, None for no gate.
+    The lists `probability`, `values` and `taken` have an array for each sighting decided so far, in
+    the order of the reading. `probability` (runs, k + 2) is that of the sighting being of each
+    candidate, spurious, or of a new thing. `values` (runs, p) is the chosen value of the unknown
+    parent, of p components. `taken` (runs, d) marks which of the sighting's d components were used
+    as measurements. The `reading` must have an `unknown`; an EvidenceError refuses one whose
+    `association` is "sum". `gate` is that of the filter, None for no gate.
     """
 
     def __init__(self, reading: Reading, gate: Asked | None) -> None:
@@ -156,15 +162,15 @@ class _Pending:
         rows: range,
         belief: Moments,
     ) -> Moments:
-        """Choose a candidate for each sighting of a step at a belief; the belief given them.
+        """Choose a candidate for each sighting of a step; returns the belief given the sightings.
 
-        `rows` are the sightings' rows in the reading, all of the sensor at `step`, and `belief`
-        knows the measurements taken in before. The probability of candidate k
-        is ∝ w_k N(ν_k; 0, S_k), zero outside the candidates' gate, that of a spurious and of a new
-        sighting ∝ its declared density. Where all k + 2 are zero the sighting is spurious. The
-        likeliest is chosen for each, or, if the sensor's `association` is "joint", for all
-        together. Spurious and new sightings are not taken in. The lists of the class grow by an
-        entry for each row. Refusals are those of `_innovations` and `_jointly`.
+        `rows` are the sightings' rows in the reading, all of the sensor at `step`; `belief` is
+        over that step's slice, given all measurements used so far. The probability of candidate j
+        is ∝ w_j N(ν_j; 0, S_j), and zero outside the candidates' gate; that of a spurious and of a
+        new sighting is ∝ its declared density. Where all k + 2 are zero the sighting is spurious.
+        The likeliest of the k + 2 is chosen for each sighting, or, if the sensor's `association` is
+        "joint", for all together. Spurious and new sightings do not change the belief. The lists of
+        the class grow by an entry for each row. Errors are those of `_innovations` and `_jointly`.
         """
         runs, unknown = bound.runs, self.unknown
         pairs = _innovations(
@@ -193,13 +199,14 @@ class _Pending:
         return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
 
     def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
-        """Decide about a step's sightings together: log-probabilities, 0 of the choice, else −∞.
+        """Decide about a step's sightings together; returns log-probabilities of the candidates.
 
-        `terms` (sightings, runs, k + 2), of which the result has the shape, are the logarithms of
-        what each probability is proportional to, −∞ outside the gate, in the order of
-        `probability`; `cov` is P (runs, n, n). The candidates must have a gate. A sighting without
-        a candidate is taken as spurious or new, as is likelier. A search of too many hypotheses is
-        refused with an EvidenceError.
+        The result is 0 for the choice and −∞ for all else, (sightings, runs, k + 2). `terms`, of
+        the same shape, are the logarithms of unnormalised probabilities in the order of
+        `probability`, −∞ outside the gate. `pairs` are the innovations of each sighting with each
+        candidate, and `cov` is P (runs, n, n). The candidates must have a gate. A sighting without
+        a candidate is taken for spurious or new, whichever is likelier. A search of too many
+        hypotheses is refused with an EvidenceError.
         """
         assert self.unknown.gate is not None
         compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
@@ -224,10 +231,11 @@ class _Pending:
         return decided
 
     def _expanded(self, rows: range, runs: int) -> Reading:
-        """Each pair of a sighting and a candidate as one run, which has that sighting at step 0.
+        """A reading with one run for each sighting, run and candidate, to treat all at once.
 
-        There are len(rows) · runs · candidates of them in this order, the candidates fastest; the
-        parent has the candidate as its value. `rows` are rows of the reading.
+        Each of these len(rows) · runs · k runs, of which candidates vary fastest and sightings
+        slowest, has its sighting at step 0, and the candidate as the value of the unknown parent.
+        `rows` are the rows of the sightings in the reading.
         """
         reading, candidates = self.reading, self.unknown.candidates
         count, shape = len(candidates), (len(rows), runs, len(candidates))
@@ -252,9 +260,9 @@ class _Pending:
         )
 
     def part(self, rows: range) -> Reading:
-        """The sightings at some rows with the candidates chosen for them, as evidence of a step 0.
+        """The sightings at some rows, with the candidates chosen for them, all put at a step 0.
 
-        They have to be associated already.
+        Candidates must have been chosen for all these sightings before.
         """
         chosen = slice(rows.start, rows.stop)
         return replace(
@@ -274,7 +282,7 @@ class _Pending:
     def closed(self) -> Reading:
         """All sightings at their steps, with the candidates chosen for them as the parent's values.
 
-        They have to be associated already.
+        Candidates must have been chosen for all sightings before.
         """
         whole = self.part(range(len(self.reading.step))) if self.values else self.reading
         inputs = whole.inputs
@@ -293,10 +301,10 @@ def _taken(
     belief: Moments,
     gate: Asked | None,
 ) -> Moments:
-    """The belief given `readings`, measurements of its step, gated where `gate` says so.
+    """The belief over the slice at `step`, conditioned on measurements of that step, `readings`.
 
-    Each reading has its sightings at a step 0, whatever the step; `step` is the step's number in
-    the chain. Of `bound` only the runs are used.
+    Each reading has its sightings at a step 0; `step` is the step's number in the chain. `gate`
+    decides which sightings are used, None for all. Of `bound` only the runs are used.
     """
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
@@ -331,9 +339,10 @@ def _innovations(
 ) -> _Pairs:
     """The innovations of each sighting with each candidate, linearised at the belief of its run.
 
-    `reading` has each pair as a run of its own, as `_expanded` lays out a number of `rows`;
-    `belief` has the runs of `bound`, of which nothing else is used. An S that is singular,
-    indefinite or not finite is refused with a NumericalError.
+    `reading` has each sighting with each candidate as a run of its own, in the layout of
+    `_expanded`, and `rows` is the number of sightings. `belief` is over the slice at `step`; its
+    runs are those of `bound`, of which nothing else is used. An S that is singular, indefinite or
+    not finite is refused with a NumericalError.
     """
     every = reading.values.shape[1]
     one = BoundEvidence(0, (every,), (), (reading,))

@@ -5,8 +5,8 @@ act on the next slice. A transition, with the filtered belief before it, is reve
 conditional of the states at t given the slice at t + 1 and the measurements up to t. The filtered
 belief at T is the smoothed one there, and is pushed back through these conditionals.
 
-The reversed chain exists where messages in information form (`messages.py`) do not: of a static
-state read exactly. Stacks have the steps first and the runs second.
+The reversed chain exists even where messages in information form (`messages.py`) do not, as for a
+static state that is measured without noise. Stacks have the steps first and the runs second.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def between_slices(plan: ChainPlan) -> Conditional:
 
 
 def about(conditional: Conditional, reference: Array) -> Conditional:
-    """The conditionals of `between_slices`, for x[t] − reference[t] in place of x[t].
+    """The conditionals of `between_slices`, for x[t] − reference[t] in place of the slices x[t].
 
     `reference` is (T+1, runs, n).
     """
@@ -85,7 +85,7 @@ def about(conditional: Conditional, reference: Array) -> Conditional:
 
 
 class Ahead(Protocol):
-    """A forward pass for a backward one: its moments before and after measurements."""
+    """A forward pass, as a backward pass reads it: moments before and after measurements."""
 
     @property
     def predicted_mean(self) -> Array:
@@ -112,10 +112,10 @@ class Ahead(Protocol):
 class Reverse:
     """The reversed chain: affine conditionals of each slice given the next, for the same evidence.
 
-    Row t of `states`, of T, is p(states at t | slice at t + 1, measurements up to t). Row t of
-    `slices`, of T+1, is p(slice at t | its states, measurements up to t); None where there are no
-    controls, so that the states are the slice. `beliefs` are the smoothed moments, where they have
-    been found already.
+    `states` (T, runs, ...) has in row t p(states at t | slice at t + 1, measurements up to t).
+    `slices` (T+1, runs, ...) has in row t p(slice at t | its states, measurements up to t); None if
+    there are no controls, so that the states are the slice. `beliefs` are the smoothed moments if
+    they have been found already, else None.
     """
 
     states: Conditional
@@ -180,9 +180,10 @@ class Reverse:
 class _Step(NamedTuple):
     """The arguments of `kernels.moments.reverse`, for the transitions from steps t to t + 1.
 
-    `mean` (T, runs, m) and `cov` are the filtered moments of the states at t, `matrix` (T, runs, n,
-    m) and `noise` (T, runs, n, n) the transition's, and `forward_mean` (T, runs, n) and
-    `forward_cov` the predicted moments of the slice at t + 1.
+    `mean` (T, runs, m) and `cov` (T, runs, m, m) are the filtered moments of the states at t, of m
+    components. `matrix` (T, runs, n, m) and the covariance `noise` (T, runs, n, n) are those of the
+    transition. `forward_mean` (T, runs, n) and `forward_cov` (T, runs, n, n) are the predicted
+    moments of the slice at t + 1.
     """
 
     mean: Array
@@ -194,7 +195,7 @@ class _Step(NamedTuple):
 
 
 def _reverse(step: _Step) -> Conditional:
-    """p(states at t | slice at t + 1) by Bayes' rule, from filtered states and the transition."""
+    """p(states at t | slice at t + 1, measurements up to t) by Bayes' rule, for many t at once."""
     return moments.reverse(*step)
 
 
@@ -233,7 +234,7 @@ class Beliefs:
 def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
     """Smoothed moments of every slice: by a scan, or step by step where that is faster.
 
-    Where `reverse` has them already, these are returned.
+    Moments that `reverse` has already are returned as they are.
     """
     if reverse.beliefs is not None:
         return reverse.beliefs

@@ -28,9 +28,9 @@ from pgm.kernels.prefixes import take
 class BalancedPosterior(ChainPosterior):
     """The beliefs of a balanced cluster tree after a schedule of messages.
 
-    All is as on a chain of slices but the messages and the beliefs of clusters. After smoothing
-    messages and beliefs are those of a calibrated tree. After filtering a message down to a segment
-    knows only the measurements up to the segment's left end, and cluster 0 is sent no message.
+    Only its messages and beliefs of clusters differ from those of the chain of slices. After
+    smoothing messages and beliefs are those of a calibrated tree. After filtering a message down to
+    a segment knows only the measurements up to the segment's left end, and cluster 0 is sent none.
     """
 
     graph: BalancedGraph
@@ -70,8 +70,8 @@ class BalancedPosterior(ChainPosterior):
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its hidden variables, unnormalised.
 
-        Its integral is the density of measurements: of all after smoothing, of those up to the
-        cluster's step, or the end of its segment, after filtering.
+        Its integral is a density of measurements: after smoothing of all measurements, after
+        filtering of the measurements up to the cluster's step or the end of its segment.
 
         Raises
         ------
@@ -123,8 +123,8 @@ class BalancedPosterior(ChainPosterior):
         """The message up from a segment, p(y, measurements after a up to b | x), in canonical form.
 
         x and y are the states at a = `first` and b = `last`; the form is over x, then y. It is
-        composed about their filtered means, where its numbers are small, and then moved to the
-        origin.
+        computed over the deviations of x and y from their filtered means, so that numbers are
+        small, and then moved to the origin.
         """
         whole = _composed(self._leaves(first, last))
         precision, h, g = (part[0] for part in canonical.from_affine(*whole[:3]))
@@ -140,9 +140,10 @@ class BalancedPosterior(ChainPosterior):
         return canonical.shift(precision, h, g + whole.g[0], np.concatenate(ends, axis=-1))
 
     def _leaves(self, first: int, last: int) -> Element:
-        """The elements of the single steps `first` + 1 to `last`, one a row.
+        """The single steps `first` + 1 to `last` as segments: an `Element` with a row for each.
 
-        Each goes from the states before its step to those at it, about their filtered means.
+        The row of step t is p(x[t], measurements at t | x[t − 1]), x being the states less their
+        filtered means.
         """
         conditionals = transition(self._plan)
         size, runs = self.graph.layout.state_size, self._plan.runs

@@ -1,18 +1,18 @@
 """The forward pass in twice the digits, where standard deviations lie too far apart for float64.
 
 Numbers are pairs of float64 (`Twofold`). The measurements of a step are decorrelated to scalars
-z = h x + e, e ~ N(0, r), which are taken in one by one:
+z = h x + e, e ~ N(0, r). The belief N(m, P) over the slice x is conditioned on them one by one:
 
     S = h P hᵀ + r,   G = P hᵀ/S,   v = z − h m,
     m ← m + G v,   P ← (1 − G h) P (1 − G h)ᵀ + G r Gᵀ.
 
-One whose S is no more than rounding was determined before, and says nothing.
+A scalar whose S is no more than rounding was determined before, and is left out.
 
 The infinite variances of a *flat* prior are an unknown vector δ (q components), of which all means
-are functions m + D δ. The columns [m D] go through the pass as one mean does, each scalar taken in
-leaves an innovation v + V δ, columns [v V], and δ has the information Σ VᵀV / S. A flat component
-of the prior is one of δ plus a part of unit variance, so that covariances given δ are those of an
-ordinary model (de Jong, 1991; Durbin & Koopman, 2012, 5.7 and 6.4).
+are functions m + D δ. The columns [m D] go through the pass as one mean does, each scalar has an
+innovation v + V δ, columns [v V], and δ has the information Σ VᵀV / S. A component of infinite
+prior variance is a component of δ plus a variable of unit variance, so that covariances given δ are
+those of an ordinary model (de Jong, 1991; Durbin & Koopman, 2012, 5.7 and 6.4).
 """
 
 from __future__ import annotations
@@ -107,12 +107,13 @@ def sweep(
 ) -> tuple[Careful, Status]:
     """The forward pass over all steps of a plan, and the status of its linearisations.
 
-    With a schedule each CPD is linearised at its incoming belief, the plan keeps that, and the
-    schedule's gates decide; `anchor` and `gated` are then not used. Without one the plan's
-    linearisations are used; `gated` are the gates that decide, and `anchor` holds all slices near a
-    point, for step control; None for none. `begin` takes the prior's place in the plan of a window.
-    Beliefs that are indefinite or not finite, and measurements that contradict what is certain, are
-    refused with a NumericalError.
+    With a schedule each CPD is linearised at its incoming belief, the plan stores the
+    linearisation, and the schedule's gates reject sightings; `anchor` and `gated` are then not
+    used. Without a schedule the plan's linearisations are used, the gates `gated` reject sightings,
+    and `anchor` holds all slices near a point, for a step control (Levenberg–Marquardt); None for
+    no gates and no anchor. `begin` takes the prior's place in the plan of a window. Beliefs that
+    are indefinite or not finite, and measurements that contradict a certain belief, are refused
+    with a NumericalError.
     """
     out = Forward.empty(plan)
     steps: list[Step] = []
@@ -179,9 +180,9 @@ def update(
 ) -> tuple[Belief, IteratedUpdate[CarefulUpdate], Sequence[Reading]]:
     """The belief of an online filter given the measurements of its step, the only ones of the plan.
 
-    `step` is its number in the chain, and `known` the belief predicted to it, without δ (q = 0).
-    Returns the belief, the iterated update that led to it, and the readings as linearised last.
-    What `sweep` refuses is refused.
+    `step` is the step's number in the chain, and `known` the belief predicted to that step, without
+    δ (q = 0). Returns the belief, the iterated update that led to it, and the readings as
+    linearised last. A NumericalError refuses the beliefs and measurements that `sweep` refuses.
     """
     nothing = Twofold.zeros((plan.runs, 1, 1))
     mean, spread = rounded_belief(known, solved(nothing))
@@ -194,7 +195,7 @@ def update(
 
 @dataclass(frozen=True, eq=False)
 class CarefulUpdate:
-    """The belief after the measurements of a step, and what these say of δ.
+    """The belief after a step's measurements, and the estimate of δ given all measurements so far.
 
     `belief` is a function of δ, `unknown` the estimate of δ, and `mean` (runs, n) and `spread` are
     the moments of the belief in float64 with that estimate. `log_density` (runs,) is ln
@@ -213,7 +214,7 @@ class CarefulUpdate:
 
     @property
     def means(self) -> Array:
-        """The mean, (1, runs, n)."""
+        """The mean with an axis of one step in front, (1, runs, n), as a `Solution` has it."""
         return self.mean[None]
 
     @property
@@ -227,7 +228,10 @@ class CarefulUpdate:
         return Point(self.mean[None], self.cov[None], None, self.spread.cov[None])
 
     def at(self, mean: Array) -> CarefulUpdate:
-        """The same update with `mean` (runs, n) as its mean, as step control may keep it."""
+        """A copy of the update whose mean is `mean` (runs, n).
+
+        A step control (Levenberg–Marquardt) may keep another mean than the solution's.
+        """
         if np.array_equal(mean, self.mean):
             return self
         return replace(self, mean=mean, belief=self.belief.shifted(mean - self.mean))
@@ -259,9 +263,9 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         """The update of a predicted belief by the measurements at `step`, a row of the plan.
 
         `mean` (runs, n) and `spread` are the moments of `belief` in float64, δ being estimated from
-        `information`. With a schedule its gates decide, and `gated` is not used; without one the
-        plan's linearisations are used, and the gates `gated` decide, None for none. All decisions
-        are made in this call.
+        `information`. With a schedule the schedule's gates reject sightings, and `gated` is not
+        used. Without one the plan's linearisations are used, and the gates `gated` reject
+        sightings, None for no gates. Gates decide in this call alone, not at later linearisations.
         """
         chain, at = MomentChain(plan, schedule, gated=gated), Moments.of(plan, mean, spread.shown)
         parts = chain.readings(step)
@@ -277,10 +281,11 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         return made
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
-        """Linearise one sensor at moments of the slice, as `UpdateProblem.move` has them.
+        """Linearise one sensor at moments of the slice, (n, *batch) and (n, n, *batch).
 
-        Variances may be infinite; a lineariser that cannot do with one is refused with a
-        LinearisationError. Runs that are not `active` (runs,) stay; None means all.
+        Variances may be infinite; a LinearisationError refuses a lineariser that needs finite ones
+        (see `proper`). Runs that are not `active` (runs,) keep their linearisation; None means that
+        all are active.
         """
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
@@ -292,10 +297,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
         """The belief given the measurements as they are linearised at present.
 
-        An anchor's measurements of all components of the slice are taken in after them, and are no
-        evidence; None for no anchor. An indefinite predictive covariance, a log-density that is not
-        finite, and a measurement that contradicts what is certain are refused with a
-        NumericalError.
+        An anchor measures all components of the slice: the belief is conditioned on it last, and
+        the log-density leaves it out; None for no anchor. An indefinite predictive covariance, a
+        log-density that is not finite, and a measurement that contradicts a certain belief are
+        refused with a NumericalError.
         """
         belief, information, parts = self.belief, self.information, self.measured
         runs, size = belief.largest.shape
@@ -339,9 +344,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
 
 
 def prior_mean(plan: ChainPlan) -> Array:
-    """The prior means of the states' m components, (runs, m); a flat one has its declared mean.
+    """The prior means of the states' m components, (runs, m).
 
-    Nonlinear CPDs of the prior are linearised in the plan, or refused, as `start` has it.
+    A component of infinite variance has the mean that the prior declares. Nonlinear CPDs of the
+    prior are linearised in the plan, or refused beside a flat prior, as by `start`.
     """
     states = plan.layout.state_places
     if not is_flat(plan):
@@ -378,10 +384,10 @@ def start(plan: ChainPlan, *, linearise: bool) -> Belief:
 
 
 def transition(plan: ChainPlan, rows: slice) -> Move:
-    """Affine conditionals of slices given the slices before, of the plan's transition `rows`.
+    """Affine conditionals of slices given the slices before, from the transition of the plan.
 
-    Row t − 1 is of step t. Parts are (rows or 1, runs or 1, ...); the columns of the earlier
-    controls are zero.
+    `rows` picks steps, row t − 1 being of step t. Parts are (rows or 1, runs or 1, ...); the
+    columns of the earlier controls are zero.
     """
     layout = plan.layout
     found = _conditional(plan.transition, rows, layout.state_size, layout.slice_size, plan.runs)
@@ -427,10 +433,10 @@ def _conditional(links: list[Link], rows: slice, front: int, size: int, runs: in
 
 
 def _regular(noise: Array, flat: Mask) -> Twofold:
-    """A noise covariance (..., d, d) in twice the digits, whose pivots that are rounding are zero.
+    """A noise covariance (..., d, d) in twice the digits, with zeros for pivots that are rounding.
 
-    It has the rank that was meant in float64. The components `flat` (d,), of infinite variance,
-    get unit variance and no correlation.
+    A covariance that is singular but for its rounding in float64 is thus singular exactly. The
+    components `flat` (d,), of infinite variance, get unit variance and no correlation.
     """
     if flat.any():
         noise = np.where(flat[:, None] | flat, np.eye(flat.size) * flat, noise)
@@ -443,8 +449,8 @@ def _regular(noise: Array, flat: Mask) -> Twofold:
 def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
     """The transition to a step, linearised at the belief over the slice before.
 
-    `step` counts from the plan's first, which is 0; `mean` is (runs, n), `cov` (runs, n, n). Where
-    its variances are infinite, see `proper`.
+    `step` counts from the plan's first, which is 0. The belief has the moments `mean` (runs, n) and
+    `cov` (runs, n, n); infinite variances are treated as in `proper`.
     """
     if not all(link.family.exact for link in plan.transition):
         for link in plan.transition:
@@ -454,11 +460,11 @@ def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
 
 
 def proper(family: Family, step: int, cov: Array) -> Array:
-    """A covariance that a CPD can be linearised at: with zeros for infinite entries, if need be.
+    """A covariance that a CPD can be linearised at, from one with infinite entries, `cov`.
 
-    `cov` is over the slice or the parents. A linear CPD has it back as it is. Taylor's formula does
-    not look at infinite entries. For a lineariser that does, a LinearisationError refuses them,
-    whose text names the `step`.
+    `cov` (over the slice or the parents) is returned as it is for a linear CPD, and if all entries
+    are finite. For `Taylor`, whose formula does not use the covariance, infinite entries become
+    zero. For any other lineariser a LinearisationError, whose text names the `step`, refuses them.
     """
     improper = ~np.isfinite(cov)
     if family.exact or not improper.any():

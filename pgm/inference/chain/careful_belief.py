@@ -97,10 +97,10 @@ class Belief(NamedTuple):
     def error(self, parts: Array | None = None) -> Array:
         """The largest rounding error of a component's mean, in standard deviations, (runs,).
 
-        A mean's error is the root of its `drift`, or, if larger, `parts` (runs, n) times its
-        standard deviation: the shares of the variances that may be rounding, by default the
-        belief's. It is counted in that standard deviation, or, if larger, in 10⁻⁹ of the largest
-        one that the component had, since float64 cannot tell less than 10⁻¹⁶ of this.
+        A mean's error is the square root of its variance in `drift`, or, if larger, `parts` times
+        its standard deviation. `parts` (runs, n) are the shares of the variances that may be
+        rounding, None for the belief's `parts`. The error is divided by the component's standard
+        deviation, or, if larger, by 10⁻⁹ of the largest one that the component had so far.
         """
         variance = np.maximum(variances(self.cov.hi), 0.0)
         unit = np.sqrt(np.maximum(variance, _TOLD**2 * self.largest))
@@ -119,8 +119,8 @@ class Belief(NamedTuple):
     def certain(self) -> Belief:
         """The belief with zero variances and covariances where a variance may be rounding alone.
 
-        That is, where it is no more than 100 times the bound of its rounding. If it was not zero
-        exactly, a millionth of this threshold is added to the error variance of the mean.
+        A variance counts as rounding alone up to 100 times the bound of its rounding. Where it was
+        not zero before, a millionth of this threshold is added to the mean's error variance.
         """
         floor = CLEAR * variances(self.rounding)
         open_ = np.abs(variances(self.cov.hi)) > floor
@@ -152,8 +152,9 @@ def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
 def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
     """The columns [m D] (..., n, 1 + q), with zeros where entries of D are only rounding.
 
-    An entry of D is, if it is below 10⁻²⁶ of the sum of its summands' absolute values. Each array
-    of `summed`, (..., n, 1 + q), has one summand of every entry, or the absolute values of several.
+    An entry of D counts as rounding if it is below 10⁻²⁶ of the sum of its summands' absolute
+    values. Each array of `summed`, (..., n, 1 + q), has one summand of every entry, or the sum of
+    the absolute values of several.
     """
     if columns.shape[-1] == 1:
         return columns
@@ -164,7 +165,7 @@ def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
 
 
 def diagonal(values: Array) -> Array:
-    """Diagonal matrices of values (..., n)."""
+    """Diagonal matrices (..., n, n) of values (..., n)."""
     found: Array = values[..., None] * np.eye(values.shape[-1])
     return found
 
@@ -216,7 +217,8 @@ class Move(NamedTuple):
 def predicted(belief: Belief, move: Move) -> Belief:
     """The belief over the next slice before its measurements: A (m + D δ) + b and A P Aᵀ + Q.
 
-    Its bounds are found too; a variance that may be rounding alone becomes zero.
+    A, b and Q are the matrix, offset and noise covariance of `move`. The belief's bounds of
+    rounding are found too; a variance that may be rounding alone becomes zero.
     """
     matrix = move.matrix
     summed = np.abs(matrix.hi) @ np.abs(belief.columns.hi)
@@ -277,7 +279,11 @@ def solved(whole: Twofold) -> Solved:
 
 
 def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
-    """Mean (runs, n) and covariance (runs, n, n), infinite variances of what is still unknown."""
+    """Mean (runs, n) and covariance (runs, n, n) of a belief in float64, at the estimate of δ.
+
+    `unknown` is that estimate. Components that depend on a direction of δ of which nothing is known
+    have an infinite variance.
+    """
     mean, spread = rounded_belief(belief, unknown)
     return mean, spread.shown
 
@@ -285,7 +291,8 @@ def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
 def rounded_belief(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
     """The mean m + D δ (runs, n) and the covariance P + D Cov(δ) Dᵀ in float64, at an estimated δ.
 
-    The covariance is a `Diffuse`, whose open directions are D O, for those of δ that are unknown.
+    `unknown` is the estimate of δ. The covariance is a `Diffuse`, whose open directions are D O,
+    the columns of O being the directions of δ of which nothing is known.
     """
     mean, cov = (belief.columns @ unknown.weights).hi[..., 0], belief.cov
     if unknown.open.shape[-1]:
@@ -299,9 +306,10 @@ def rounded_belief(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
 class Component(NamedTuple):
     """A scalar measurement z = h x + e that was taken in, with gain G and predictive variance S.
 
-    `row` is h (runs, n), `keep` 1 − G h (runs, n, n), `innovation` [v V] (runs, 1 + q), `weight`
-    1/S (runs,); G and 1/S are zero where nothing was learnt. Rounding may be the share `error`
-    (runs,) of S; it may have changed G by `blur` and the mean by `drift`, both (runs, n).
+    `row` is h (runs, n), `keep` 1 − G h (runs, n, n), `innovation` [v V] (runs, 1 + q) the columns
+    of the innovation v + V δ, and `weight` 1/S (runs,); G and 1/S are zero in runs in which the
+    measurement was not used. `error` (runs,) is the share of S that may be rounding. By rounding G
+    may be off by `blur`, and the updated mean by `drift`, both (runs, n).
     """
 
     row: Twofold
@@ -319,10 +327,11 @@ def take(
     """Condition a belief on one scalar measurement z = h x + e, e ~ N(0, r), of each run.
 
     `row` is h (runs, n), `value` z and `noise` r (runs,); `seen` (runs,) marks the runs that have
-    the measurement. An h P hᵀ that may be rounding alone counts as zero; where S is then zero,
-    nothing is learnt. Returns the updated belief; the measurement as a `Component`; the predictive
-    variances S = h P hᵀ + r (runs,); and whether in some run h P hᵀ or S is negative beyond
-    rounding or not finite, or a negative r, of a lineariser's error, leaves no S > 0.
+    the measurement. An h P hᵀ that may be rounding alone counts as zero; where S is then zero, the
+    belief stays as it is. Returns the updated belief; the measurement as a `Component`; the
+    predictive variances S = h P hᵀ + r (runs,); and whether S is improper in some run: h P hᵀ or S
+    is negative beyond rounding or not finite, or a negative r, which the error of a lineariser may
+    give, leaves S ≤ 0.
     """
     columns, cov, rounding, drift, _ = belief
     cross = (cov @ row[..., None])[..., 0]
@@ -381,10 +390,10 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
     """The measurements of a step as D scalars z = h x + e with independent errors e.
 
     Returns the rows [h z] (runs, D, n + 1), the errors' variances (runs, D), and the mask (runs, D)
-    of the scalars that were measured; rows of the rest are zero. `parts` has an entry a sensor.
-    `width` is n, h is over the slice, and z is less the CPD's offset. With a noise covariance
-    R = U diag(r) Uᵀ that has correlations, U being unit lower triangular, rows are multiplied by
-    U⁻¹.
+    of the scalars that were measured; rows of the rest are zero. `parts` has an entry for each
+    sensor, and `width` is n. h is over the slice, and the CPD's offset is subtracted from z. With a
+    noise covariance R = U diag(r) Uᵀ that has correlations, U being unit lower triangular, rows are
+    multiplied by U⁻¹.
     """
     height = sum(len(seen.value) for seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))

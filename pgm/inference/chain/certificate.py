@@ -74,8 +74,8 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits.
 
     `smoothed` are the smoothed covariances (T+1, runs, n, n), or None after a filter; the plan is
-    as it was linearised for the pass. Of a `Filtered` only the means and its `closest`, which a
-    `Watch` has seen, are judged.
+    as it was linearised for the pass. Of a `Filtered`, which has no predicted covariances, only the
+    means are judged, and `closest`, the least share of a variance that its sweep has found left.
     """
     with np.errstate(all="ignore"):  # a ratio of what is not finite is no moderate one
         if swept.far and _means_sink(swept, both=smoothed is not None):
@@ -96,9 +96,9 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
 def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
     """Whether segments of a chain with these covariances compose without a loss of digits.
 
-    `predicted` and `known` are the covariances before and after measurements, (T+1, runs, n, n). It
-    is so if no measurement leaves less than 1 / `limit` of a variance, and each component keeps
-    over 1 / `limit` of its variance, given the components before it in the vector.
+    `predicted` and `known` are the covariances before and after measurements, (T+1, runs, n, n).
+    Segments compose if no measurement leaves less than 1 / `limit` of a variance, and each
+    component keeps over 1 / `limit` of its variance, given the components before it in the vector.
     """
     with np.errstate(all="ignore"):
         stands = _hold(predicted, known, limit)
@@ -108,9 +108,10 @@ def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
 def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
     """Whether the rounding of a mean that is large at one step counts at another one.
 
-    A mean is off by ε |m| / σ standard deviations. The error is carried along the chain, and is at
-    most as many standard deviations at later steps, and with `both`, after smoothing, at earlier
-    ones. It counts where it is over 3·10⁻⁸ and over 30 times the rounding of the step's own means.
+    Rounding moves a mean by ε |m| / σ standard deviations. The error is carried along the chain, to
+    later steps, and with `both`, after smoothing, to earlier ones: there it is at most as many
+    standard deviations. It counts where it is over 3·10⁻⁸ and over 30 times the rounding of the
+    step's own means.
     """
     mean, left = swept.mean, variances(swept.cov)
     if not last_place.may_count(mean, left, _COUNTS):

@@ -1,24 +1,26 @@
-"""The digits of means that sigma points close together leave, in coordinates far from zero.
+"""How many digits of means rounding leaves where sigma points lie close together, far from zero.
 
 The value of a linearisation is Σ w f(x) over a rule's points x with weights w. Where weights are
 large and of both signs, as the 1/α² of ``Unscented(alpha)``, it is a difference, and the rounding
-of each f(x) and x, far from zero, grows by as much. With F the slope at a mean μ and y the value
-there, rounding is
+of each f(x) and x, far from zero, grows by as much. With the slope F at a mean μ, the value y there
+and float64's relative rounding ε = 2.2·10⁻¹⁶, the value is off by
 
-    e = ε c √(y² + Σ_j (F_j μ_j)²),    c = √(Σ w² + ...),
+    e = ε c √(y² + Σ_j (F_j μ_j)²),
 
-for independent errors of all values and points; c is `Points.cancellation`.
+if the errors of all values and points are independent. c, the rule's *cancellation*, is √(Σ w²) and
+a term of the slope (`Points.cancellation`).
 
 A *share* is the part of a standard deviation by which one linearisation's rounding may move a mean.
-That of a prediction of standard deviation σ is e/σ. That of a measurement of noise variance R, if
-the belief before it has HPHᵀ, is at most e/√R √(HPHᵀ/(HPHᵀ + R)), in standard deviations of the
-belief after it. Shares add up as squares, and are forgotten as a filter forgets:
+That of a prediction of standard deviation σ is e/σ. A measurement with slope H and noise variance
+R, of a belief of covariance P, has a share of at most e/√R √(HPHᵀ/(HPHᵀ + R)), in standard
+deviations of the belief after it. Shares add up as squares, and are forgotten as a filter forgets:
 
     ν_t = ρ_t ν_{t−1} + Σ share²,    ρ_t = max P_{t−1}/P_t⁻ · max P_t/P_t⁻,
 
-where the ratios are of each component's variances: the part of a predicted one that is not new, and
-the part that a measurement leaves. √ν_t is the error of step t. All smoothed beliefs are sums of
-filtered ones and later measurements, and no worse in their own standard deviations.
+where P_t⁻ and P_t are a component's variances before and after the measurements of step t, and the
+maxima are over the components: the part of a predicted variance that is not new, and the part that
+a measurement leaves. √ν_t is the error of step t. All smoothed beliefs are sums of filtered ones
+and later measurements, and no worse in their own standard deviations.
 """
 
 from __future__ import annotations
@@ -88,12 +90,13 @@ def of_step(
     """The `error` (runs,) after a step of an online filter, from the decimal digits left before it.
 
     `before` and `after` are the beliefs that the step went from and to. `digits` (*runs) is −log₁₀
-    of the error before, None as long as none were lost. A step predicts, if `plan` has a
-    transition, or else updates: ρ is the first or the second of its two factors. Slopes are not at
-    hand: the share of the step is taken to be ε c |m| / σ of the component that is farthest from
-    zero in any run, and none if no rule has weights that cancel. `place` (runs,) is a further
-    share, which `last_places.of_step` finds from the last digits of the means; the float 0.0 where
-    these need not be told. None where the error is at most 10⁻⁹ in all runs.
+    of the error before the step, None as long as no digits were lost. A step predicts, if `plan`
+    has a transition, or else updates: ρ is then the first or the second of its two factors. Slopes
+    are not at hand: the share of the step is taken to be ε c |m| / σ of the component that is
+    farthest from zero in any run, and zero if no rule has weights that cancel. `place` (runs,) is a
+    further share, that of rounding the means to float64, which `last_places.of_step` finds; the
+    float 0.0 if it is too small to count. The result is None if the error is at most 10⁻⁹ in all
+    runs.
     """
     times = largest(families(plan))
     if not times and digits is None and isinstance(place, float):
@@ -108,13 +111,13 @@ def of_step(
 
 
 def families(plan: ChainPlan) -> list[Family]:
-    """The families of the prior, the transition, and the sensors that have measurements."""
+    """The families (CPDs at all steps) of prior, transition, and sensors with measurements."""
     links = [link.family for link in (*plan.prior, *plan.transition)]
     return links + [sensor.family for sensor in plan.read]
 
 
 def largest(every: Iterable[Family]) -> float:
-    """The largest ε c of the families: the rounding of a linearised value, as a part of it.
+    """The largest ε c of the families: the relative rounding error of a linearised value.
 
     It is 0 if no family has a rule with weights that cancel.
     """
@@ -122,10 +125,11 @@ def largest(every: Iterable[Family]) -> float:
 
 
 def _farthest(plan: ChainPlan, mean: Array, cov: Array) -> float:
-    """The largest distance of a mean or a reading from zero, in standard deviations.
+    """The largest distance of a mean or a measurement from zero, in standard deviations.
 
-    Readings are those of sensors whose rules have weights that cancel, in standard deviations of
-    their noise. Components without variance do not count.
+    `mean` (..., n) and `cov` (..., n, n) are those of the slices. The measurements are those of
+    sensors whose rules have weights that cancel, in standard deviations of their noise. Components
+    without variance do not count.
     """
     farthest = _most(mean, np.maximum(variances(cov), 0.0))
     for sensor in plan.read:
@@ -145,8 +149,8 @@ def _most(values: Array, variance: Array) -> float:
 def _predictions(plan: ChainPlan, ahead: Forward) -> Array:
     """Σ (e/σ)² over the components of each step's prediction, (T+1, runs).
 
-    A σ of zero, or below 10⁻⁹ of the component's largest predicted one so far, is replaced by this
-    largest one, or by 10⁻⁹ of it, respectively.
+    A σ of zero is replaced by the component's largest predicted σ so far, and a σ below 10⁻⁹ of
+    that largest one by 10⁻⁹ of it.
     """
     front, states = plan.layout.state_size, plan.layout.state_places
     added = np.zeros(ahead.predicted_mean.shape[:2])
@@ -197,7 +201,8 @@ def _of_reading(moved: Array, family: Family, cov: Array, noise: Array) -> Array
 def carried(ahead: Forward, added: Array, old: Array | float = 1.0) -> Array:
     """The largest √ν_t of all steps, (runs,), from each step's Σ share², `added` (T+1, runs).
 
-    `old` (T, runs) bounds the part of a predicted variance that is not new, if that is known.
+    `old` (T, runs) is an upper bound of max P_{t−1}/P_t⁻, the part of a predicted variance that is
+    not new; 1 if no better bound is known.
     """
     before, left = variances(ahead.predicted_cov), variances(ahead.cov)
     stays = np.minimum(ratio(left[:-1], before[1:]), old) * ratio(left[1:], before[1:])

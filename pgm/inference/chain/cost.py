@@ -1,4 +1,4 @@
-"""The cost of a trajectory, by which a step control judges its steps: −2 ln p less constants.
+"""The cost of a trajectory, −2 ln p less constants, by which a step control judges its steps.
 
 It sums rᵀ Q⁺ r over the residuals r of all CPDs, Q being their noise covariances as they were
 linearised; of robust measurements twice their losses, 2 ρ. A residual is the child's mean less the
@@ -114,10 +114,10 @@ def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
 
 
 def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
-    """The cost of sightings whose noise is correlated within a step, (runs,).
+    """The cost of a sensor's measurements whose noise is correlated within a step, (runs,).
 
-    `left` has the residuals (k, runs, d) of the measurements `rows`; a step with sightings that are
-    not among these rows does not count.
+    `left` has the residuals (k, runs, d) of the measurements `rows`. A step counts only if all its
+    measurements are among these rows.
     """
     runs, height = left.shape[1:]
     first, last, _ = rows.indices(len(sensor.values))
@@ -157,10 +157,10 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
 
 
 def squares(residual: Array, cov: Array) -> Array | None:
-    """The sum of rᵀ C⁺ r of `weighted`, (runs,).
+    """The sum of rᵀ C⁺ r over the first axis, (runs,), for residuals r of covariances C.
 
-    None, where `weighted` refuses: if any covariance is indefinite or, but for infinite variances,
-    not finite.
+    `residual` is (k, runs, d), `cov` (k, runs, d, d). The result is None if any covariance is
+    indefinite or, but for infinite variances, not finite; `weighted` raises an error instead.
     """
     flat = np.isinf(np.einsum("...ii->...i", cov))
     if flat.any():

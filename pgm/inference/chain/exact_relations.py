@@ -1,9 +1,9 @@
-"""Project trajectories onto the noise-free relations of a model, the nearest that satisfy all.
+"""Projection of trajectories to the nearest ones that satisfy all noise-free relations of a model.
 
-Where the noise of a linear CPD or measurement is singular, its slices obey relations
-C x[t] + B x[t − 1] = c exactly. The moves of the means that obey them, of least length in given
-units, solve block tridiagonal normal equations in which relations that are missed weigh a great
-deal (a quadratic penalty).
+Where the noise of a linear CPD or measurement is singular, the slices x[t] of a chain obey
+relations C x[t] + B x[t − 1] = c exactly. The shortest move of the means, in given units, after
+which they obey all relations solves block tridiagonal normal equations, in which a relation that is
+missed has a very large weight (a quadratic penalty).
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ class Relation(NamedTuple):
 
 
 def projected(plan: ChainPlan, mean: Array, std: Array) -> tuple[Array, Mask]:
-    """The trajectories nearest to means (T+1, runs, n) that obey all relations, and which runs do.
+    """The trajectories (T+1, runs, n) nearest to `mean` that obey all relations of the plan.
 
-    Runs that obey already stay. A component's moves are measured in its largest standard deviation
-    of all steps, from `std` (T+1, runs, n), or, where that may be rounding, in its largest absolute
-    mean or in 1, whichever is larger. The mask (runs,) is false where rounding has left a relation
-    missed.
+    `mean` (T+1, runs, n) stays in runs that obey already. A component's moves are measured in its
+    largest standard deviation of all steps, from `std` (T+1, runs, n), or, where that may be
+    rounding, in its largest absolute mean or in 1, whichever is larger. The second result, a mask
+    (runs,), is false in runs in which rounding has left a relation missed.
     """
     relations = list(_relations(plan))
     obeyed = _obeyed(relations, mean)

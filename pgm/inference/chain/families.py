@@ -1,7 +1,7 @@
 """The smoothed beliefs of each CPD's family, of all its rows at once.
 
-A family is a CPD with its hidden parents and its child. Its rows are the steps of a transition, the
-sightings of a sensor; a prior has one.
+A family is a CPD with its hidden parents and its child. A transition has a row for each step, a
+sensor for each of its sightings (measurements at a step), and a prior has one row.
 """
 
 from __future__ import annotations
@@ -64,14 +64,14 @@ def family_beliefs(posterior: ChainPosterior) -> dict[CPD, FamilyBelief]:
 def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
     """The belief of a family, whose components stand at the places `chosen` in `moments`.
 
-    It has no measurements.
+    Its fields `values` and `taken` are None.
     """
     mean, cov = moments.mean[..., chosen], block(moments.cov, chosen, chosen)
     return FamilyBelief(family, mean, cov, None, None)
 
 
 def _pairs(posterior: ChainPosterior) -> Beliefs:
-    """The moments of (states at t − 1, slice at t) at the steps 1..T."""
+    """The smoothed moments of the pairs (states at t − 1, slice at t), t = 1..T: (T, runs, ...)."""
     beliefs, careful = posterior._beliefs, posterior._careful
     if careful is None:
         return backward.pairs(beliefs, posterior._reverse, slice(None))

@@ -40,9 +40,9 @@ from pgm.progress import counted
 class Windows:
     """The results of each window of a chain at its newest step, (T+1, runs, ...).
 
-    `newest` are the beliefs over each step given the measurements up to it, `log_evidence`
-    (T+1, runs) is that of these measurements; `plain` says whether float64 had digits enough for
-    all windows.
+    `newest` are the beliefs over each step given the measurements up to that step, and
+    `log_evidence` (T+1, runs) is ln p of those measurements; `plain` says whether float64 had
+    digits enough for all windows.
     """
 
     newest: Beliefs
@@ -142,10 +142,11 @@ class _Record:
         self.diffuse: Diffuse | None = None
 
     def leave(self, window: Window) -> None:
-        """Add to `left` the log-evidence of measurements that the next window's first belief knows.
+        """Add to `left` the log-evidence of measurements that the next window does not have.
 
-        They are those of the first two steps of `window`, or of its second step alone, if `window`
-        began with a belief that knew those of its first.
+        The next window begins at the second step of `window`, with a belief that knows the
+        measurements of the first two steps of `window`. If `window` itself began with a belief that
+        knew the measurements of its first step, their share is in `left` already.
         """
         self.left = self.left + window.ahead.log_density[:2].sum(axis=0)
 

@@ -51,10 +51,11 @@ class Forward:
 
     `predicted_mean` and `predicted_cov` are those before measurements. Controls at step 0 are zero.
     `log_density` (T+1, runs) is ln p of each step's measurements given those of the steps before.
-    `closest` is that of the `Watch`, or zero without one. `far` says that a mean may be 10⁸
-    standard deviations from zero, or that nothing has looked. `diffuse` has the covariances before
-    measurements along their known and their unknown directions, None unless a flat prior leaves
-    some unknown.
+    `closest` is the smallest share of a variance that is left given other components, or after a
+    measurement, as a `Watch` finds it; zero if none has. `far` says that a mean may be 10⁸ standard
+    deviations from zero; it is true also if that was not checked. `diffuse` has the covariances
+    before measurements along their known and their unknown directions, None unless a flat prior
+    leaves some unknown.
     """
 
     predicted_mean: Array
@@ -68,7 +69,7 @@ class Forward:
 
     @classmethod
     def empty(cls, plan: ChainPlan) -> Forward:
-        """Arrays of zeros for a sweep to fill."""
+        """The record of a sweep over a plan, all zeros, whose arrays the sweep fills."""
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
 
         def moments() -> tuple[Array, Array]:
@@ -110,12 +111,12 @@ class Filtered:
 
 
 class Watch:
-    """An observer of a sweep: how much of a variance is left at the least, for `certificate`.
+    """An observer of a sweep, which finds the smallest share of a variance left, for `certificate`.
 
-    `closest` is the smallest share of a variance so far that is left by the components before it in
-    the vector, or by a *sharp* measurement. A measurement is *mild* if it is known to leave a
-    thousandth of each variance or more, else sharp. Covariances are looked at before and after
-    sharp measurements, where variances have grown, and at some steps between.
+    `closest` is the smallest share so far of a component's variance that is left given the
+    components before it in the vector, or after a *sharp* measurement. A measurement is *mild* if
+    it is known to leave a thousandth of each variance or more, else sharp. Covariances are looked
+    at before and after sharp measurements, where variances have grown, and at some steps between.
     """
 
     def __init__(self) -> None:
@@ -187,10 +188,10 @@ class _Record:
 
     @contextmanager
     def refusing(self, schedule: Filtering | None) -> Iterator[None]:
-        """A context for a sweep, after which its first step that is not finite is refused.
+        """A context for a sweep, after which the first step whose belief is not finite is refused.
 
-        If the sweep fails, an earlier step that is not finite is refused instead; see `refuse`,
-        also for `schedule`.
+        If the sweep itself raises an error, an earlier step that is not finite is refused instead.
+        `refuse` raises the error; `schedule` is as there.
         """
         retain()
         try:
@@ -210,9 +211,9 @@ class _Record:
     def refuse(self, schedule: Filtering | None) -> None:
         """Raise the error of the first step that failed, or whose belief is not finite.
 
-        Later failures follow from it. The step is done again, with the `schedule` of the sweep
-        (None for the plan's linearisations) and all numbers checked, which finds the CPD or sensor
-        to blame; the error is the one that this raises. If the check passes, nothing is raised.
+        Later failures follow from the first. That step is done again, with the `schedule` of the
+        sweep (None for the plan's linearisations) and all numbers checked, which raises an error
+        that names the CPD or sensor to blame. If the check passes, nothing is raised.
         """
         lost = np.zeros(self.reached, dtype=bool)
         for part in (self.mean, self.cov, self.log_density):
@@ -230,9 +231,9 @@ class _Record:
 
 
 def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
-    """An array (steps, runs, ...) as a sweep takes it: (steps, ..., runs), without runs for one.
+    """An array (steps, runs, ...) as a sweep takes it: (steps, ..., runs), a view.
 
-    `own` is the number of its axes of components.
+    `own` is the number of its axes of components. If there is one run, the axis of runs is dropped.
     """
     if not plan.batch:
         return array[:, 0]
@@ -244,8 +245,9 @@ def stored(
 ) -> Forward:
     """The forward pass with the linearisations that the plan holds.
 
-    `anchor` holds all slices near a point, for step control, None for none; the gates `gated`
-    decide anew, None for no new decisions.
+    `anchor` holds all slices near a point, for a step control (Levenberg–Marquardt), None for no
+    anchor. The gates `gated` decide anew which sightings to reject; with None earlier decisions
+    stand.
     """
     out = Forward.empty(plan)
     if anchor is None and gated is None:
@@ -258,9 +260,10 @@ def stored(
 
 
 def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
-    """The forward pass, each CPD linearised at its incoming belief, and its status.
+    """The forward pass, with each CPD linearised at its incoming belief, and the pass's status.
 
-    The plan keeps the linearisations. What `require_cost` refuses raises a ModelError.
+    The plan keeps the linearisations. A ModelError refuses nonlinear sensors of singular noise if
+    the schedule controls steps by their cost (`require_cost`).
     """
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     out = Forward.empty(plan)
@@ -274,10 +277,10 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
 def filtered(
     plan: ChainPlan, schedule: Filtering, room: Room | None = None
 ) -> tuple[Filtered, Status]:
-    """The known beliefs of `run` alone, and its status; the plan keeps no linearisations.
+    """The beliefs after measurements alone, as `run` would find them, and the status of the pass.
 
-    `room` has the arrays for means (T+1, runs, n) and covariances (T+1, runs, n, n) that are
-    filled; None for new ones.
+    The plan keeps no linearisations. `room` has the arrays for means (T+1, runs, n) and covariances
+    (T+1, runs, n, n) that are filled; None for new ones.
     """
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
@@ -298,12 +301,13 @@ def _swept(
     *,
     keep: bool,
 ) -> Swept:
-    """Sweep into the arrays `known` and `predicted`, in machine code where that is due.
+    """Sweep into the arrays `known` and `predicted`, in machine code if it is used for the plan.
 
-    Runs that machine code gives up, and plans that it does not take, are swept by NumPy. `known`
-    has means, covariances and log-densities, `predicted` means and covariances, or nothing where
-    none are to be kept. Without a schedule the plan's linearisations are used; `keep` has the plan
-    keep new ones.
+    Runs that machine code gives up, and plans that it cannot sweep, are swept by NumPy. `known` has
+    means, covariances and log-densities, `predicted` means and covariances, or nothing if they are
+    not to be kept. Without a schedule the plan's linearisations are used; with one, `keep` says
+    whether the plan stores the new linearisations. The result is the record of all runs: residuals,
+    convergence, `closest` and `far`.
     """
     rest = known, predicted
     found = compiled.forward(plan, schedule, *rest, keep=keep)
@@ -340,7 +344,11 @@ def _stepwise(
     *,
     keep: bool,
 ) -> Swept:
-    """`_swept` by NumPy: of all runs together, or without predictions in parts for the cache."""
+    """`_swept` by NumPy.
+
+    All runs are swept together, or, if `predicted` is empty, in parts of at most `MOST` runs, whose
+    arrays stay in the processor's cache.
+    """
     parts, closest, converged = 1, 0.0 if predicted else 1.0, np.ones(plan.runs, dtype=bool)
     if not predicted:
         parts = math.ceil(plan.runs / MOST)

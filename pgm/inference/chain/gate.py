@@ -1,12 +1,13 @@
-r"""Gates: sightings too far from their prediction say nothing.
+r"""Gates: sightings too far from their prediction are left out.
 
-At the predicted belief N(μ, P) of a step, a sighting z that is linearised as ẑ + H (x − μ) + e,
-e ~ N(0, R), has the innovation ν = z − ẑ with covariance S = H P Hᵀ + R. It is rejected where
-νᵀS⁻¹ν exceeds the χ² quantile of the gate's probability, with as many degrees of freedom as
-components were measured (Bar-Shalom, Li & Kirubarajan, 2001, 5.4). A rejected sighting counts as
-not measured in that run, in this pass and in all later ones: the masks of the plan's sensors say
-so. Directions of which nothing is known yet, given a flat prior, are not judged, and are no degrees
-of freedom: see `diffuse`.
+A sighting is one measurement of a sensor, a vector of components. At the predicted belief
+N(μ, P) of a step, a sighting z that is linearised as ẑ + H (x − μ) + e, e ~ N(0, R), has the
+innovation ν = z − ẑ with covariance S = H P Hᵀ + R. It is rejected where νᵀS⁻¹ν exceeds the χ²
+quantile of the gate's probability, with as many degrees of freedom as components were measured
+(Bar-Shalom, Li & Kirubarajan, 2001, 5.4). A rejected sighting counts as not measured in that run,
+in this pass and in all later ones: it is masked out in the plan's sensors. Directions of which
+nothing is known yet, given a flat prior, are not judged, and are no degrees of freedom: see
+`diffuse`.
 
 The gates that a user has `Asked` for are one probability for all sensors, or a mapping from gated
 sensors' variables to theirs.
@@ -77,13 +78,13 @@ def decide(
     cov: Array,
     diffuse: Diffuse | None = None,
 ) -> list[Measured]:
-    """Gate the measurements of a step; returns them with rejected ones masked out.
+    """Gate the measurements of a step; returns their linearisations with rejected ones masked out.
 
-    `parts` are the readings, one a sensor, `seen` the same as linearised, in the same order, which
-    the result has, too. The predicted belief has a mean (n, *batch) and a covariance
-    (n, n, *batch); where a flat prior leaves anything unknown, `diffuse` is the covariance instead,
-    with the runs first. The readings and the plan's sensors are masked, too, and the decisions
-    recorded.
+    `parts` are the readings, one for each sensor, and `seen` their linearisations; these and the
+    result have the same order. The predicted belief has a mean (n, *batch) and a covariance
+    (n, n, *batch); where a flat prior leaves a direction unknown, `diffuse` is the covariance
+    instead, with the runs first. Rejected sightings are masked out in the readings and the plan's
+    sensors, too, and the decisions recorded.
     """
     return [
         part_seen
@@ -101,9 +102,10 @@ def _decided(
     cov: Array,
     diffuse: Diffuse | None,
 ) -> Measured:
-    """Gate the sightings of one sensor: `decide` for it, with `gate` its probability.
+    """Gate the sightings of one sensor at a step, as `decide` does; `gate` is the probability.
 
-    The squares νᵀS⁻¹ν (sightings, *batch) are recorded, NaN where nothing was measured.
+    Returns the linearisation `seen` with rejected sightings masked out. The squares νᵀS⁻¹ν
+    (sightings, *batch) are recorded, NaN where nothing was measured.
     """
     one_run = mean.ndim == 1 and diffuse is None
     if one_run and seen.taken is None and len(seen.value) == part.sensor.height:
@@ -146,8 +148,8 @@ def _decided(
 def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured | None:
     """Gate one sighting of one run, with one or two components, all measured: the usual case.
 
-    An accepted sighting is recorded, and returned as it is. None where it may have to be rejected,
-    has more components, or S is nearly singular: then `_decided` goes on.
+    An accepted sighting is recorded, and returned as it is. The result is None if the sighting may
+    have to be rejected, has more components, or has a nearly singular S: then `_decided` goes on.
     """
     sensor, record = part.sensor, part.sensor.gated
     if not sensor.whole:
@@ -186,10 +188,11 @@ _WELL = 1e-6
 
 
 def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:
-    """νᵀS⁻¹ν of a sensor's `count` sightings, and their numbers of components, (count, *batch).
+    """νᵀS⁻¹ν of a sensor's `count` sightings at a step, and their numbers of measured components.
 
-    Components that were not measured are in neither, so that νᵀS⁻¹ν is 0 where none was. The
-    predicted belief over the slice has a mean (n, *batch) and a covariance (n, n, *batch).
+    Both results are (count, *batch). Components that were not measured do not count, so that νᵀS⁻¹ν
+    is 0 if none was measured. The predicted belief over the slice has a mean (n, *batch) and a
+    covariance (n, n, *batch).
     """
     sensor, height = seen.sensor, len(seen.value) // count
     if not sensor.whole:
@@ -244,7 +247,10 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 
 @lru_cache(maxsize=64)
 def _limits(gate: float, height: int) -> Array:
-    """The χ² quantiles of the probability `gate` for 0..height components; infinite for none."""
+    """The χ² quantiles of the probability `gate` for 0..height degrees of freedom, (height + 1,).
+
+    The entry for 0 is infinite, so that a sighting without measured components passes.
+    """
     limits = np.full(height + 1, np.inf)
     limits[1:] = mahalanobis.square_within(gate, np.arange(1, height + 1))
     return limits

@@ -1,4 +1,8 @@
-"""Results that know a forward pass: innovations, what gates rejected, where beliefs were lost."""
+"""The base class of results that hold a forward pass.
+
+From that pass it finds the innovations, the gates' rejections, and the steps at which beliefs were
+lost, which is to say wrong by more than their covariance admits.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +23,11 @@ from pgm.variables import Variable
 
 
 class Innovated(ABC):
-    """Base of results that hold a forward pass; computes innovations and such when asked for.
+    """Base of results that hold a forward pass; its properties are computed when asked for.
 
-    `_planned` is the plan as it stands, whose linearisations may not all be kept; `associations`
-    are the decisions about sightings that left open what was seen, by the sensor's variable.
+    `_planned` is the plan as it stands, whose linearisations may not all be kept. `associations`
+    are, by the sensor's variable, the decisions about sightings (single measurements of a sensor)
+    of unknown identity, such as of which landmark of a map.
     """
 
     _planned: ChainPlan
@@ -60,7 +65,11 @@ class Innovated(ABC):
     @cached_property
     @quiet()
     def lost(self) -> Lost:
-        """The steps at which the belief was probably wrong, by its NIS and by rejections."""
+        """The steps at which the belief was probably wrong.
+
+        They are found by tests of the NIS (normalised innovation squared) and of how many sightings
+        were rejected by gates and robust noise, or associated with no candidate.
+        """
         plan = self._plan
         nis, dof = by_step(plan, plan.read, self._forward)
         rejected, judged = np.zeros_like(dof), np.zeros_like(dof)

@@ -1,4 +1,8 @@
-"""Innovations ν = z − h(x̂) of measurements, their covariances, and statistics such as the NIS."""
+"""Innovations ν = z − h(x̂) of measurements z at predicted means x̂, and their statistics.
+
+The NIS is the normalised innovation squared νᵀS⁻¹ν, S being the innovation's covariance. A sighting
+is one measurement of a sensor, of d components; a step may have several.
+"""
 
 from __future__ import annotations
 
@@ -29,23 +33,23 @@ class Innovations(Shown, NoArray):
     Attributes
     ----------
     residual : ndarray
-        (..., M, d): measurement less prediction; NaN in components not taken, and in those that
-        depend on a direction of which nothing is known yet, given a flat prior.
+        (..., M, d): measurement less prediction; NaN in components that were not measured, and in
+        those that depend on a direction of which nothing is known yet, given a flat prior.
     cov : ndarray
-        (..., M, d, d): its predictive covariance, S = H P Hᵀ + noise; NaN in rows and columns of
-        the same components.
+        (..., M, d, d): the predictive covariance of `residual`, S = H P Hᵀ + noise; NaN in rows and
+        columns of the components in which `residual` is NaN.
     step : ndarray of int
         (M,): the step of each sighting.
     nis : ndarray
-        (..., T+1): the normalised innovation squared of each step, rᵀS⁻¹r with the joint
-        covariance of all components that were read at the step; NaN without any. While a
-        direction is unknown it is the limit of that of wide priors.
+        (..., T+1): the normalised innovation squared of each step, rᵀS⁻¹r of the residuals r of all
+        components measured at the step, with their joint covariance S; NaN if none was measured.
+        While a flat prior leaves a direction unknown, it is the limit of the NIS of wide priors.
     dof : ndarray of int
-        (..., T+1): the number of components read at each step, less the number of directions of
-        them of which nothing was known.
+        (..., T+1): the number of components measured at each step, less the number of their
+        combinations of which nothing was known, given a flat prior.
     rejected : ndarray of bool
-        (..., M): sightings that a gate has rejected: they have a residual and a covariance, and no
-        part in `nis` and `dof`.
+        (..., M): marks sightings that a gate has rejected: they have a residual and a covariance,
+        but do not count in `nis` and `dof`.
     """
 
     residual: Array
@@ -89,9 +93,10 @@ class BySensor(EachSensor[Innovations]):
 
 
 def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovations:
-    """The innovations of a sensor of a plan, as linearised, at the predicted beliefs of a sweep.
+    """The innovations of one sensor of a plan, at the predicted beliefs of a forward pass.
 
-    Their NIS and degrees of freedom are of this sensor alone.
+    The sensor is linearised as the plan has it. NIS and degrees of freedom are of this sensor
+    alone.
     """
     family, parents, lead = sensor.family, sensor.parents, plan.lead
     mean = forward.predicted_mean[family.step][..., parents]
@@ -126,10 +131,11 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
 
 
 def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[Array, Integers]:
-    """The NIS of each step over all components that `sensors` read, and its degrees of freedom.
+    """The NIS of each step over all components that `sensors` measured, and its degrees of freedom.
 
-    Both are (T+1, runs); the NIS is NaN where nothing was read. The degrees of freedom are the
-    components read less the directions of them of which nothing was known, given a flat prior.
+    Both are (T+1, runs); the NIS is NaN where nothing was measured. The degrees of freedom are the
+    number of components measured, less the number of their combinations of which nothing was known,
+    given a flat prior.
     """
     shape = plan.steps + 1, plan.runs
     nis, dof = np.full(shape, np.nan), np.zeros(shape, dtype=np.intp)
@@ -174,9 +180,9 @@ def whitened(innovations: Innovations) -> Array:
 def autocorrelation(now: Array, later: Array) -> tuple[float, float]:
     """The correlation of whitened innovations with later ones, and its standard deviation if white.
 
-    A step of `now` and the same row of `later`, both (steps, runs, k, d) as `whitened` gives them,
-    are a pair, and so are their sightings at the same place of k. Both results are NaN if there is
-    no pair of sightings that were both taken.
+    `now` and `later` are (steps, runs, k, d), as `whitened` gives them. Row i of `now` is paired
+    with row i of `later`, and of these rows each sighting with the one at the same place of k. Both
+    results are NaN if there is no pair of sightings that were both measured and not rejected.
     """
     met = inner(now, now) * inner(later, later) > 0.0
     now, later = now[met], later[met]
