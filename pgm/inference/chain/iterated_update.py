@@ -1,13 +1,16 @@
 """A step's measurement update as an iterated problem: linearised at any point, and solved.
 
-The predicted belief N(m, P) of a slice, of n components, is conditioned on the sightings of its
-step, z = h(x) + noise. `iterate` linearises them at a point (a `Point`: moments (1, runs, n)),
-solves the linear problem, and goes on at the solution. In a sweep arrays have their components
-first and the runs last, (n, *batch), `batch` being () for one run.
+A *slice* is the vector of all hidden variables of a step, of n components; a *sighting* is one
+measurement by a sensor, of which a step may have several. The predicted belief N(m, P) of a slice
+is conditioned on the sightings of its step, z = h(x) + noise. `iterate` linearises h at a point (a
+`Point`, whose mean is (1, runs, n)), solves the linear problem, and goes on at the solution. In a
+sweep arrays have their components first and the runs last, (n, *batch), `batch` being () for one
+run and (runs,) for several.
 
-A robust sighting counts as a Gaussian of covariance R / w, w being its weight. Its *surplus* is the
-robust log-density less that of this Gaussian. An *anchor* is a further measurement of all
-components, no evidence, by which a step control (Levenberg–Marquardt) holds a try near a point.
+A sighting with robust noise counts as a Gaussian of covariance R / w, R being the noise covariance
+and w the sighting's weight. Its *surplus* is the robust log-density less that of this Gaussian. An
+*anchor* is a further measurement of all components, no evidence, by which a step control
+(Levenberg–Marquardt) holds a tried solution near a point.
 """
 
 from __future__ import annotations
@@ -97,7 +100,7 @@ class UpdateProblem(ABC, Generic[U]):
         return [part.seen for part in self.parts]
 
     def keep(self) -> None:
-        """Store the present linearisations, weights and branches of angles in the plan."""
+        """Store the linearisations, robust weights and branches of measured angles in the plan."""
         for part in self.parts:
             part.keep()
 
@@ -119,8 +122,9 @@ class UpdateProblem(ABC, Generic[U]):
         """The belief given the measurements as linearised, and the anchor's if there is one.
 
         Robust sightings are weighed anew at each belief found, until no weight moves by more than
-        10⁻¹⁰, or 200 times. The log-density then includes their surplus. With an anchor, in a try
-        of a step control, the weights are put back to what they were.
+        10⁻¹⁰, or 200 times. The log-density then includes their surplus. An anchor is given in a
+        try of a step control, which is to leave no trace: the weights are afterwards those from
+        before the call.
         """
         found = self._solved(anchor)
         if not any(part.sensor.robust for part in self.parts):
@@ -154,10 +158,10 @@ class UpdateProblem(ABC, Generic[U]):
         return self._weighed
 
     def _solved(self, anchor: Anchor | None) -> U:
-        """The belief by `taken_in`.
+        """The belief by `taken_in`; if that fails, a linearisation that is not finite is blamed.
 
-        Where that raises NumericalError, a linearisation with NaN or infinity is refused instead,
-        by the name of its CPD.
+        If `taken_in` raises NumericalError and some sensor's linearisation has NaN or infinity, the
+        LinearisationError for that sensor is raised instead.
         """
         try:
             return self.taken_in(anchor)
@@ -170,7 +174,7 @@ class UpdateProblem(ABC, Generic[U]):
     def taken_in(self, anchor: Anchor | None) -> U:
         """The belief given the measurements as linearised, and the anchor's, if it is not None.
 
-        Weights of robust sightings stay as they are. Raises NumericalError if the predictive
+        The weights of robust sightings stay as they are. Raises NumericalError if the predictive
         covariance is indefinite or not finite, or if a measurement contradicts an exact model.
         """
 
@@ -181,11 +185,11 @@ class UpdateProblem(ABC, Generic[U]):
     def cost(self, at: Point) -> Array:
         """The cost of a point's means x: −2 ln p(x, measurements) less its constants, (runs,).
 
-        It sums (x − m)ᵀ P⁺ (x − m), for the predicted N(m, P), of which components of infinite
-        variance do not count, and rᵀ R⁺ r over the sensors, with
-        r = z − E[h(X)], angles wrapped, X ~ N(x, the point's covariance), and the noise R as it was
-        linearised; of robust sightings twice their losses, 2 ρ. Missing components do not count.
-        The cost is NaN where h is not defined.
+        It sums (x − m)ᵀ P⁺ (x − m), for the predicted N(m, P), and rᵀ R⁺ r over the sensors, ⁺
+        being the pseudo-inverse. The residual is r = z − E[h(X)], angles wrapped, with X ~ N(x, the
+        point's covariance); R is the noise covariance as it was linearised. A sensor of robust
+        noise adds twice its losses, 2 ρ, instead. Missing components and those of infinite variance
+        in P do not count. The cost is NaN where h is not defined, and where P is indefinite.
         """
         mean, cov = self._moments(at)
         total = cost.squares(at.mean - _as_point(self.mean, 1), _as_point(self.cov, 2))
@@ -231,7 +235,10 @@ class MomentUpdate(UpdateProblem[Updated]):
     """An update in moment form and float64: the measurements of a step are one vector."""
 
     def taken_in(self, anchor: Anchor | None) -> Updated:
-        """The belief given the measurements as linearised, and the anchor's."""
+        """The belief given the measurements as linearised, and the anchor's, if it is not None.
+
+        The anchor's measurement is not in the log-density.
+        """
         known, density = readings.update(self.measured, self.step, Moments(self.mean, self.cov))
         return Updated(known if anchor is None else known.held(anchor, 0), density)
 
@@ -254,7 +261,7 @@ def iterated(reading: UpdateProblem[U], schedule: Filtering) -> IteratedUpdate[U
     the schedule's damping puts the next point; all start from the predicted belief, so that no
     measurement counts twice. A run ends when no mean is more than `schedule.tolerance` standard
     deviations from where it was linearised and its robust weights have settled; all end after
-    `schedule.iterations` linearisations. Where all sensors are affine the first is the last.
+    `schedule.iterations` linearisations. Where all sensors are affine there is one linearisation.
     """
     predicted = reading.predicted
     reading.linearise(predicted, None)

@@ -1,15 +1,20 @@
-r"""Joint compatibility of the sightings of a step: which candidates they are of, taken together.
+r"""Joint compatibility: the candidates that the sightings of a step are of, decided together.
 
-A hypothesis pairs some sightings with a candidate each, no candidate twice. Its innovations,
-stacked to ν with covariance S = H P Hᵀ + R, have to lie within the gate: νᵀS⁻¹ν at most the χ²
-quantile with as many degrees of freedom as components. The hypothesis with the most pairings is
-taken, and of several the likeliest, by Σ ln w + ln N(ν; 0, S). Each pairing is taken into the
-belief before the next sighting, so that squares and densities add up; a branch is left that cannot
-have as many pairings as the best so far, or not so likely ones, or whose square is beyond any gate
-ahead (Neira & Tardós, 2001).
+A *sighting* is one measurement by a sensor, of d components; its *candidates* are the things, such
+as landmarks, that it may be of. A hypothesis pairs some sightings with a candidate each, no
+candidate twice. The innovations of its pairings, stacked to ν with covariance S = H P Hᵀ + R, have
+to lie within the gate: νᵀS⁻¹ν at most the χ² quantile with as many degrees of freedom as ν has
+components. The hypothesis with the most pairings is taken; of several with as many, the likeliest
+by Σ ln w + ln N(ν; 0, S).
 
-P is the predicted covariance of the slice, of n components; w is the prior share of a candidate; d
-are the components of a sighting. The gate is the probability of the χ² quantile.
+The search conditions the belief on each pairing before it goes on to the next sighting, so that
+squares νᵀS⁻¹ν and log-densities add up over the pairings. A branch of the search is abandoned if it
+cannot reach as many pairings as the best hypothesis so far, or as many but no likelier ones, or if
+its square is beyond any gate ahead (Neira & Tardós, 2001).
+
+P is the predicted covariance of the slice, the n components of all hidden variables of the step;
+H is the slope of a linearised sensor over the slice, and R the covariance of its noise; w is the
+prior probability of a candidate. A gate is given by the probability of its χ² quantile.
 """
 
 from __future__ import annotations
@@ -27,12 +32,13 @@ NOTHING = -1
 
 
 class Pairs(NamedTuple):
-    """The pairs of sightings of a step with candidates, (k, runs, candidates), as linearised.
+    """All pairs of one of a step's k sightings with a candidate, as linearised.
 
-    `matrix`, `residual`, `noise` are H (..., d, n) over the slice, ν (..., d) and R (..., d, d); a
-    missing component has unit variance in R and zeros in H and ν. `size` (k, runs) counts the
-    components measured; `compatible` marks pairs that are within the gate by themselves;
-    `log_weight` (candidates,) is ln w.
+    `matrix`, `residual` and `noise` are H (..., d, n) over the slice, ν (..., d) and R (..., d, d),
+    with leading axes (k, runs, candidates); a missing component has unit variance in R and zeros in
+    H and ν. `size` (k, runs) counts a sighting's measured components; `compatible`
+    (k, runs, candidates) marks pairs that are within the gate by themselves; `log_weight`
+    (candidates,) is ln w.
     """
 
     matrix: Array
@@ -86,10 +92,11 @@ def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Int
 
 
 class _Step(NamedTuple):
-    """Beliefs after one pairing more, with its Mahalanobis square and log-density, (...).
+    """Beliefs given one pairing more, with the pairing's Mahalanobis square and log-density.
 
     `shift` (..., n) is the mean less the predicted one, `cov` (..., n, n) the covariance. `square`
-    and `density` are of this pairing alone, the latter without −½ d ln 2π.
+    (...) is νᵀS⁻¹ν and `density` (...) is ln N(ν; 0, S) + ½ d ln 2π, both of this pairing alone,
+    with its innovation ν given the pairings before it.
     """
 
     shift: Array
@@ -101,9 +108,9 @@ class _Step(NamedTuple):
 def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Step:
     """Condition beliefs N(shift, cov), counted from the predicted mean, on one pairing each.
 
-    `matrix` is H (..., d, n), `residual` ν at the predicted mean and `noise` R; shift and cov are
-    (..., n) and (..., n, n). The square is νᵀ S⁻¹ ν, the density −½ (νᵀ S⁻¹ ν + ln |S|), for the
-    innovation ν given the pairings before.
+    `shift` is (..., n), `cov` (..., n, n). `matrix` is H (..., d, n), `residual` (..., d) the
+    innovation at the predicted mean and `noise` R (..., d, d). With ν = `residual` − H · `shift`
+    and S = H · `cov` · Hᵀ + R, the square is νᵀ S⁻¹ ν and the density −½ (νᵀ S⁻¹ ν + ln |S|).
     """
     cross = matrix @ cov
     spread = cross @ matrix.mT + noise
@@ -157,10 +164,10 @@ class _Search:
     ) -> None:
         """Pair the sighting at this depth with each candidate left, likeliest first, or with none.
 
-        Branch and bound (Neira & Tardós, 2001): a branch is left where it cannot pair as many
-        sightings as the best hypothesis so far, or not so well, or where νᵀS⁻¹ν is beyond the gate
-        for the components paired and all those ahead. After the last depth a better hypothesis
-        within its gate becomes `best`.
+        Branch and bound (Neira & Tardós, 2001): a branch is abandoned if it cannot pair as many
+        sightings as the best hypothesis so far, or as many but with no higher score, or if νᵀS⁻¹ν
+        is beyond the gate for the components paired and all those ahead. After the last depth a
+        better hypothesis within its gate becomes `best`.
 
         `chosen` has for each depth before this one the sighting's candidate, or `NOTHING`;
         N(shift, cov) is the belief given these pairings, counted from the predicted mean, and

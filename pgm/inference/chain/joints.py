@@ -1,4 +1,8 @@
-"""Joints of variables at several steps, by the gains of the reversed transitions."""
+"""The joint moments of hidden variables at several steps, by the gains of the reversed transitions.
+
+A *slice* is the vector of all hidden variables of a step. Bayes' rule reverses each transition to
+an affine conditional of a slice given the next one, whose slope is the gain (`backward`).
+"""
 
 from __future__ import annotations
 
@@ -22,10 +26,10 @@ def joint_moments(
     r"""Mean (runs, n) and covariance (runs, n, n) of variables at steps, in the order given.
 
     `variables` are hidden ones, each with a step, no two the same (`require_at_steps`); n counts
-    their components. `beliefs` are the slices' moments given all measurements, or after a filter
-    those up to their step; only those at the latest step wanted are read. With the gain A_t of the
-    slice at t given the one at t + 1, the covariance of the slice at s with those of all later
-    steps is that of its successor, moved back once:
+    their components. `reverse` has the reversed transitions. `beliefs` are the slices' moments
+    given all measurements, or after a filter those up to their step; only the belief at the latest
+    step wanted is read. With the gain A_t of the slice x_t given x_{t+1}, the covariance of the
+    slice at s with those of all later steps is that of its successor, moved back once:
 
         cov(x_s, x_t) = A_s cov(x_{s+1}, x_t),    t > s,
 

@@ -29,9 +29,9 @@ from pgm.variables import Variable
 class KeptPosterior(Posterior):
     """A posterior of which only the marginals of some hidden variables, at all steps, are kept.
 
-    What `filter`, `smooth` and `infer` return with ``keep=[x]``: ``posterior[x]``, with means
-    (..., T+1, d) of a state and (..., T, d) of a hidden control, and ``posterior[x.at(3)]`` are
-    those of a `ChainPosterior`.
+    `filter`, `smooth` and `infer` return it with ``keep=[x]``. As of a `ChainPosterior`,
+    ``posterior[x]`` has means (..., T+1, d) of a state and (..., T, d) of a hidden control, and
+    ``posterior[x.at(3)]`` is the marginal at one step. Leading axes are runs.
 
     Attributes
     ----------
@@ -39,18 +39,21 @@ class KeptPosterior(Posterior):
     status : Status
         Linearisations, residuals, and whether they converged.
     kind : Kind
-        Which measurements the marginals know.
+        Which measurements the marginals know: filtered, fixed-lag or smoothed.
     log_evidence : ndarray
         (...): the value ln p(measurements), in nats.
     log_evidence_kind : str
-        As of `ChainPosterior`: ``exact``, ``linearised``, ``laplace`` or one of robust noise.
+        As of `ChainPosterior`: ``exact``, ``linearised`` or ``laplace``; with robust noise
+        ``bound``, ``linearised bound`` or ``unnormalised``.
     associations : mapping of Variable to Associations
-        By sensor: what its sightings were taken to be of, where `unknown` left that open.
+        By sensor: which candidate each measurement was taken to be of, if the evidence left that
+        open, by `unknown`.
 
     Raises
     ------
     EvidenceError, GraphError
-        If what was not kept is asked for: GraphError by `message`, `belief` and `potential`.
+        If a result that was not kept is asked for: GraphError by `message`, `belief` and
+        `potential`, else EvidenceError.
 
     Examples
     --------
@@ -92,6 +95,7 @@ class KeptPosterior(Posterior):
 
     @property
     def _hidden(self) -> Scope:
+        """The variables whose marginals were kept."""
         return tuple(self._kept)
 
     @property
@@ -106,45 +110,45 @@ class KeptPosterior(Posterior):
 
     @property
     def predicted(self) -> Marginals:
-        """Not kept: raises EvidenceError."""
+        """Marginals given the measurements before each step are not kept: raises EvidenceError."""
         raise EvidenceError(self._missing("marginals given the measurements before each step"))
 
     @property
     def filtered(self) -> Marginals:
-        """Not kept: raises EvidenceError."""
+        """The forward pass is not kept: raises EvidenceError, with advice how to get it."""
         here = self.kind == FILTERED
         what = "are posterior[x] here" if here else "are kept by pgm.filter(..., keep=[x])"
         raise EvidenceError(f"{self._missing('the forward pass')}; filtered marginals {what}")
 
     @property
     def innovations(self) -> Mapping[Variable, Innovations]:
-        """Not kept: raises EvidenceError."""
+        """Innovations are not kept: raises EvidenceError."""
         raise EvidenceError(self._missing("innovations"))
 
     @property
     def rejected(self) -> Mapping[Variable, Rejections]:
-        """Not kept: raises EvidenceError."""
+        """The decisions of gates are not kept: raises EvidenceError."""
         raise EvidenceError(self._missing("rejections by gates"))
 
     @property
     def lost(self) -> Lost:
-        """Not kept: raises EvidenceError."""
+        """Innovations, which tell where a belief was lost, are not kept: raises EvidenceError."""
         raise EvidenceError(self._missing("innovations, which tell where a belief was lost"))
 
     def joint(self, *variables: Variable) -> NoReturn:
-        """Not kept: raises EvidenceError."""
+        """Joint beliefs are not kept: raises EvidenceError."""
         raise EvidenceError(self._missing("joints"))
 
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
-        """Not kept: raises GraphError."""
+        """Messages are not kept: raises GraphError."""
         raise GraphError(self._missing("messages"))
 
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
-        """Not kept: raises GraphError."""
+        """Beliefs of clusters are not kept: raises GraphError."""
         raise GraphError(self._missing("beliefs of clusters"))
 
     def potential(self, cluster: int | Cluster) -> CanonicalForm:
-        """Not kept: raises GraphError."""
+        """Potentials of clusters are not kept: raises GraphError."""
         raise GraphError(self._missing("potentials of clusters"))
 
     def _missing(self, what: str) -> str:

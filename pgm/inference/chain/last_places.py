@@ -1,19 +1,24 @@
-"""The digits of a chain's means that their own last place in float64 leaves.
+"""The rounding of a chain's means to their last place in float64, in standard deviations.
 
-A mean that was found in twice the digits is rounded once, by up to half a last place u(m). A pass
-in float64 rounds three times at each step (prediction, residual, update), by e = 1½ u(m) at most,
-and a nonlinear function in any pass by e = ½ u(m). Shares e/σ are carried along the chain as in
-`close_points`,
+The last place u(m) of a float64 m is the distance to the next number. A mean that was found in
+twice the digits is rounded once, by up to ½ u(m). A pass in float64 rounds three times at each step
+(prediction, residual, update), by e = 1½ u(m) at most, and a nonlinear function, which float64
+evaluates in any pass, by e = ½ u(m). Errors are counted in standard deviations σ of the mean: e/σ
+is the *share* of an error e. Shares are carried along the chain as in `close_points`,
 
-    ν_t = ρ_t ν_{t−1} + (e_t/σ_t)²,
+    ν_t = ρ_t ν_{t−1} + (e_t/σ_t)²,    ρ_t = max P_{t−1}/P⁻_t · max P_t/P⁻_t,
 
-with max 1 − Q/P⁻_t in place of max P_{t−1}/P⁻_t where that is less. A smoother's pass in float64
-carries them back, with e = 2 u(m) of its own means and, P′ being smoothed variances,
+and √ν_t is the error of step t. P⁻_t and P_t are each component's variances before and after the
+measurements of step t, and the ratios' maxima are over the components. With the variance Q of the
+transition's noise, max 1 − Q/P⁻_t takes the place of max P_{t−1}/P⁻_t where it is less. A
+smoother's pass back in float64 carries shares in the other direction, with e = 2 u(m) of its own
+means and, P′ being smoothed variances,
 
     ρ′_t = (max P_t/P⁻_{t+1})² · max P′_{t+1}/P′_t.
 
-σ is at least 10⁻⁹ of the largest deviation that a component had, as for all digits. As long as no
-½ u(m)/σ exceeds 10⁻⁶ nothing is told.
+σ is taken to be at least 10⁻⁹ of the largest deviation that the component had, as in all counts of
+digits (`pgm.inference.status`). As long as no ½ u(m)/σ exceeds 10⁻⁶, last places leave enough
+digits, and the status does not mention them.
 """
 
 from __future__ import annotations
@@ -44,7 +49,7 @@ def error(
     careful: bool,
     measured: bool,
 ) -> Array | None:
-    """The standard deviations by which last places may move means, (runs,): the largest of a chain.
+    """The largest error of a chain's means by last places, in standard deviations, (runs,).
 
     Parameters
     ----------
@@ -57,7 +62,7 @@ def error(
         Whether the passes were made in twice the digits, and their means rounded at the end.
     measured : bool
         Whether the status has digits already, so that there is always an answer; else it is None
-        where last places leave six digits.
+        where no ½ u(m)/σ exceeds 10⁻⁶.
     """
     every = [] if smoothed is None else [(smoothed.mean, smoothed.cov)]
     if measured or swept.far:
@@ -88,7 +93,8 @@ def error(
 def of_step(moments: Moments) -> Array | float:
     """The largest e/σ after a step of an online filter, (runs,); 0 if no ½ u(m)/σ exceeds 10⁻⁶.
 
-    `moments` are those of the slice after the step's measurements.
+    e is 1½ u(m), and `moments` are those of the slice, the vector of the step's hidden variables,
+    after the step's measurements.
     """
     mean, cov = moments.mean, moments.cov
     variance = np.einsum("ii...->i...", cov)
@@ -99,15 +105,23 @@ def of_step(moments: Moments) -> Array | float:
 
 
 def of_each_step(moments: Moments) -> Array:
-    """`of_step` without its threshold: the largest e/σ, (runs,), however small."""
+    """The largest e/σ of `of_step` without its threshold, (runs,), however small."""
     return np.asarray(_FORWARD * of_beliefs(*moments.by_run, np.zeros(1)))
 
 
 def _may_count(mean: Array, cov: Array) -> bool:
+    """Whether ½ u(m)/σ may exceed 10⁻⁶ for some mean (..., n), by a bound that takes little time.
+
+    The means have the covariances `cov` (..., n, n).
+    """
     return last_place.may_count(mean, variances(cov), 2.0 * TOLD)
 
 
 def _counts(mean: Array, cov: Array) -> bool:
+    """Whether ½ u(m)/σ exceeds 10⁻⁶ for some mean (..., n) of covariances (..., n, n).
+
+    No largest deviation bounds σ from below.
+    """
     return bool((of_beliefs(mean, cov, np.zeros(1)) > TOLD).any())
 
 
@@ -121,7 +135,7 @@ def of_beliefs(mean: Array, cov: Array, largest: Array) -> Array:
 
 
 def _old(plan: ChainPlan, ahead: Forward) -> Array:
-    """The largest share of a predicted variance that is not the transition's noise, (T, runs)."""
+    """The largest share max 1 − Q/P⁻_t of predicted variances that is not new noise, (T, runs)."""
     front, spread = plan.layout.state_size, variances(ahead.predicted_cov)[1:]
     new = np.zeros(spread.shape)
     for link in plan.transition if plan.steps else ():

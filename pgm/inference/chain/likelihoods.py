@@ -1,11 +1,15 @@
 """Likelihoods of the measurements of all steps at once, about a reference, in information form.
 
-The *reference* is a trajectory (T+1, runs, n) near the beliefs, for T steps and slices of n
-components; slices are counted from it, x being x − reference, so that large coordinates cost no
-digits. A measurement z = H x + b + n, n ~ N(0, R), of d components is *whitened* by L⁻¹, L being
-the lower root of R = L Lᵀ: v = W x + n, n ~ N(0, I), with W = L⁻¹H. The measurements of a step
-together are the likelihood exp(−½ xᵀK x + hᵀx) with K = Σ WᵀW and h = Σ Wᵀv. Arrays of
-measurements have M rows, sorted by step.
+A *slice* is the vector of all hidden variables of a step, of n components. The *reference* is a
+trajectory (T+1, runs, n) near the beliefs, for T steps; slices are counted from it, x being the
+slice less the reference, so that large coordinates cost no digits. A linearised measurement
+z = H x + b + n, n ~ N(0, R), of d components is *whitened* by L⁻¹, L being the lower root of
+R = L Lᵀ: v = W x + n, n ~ N(0, I), with W = L⁻¹H. The measurements of a step together are the
+likelihood exp(−½ xᵀK x + hᵀx) with K = Σ WᵀW and h = Σ Wᵀv. Arrays of measurements have M rows,
+sorted by step.
+
+A measurement with robust noise counts as a Gaussian of covariance R / w, w being its weight. Its
+*surplus* is the robust log-density less that of this Gaussian.
 """
 
 from __future__ import annotations
@@ -44,8 +48,9 @@ class Readings:
     """The plan's linearised measurements as likelihoods of x − reference, (T+1, runs, n).
 
     The measurements of sensors of regular noise are `_whitened`, and add up to the `likelihood` of
-    each step. Sensors with some singular noise, or with correlated errors of the sightings of a
-    step, have theirs in `stacks` instead. `_robust` are the sensors of robust noise.
+    each step. The `stacks` have the measurements of the other sensors: those with singular noise in
+    some row, or with correlated errors between the measurements of a step. `_robust` are the
+    sensors of robust noise.
     """
 
     reference: Array
@@ -56,7 +61,10 @@ class Readings:
 
     @classmethod
     def of(cls, plan: ChainPlan, reference: Array) -> Readings:
-        """Whiten and add up all measurements, as the plan is linearised at present."""
+        """Whiten and add up the measurements of all steps, as the plan is linearised at present.
+
+        They are taken about `reference` (T+1, runs, n).
+        """
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
         sensors = [sensor for sensor in plan.sensors if sensor.family.step.size]
         whitened = [Whitened.of(sensor, reference) for sensor in sensors]
@@ -77,8 +85,9 @@ class Readings:
     def held(self, anchor: Anchor | None) -> Likelihood:
         """The likelihood times that of an anchor, x = anchor.mean + n, n ~ N(0, diag(std² / λ)).
 
-        `std` and λ, the `weight`, are the anchor's; where one of them is zero a component is not
-        held. The result is `likelihood` itself for an anchor of None.
+        An anchor is a measurement of all components, by which a step control holds a solution near
+        a point; `std` (T+1, runs, n) and λ, the `weight` (runs,), are the anchor's. Components are
+        not held where `std` or λ is zero. The result is `likelihood` itself for an anchor of None.
         """
         if anchor is None:
             return self.likelihood
@@ -93,10 +102,10 @@ class Readings:
         """The log-density of each step's measurements given earlier ones, less `Known.evidence`.
 
         It adds up, to (T+1, runs), ln N(z − h(x⁺); 0, R) of whitened measurements at the means x⁺
-        given them, the surplus of robust ones, and the log-density of each of the `stacks` under
-        the predictions. `known` are the x⁺ and `predicted` the moments before a step's
-        measurements, both counted from the reference. The plan has to be linearised as it was when
-        these readings were made.
+        given the measurements up to their step, the surplus of robust ones, and the log-density of
+        each of the `stacks` under the predictions. `known` (T+1, runs, n) are the x⁺ and
+        `predicted` the moments before a step's measurements, both counted from the reference. The
+        plan has to be linearised as it was when these readings were made.
         """
         total = np.zeros(known.shape[:2])
         for each in self._whitened:
@@ -113,8 +122,8 @@ class Readings:
 class Known(NamedTuple):
     """Moments (..., n), (..., n, n) of x − reference given the measurements of a step.
 
-    `evidence` (...) is the log-density of these measurements without the terms ln N(z − h(x⁺); 0,
-    R) of each; see `know`.
+    `evidence` (...) is the log-density of these measurements less the term ln N(z − h(x⁺); 0, R) of
+    each one, x⁺ being the mean; see `know`.
     """
 
     mean: Array
@@ -125,10 +134,10 @@ class Known(NamedTuple):
 def know(before: Belief, likelihood: Likelihood) -> Known:
     """Condition beliefs N(x⁻, P), (..., n) and (..., n, n), on whitened measurements v = W x + n.
 
-    They are given by their `likelihood`, of K = WᵀW and h = Wᵀv. With x⁺ the mean given the
-    measurements and P⁺ the pseudo-inverse of P, the log-density ln N(v; W x⁻, I + W P Wᵀ) is, but
-    for −½ d ln 2π, −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) − ½ ln |I + P WᵀW|: no term is
-    above zero, so that nothing cancels. `evidence` is the last two.
+    The measurements are given by their `likelihood`, of K = WᵀW and h = Wᵀv. With x⁺ the mean given
+    them and P⁺ the pseudo-inverse of P, the log-density ln N(v; W x⁻, I + W P Wᵀ) is, but for −½ d
+    ln 2π, −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) − ½ ln |I + P WᵀW|: no term is above zero, so
+    that nothing cancels. The result's `evidence` is the sum of the last two terms.
     """
     after = condition(before, likelihood)
     evidence = -0.5 * (inner(after.moved, after.moved) + solving.log_determinant(after.U))
@@ -161,7 +170,7 @@ class Whitened:
     def of(cls, sensor: Sensor, reference: Array) -> Whitened | None:
         """The whitened measurements of a sensor about the reference (T+1, runs, n).
 
-        None if some R is singular or indefinite, or errors of the sightings of a step are
+        None if some R is singular or indefinite, or errors of the measurements of a step are
         correlated.
         """
         if sensor.exact or sensor.cross:
@@ -241,7 +250,7 @@ class Whitened:
 
 
 def _surplus(sensor: Sensor) -> Array:
-    """Each step's log-density of robust measurements less Σ ln N(ν; 0, R / w), (T+1, runs)."""
+    """The sum of the surplus of each step's measurements by a robust sensor, (T+1, runs)."""
     each = sensor.weights.surplus()
     return _by_step(sensor, lambda rows, counts: (_added(each[rows], counts),))[0]
 
@@ -295,10 +304,7 @@ def _added(parts: Array, counts: Integers) -> Array:
 
 
 def _one_a_step(parts: Array, steps: int) -> Array:
-    """The k rows of d components of each step, one below the other.
-
-    Rows (steps k, runs, d, ...) become (steps, runs, k d, ...).
-    """
+    """The k rows of each step as one: (steps k, runs, d, ...) becomes (steps, runs, k d, ...)."""
     rows, runs, *shape = parts.shape
     count = rows // steps
     memory = parts.transpose(*range(2, parts.ndim), 0, 1).reshape(*shape, steps, count, runs)

@@ -1,4 +1,7 @@
-"""Marginals of the hidden variables of a chain over all steps."""
+"""Marginals of the hidden variables of a chain over all steps, cut out of the beliefs over slices.
+
+A slice is the vector of all hidden variables of a step.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ class Marginals(Shown, NoArray):
     Attributes
     ----------
     kind : Kind
-        Which measurements they know.
+        Which measurements the marginals know: predicted, filtered, fixed-lag or smoothed.
     """
 
     # The moments of the slices, whose runs are flattened from the axes `lead`.
@@ -109,7 +112,7 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
 
 
 def _of_measurement(layout: SliceLayout, variable: Variable) -> str:
-    """Why there is no marginal of a sensor's measurement, taken or not, and what there is."""
+    """The text of an error: a sensor's measurement has no marginal, and what to ask for instead."""
     name, residuals = variable.template.name, ""
     if not layout.model.discrete:
         residuals = f"; how far readings were from what was expected: posterior.innovations[{name}]"
@@ -124,8 +127,9 @@ def _of_measurement(layout: SliceLayout, variable: Variable) -> str:
 def require_at_steps(layout: SliceLayout, variables: Sequence[Variable], last: int) -> Scope:
     """The scope of a joint, checked: one hidden variable or more, each at a step up to `last`.
 
-    An EvidenceError refuses none, one without a step, and what `located` refuses; a ModelError
-    refuses a variable that stands twice, and a set, which has no order.
+    An EvidenceError refuses an empty sequence, a variable without a step, and any variable that
+    `located` refuses; a ModelError refuses a variable that stands twice, and a set, which has no
+    order.
     """
     if not variables:
         raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")

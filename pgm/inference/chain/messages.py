@@ -1,9 +1,10 @@
 """Messages back along a chain and the potentials of its clusters, in information form.
 
-Messages are for those who want to read them: marginals and joints come from the reversed chain. A
-canonical form (K, h, g) is exp(−½ xᵀK x + hᵀx + g). *About* the filtered means it is a function of
-the deviation of x from its filtered mean. Cluster 0 is over the states at step 0, cluster t over
-the states at t − 1 and the slice at t; T is the last step.
+Messages are for users who ask for them: marginals and joints come from the reversed chain. A
+canonical form (K, h, g) is exp(−½ xᵀK x + hᵀx + g); K is (..., n, n), h (..., n) and g (...).
+*About* the filtered means it is a function of the deviation of x from its filtered mean. A *slice*
+is the vector of all hidden variables of a step, states and controls. Cluster 0 is over the states
+at step 0, cluster t over the states at t − 1 and the slice at t; T is the last step.
 """
 
 from __future__ import annotations
@@ -27,10 +28,11 @@ from pgm.kernels.prefixes import levels, prefixes, take
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
-    """p(measurements after t | states at t), t = 0..T, (T+1, runs, ...); NaN where none exists.
+    """The messages p(measurements after t | states at t), t = 0..T, as (K, h, g), (T+1, runs, ...).
 
-    Messages are carried about the filtered mean, so that large coordinates cost no digits, and
-    moved to the origin at the end: by a scan, or step by step where that is faster.
+    NaN where none exists. Messages are carried about the filtered mean, so that large coordinates
+    cost no digits, and moved to the origin at the end: by a scan, or step by step where that is
+    faster.
     """
     states, size = plan.layout.state_places, plan.layout.state_size
     message: Canonical = (
@@ -64,9 +66,10 @@ def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonica
 
 
 def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | None:
-    """`_stepwise` by a scan of 2 log₂ T rounds; None where a root or inverse does not exist.
+    """The messages of `_stepwise` by a scan of 2 log₂ T rounds; None where one is not finite.
 
-    `last` is the message of step T, which is `message` there.
+    `last` is the message of step T, called `message` there. A message is not finite where a root or
+    inverse does not exist.
     """
     segments = take(absorbed_at_once(plan, forward), slice(None, None, -1))
     tree = levels(segments, lambda later, sooner: elements.compose(sooner, later))
@@ -125,8 +128,9 @@ def absorbed(
 ) -> tuple[Conditional, Canonical | None]:
     """p(x[t] | x[t − 1], z[t]) and the likelihood p(z[t] | x[t − 1]) of a step t, `later`.
 
-    x are the states, z the measurements; `conditionals` is the `transition`. Both are about the
-    filtered means, and have (runs, ...) arrays; the likelihood is None without measurements.
+    x are the states, z the measurements; `conditionals` are those of `backward.transition`, for all
+    steps. Both results are about the filtered means, and have (runs, ...) arrays; the likelihood is
+    None without measurements.
     """
     layout = plan.layout
     select = np.eye(layout.slice_size)[layout.state_places]
@@ -152,12 +156,13 @@ def absorb_readings(
 ) -> tuple[Array, Array, Array, Canonical]:
     """Condition transitions w = A x + q, q ~ N(0, Q), on measurements z = H w + n, n ~ N(0, R).
 
-    `matrix` is A (..., n, m), `noise` Q (..., n, n), `h_matrix` H (..., D, n), `reading_noise` R
-    (..., D, D), and `residual` (..., D) z less its value at x = 0. `missing` (...) counts the
-    components not measured, which have H = 0, no residual and unit variance; None if there are
-    none. Returns of w given x and z, with the gain G = Q Hᵀ S⁻¹, the matrix (I − G H) A, the offset
-    G · residual and the covariance; and the likelihood (K, h, g) of z over x. NaN where
-    S = H Q Hᵀ + R is singular.
+    `matrix` is A (..., n, m), `noise` Q (..., n, n), `h_matrix` H (..., D, n), `reading_noise`
+    R (..., D, D), and `residual` (..., D) z less its expected value at x = 0. `missing` (...)
+    counts the components not measured, which have H = 0, no residual and unit variance; None if
+    there are none. Returns the conditional of w given x and z, in three arrays, and the likelihood
+    (K, h, g) of z over x. With the gain G = Q Hᵀ S⁻¹, S = H Q Hᵀ + R, the conditional has the
+    matrix (I − G H) A, the offset G · residual and the covariance (I − G H) Q. All are NaN where
+    S is singular.
     """
     cross = h_matrix @ noise
     lower = canonical.strict_root(cross @ transpose(h_matrix) + reading_noise)
@@ -200,7 +205,10 @@ def likelihoods(plan: ChainPlan, reference: Array) -> Canonical:
 
 
 def first_potential(plan: ChainPlan, forward: Ahead) -> Canonical:
-    """The potential of cluster 0, over its states: prior and measurements, (runs, ...)."""
+    """The potential (K, h, g) of cluster 0, over its states: prior and measurements of step 0.
+
+    Its arrays are (runs, ...).
+    """
     states = plan.layout.state_places
     reference = forward.predicted_mean
     K, h, g = (part[0] for part in likelihoods(plan, reference))

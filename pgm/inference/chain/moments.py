@@ -1,9 +1,12 @@
-"""The Gaussian family of a chain: messages in moment form, components first and the batch last.
+"""The forward pass of a chain in moment form: predict a slice, and condition it on measurements.
 
-A belief over a slice has the moments (n, *batch) and (n, n, *batch), with `batch` () for one run
-and (runs,) for several. A *pair* is the vector of the states of the step before, then the slice:
-its CPDs are written into it one after another. Angles live on one unwrapped chart: where a function
-wraps an angle, it is moved by whole turns to within half a turn of the same angle a step before.
+A *slice* is the vector of all hidden variables of a step, states and controls, of n components; a
+*pair* is the vector of the states of the step before, then the slice. The transition's CPDs write
+their children into the pair one after another. Arrays have their components first and the runs
+last: a belief over a slice has the moments (n, *batch) and (n, n, *batch), with `batch` () for one
+run and (runs,) for several. A *sighting* is one measurement by a sensor, of which a step may have
+several. Angles live on one unwrapped chart: where a function wraps an angle, it is moved by whole
+turns to within half a turn of the same angle a step before.
 """
 
 from __future__ import annotations
@@ -31,8 +34,9 @@ class MomentChain:
     """A forward pass in moment form: predicts a slice, and takes in the measurements of its step.
 
     With a `schedule` each CPD is linearised at its incoming belief, and the sensors of a step again
-    as the schedule says, with its gate; new linearisations are stored in the plan if `keep` is set.
-    With None the stored linearisations are used, and `gated` gives gates, None for none. An
+    as the schedule says; new linearisations are stored in the plan if `keep` is set. The schedule's
+    gate leaves out measurements too far from their prediction. Without a schedule the
+    linearisations stored in the plan are used, and `gated` gives the gates, None for none. An
     `anchor` is a further measurement of all components at each step, no evidence, which holds
     beliefs near a point. `room(step)` gives the mean and the covariance that the update of a step
     may write into. `check` linearises once at each step, and refuses what is not finite:
@@ -72,7 +76,8 @@ class MomentChain:
     def start(self) -> Moments:
         """The belief over the slice at the plan's step 0 before its measurements, controls zero.
 
-        Where `plan.begin` takes the prior's place it is that belief, given these measurements.
+        If `plan.begin` takes the prior's place, the result is `plan.begin`, which knows the
+        measurements of that step already.
         """
         plan = self.plan
         if plan.begin is not None:
@@ -93,7 +98,8 @@ class MomentChain:
     def predict(self, step: int, belief: Moments) -> Moments:
         """Moments of a step's slice, from those of the one before: m ← F m + b, P ← F P Fᵀ + Q.
 
-        `step`, 1..T, is counted from the plan's first one, as in `take`, `motion` and `readings`.
+        F, b and the noise covariance Q are those of the linearised transition. `step`, 1..T, is
+        counted from the plan's first one, as in `take`, `motion` and `readings`.
         """
         return self.predicted(self.motion(step), self.plan.first + step, belief)
 
@@ -123,8 +129,8 @@ class MomentChain:
     def predicted(self, ats: Sequence[At], step: int, belief: Moments) -> Moments:
         """Moments of the slice at a step, predicted by the transition from the slice before.
 
-        `ats` are the transition's CPDs with their evidence, as of `motion`; `step` is its number in
-        errors.
+        `ats` are the transition's CPDs with their evidence, as of `motion`; `step` is the step's
+        number in errors, and `belief` has the moments of the slice before.
         """
         layout, (mean, cov, _) = self.plan.layout, belief
         if self.states is not None:
@@ -287,8 +293,9 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
     """The value (d, *batch) of a CPD without the whole turns by which its function wraps angles.
 
     `before` is the vector with the places `link.before`, where the same angles stand as they were a
-    step before. A function wraps an angle if its value stays the same when those are moved by a
-    turn. Such an angle is moved to within half a turn of itself a step before; others stay.
+    step before. The function wraps an angle if the angle's value stays the same when all angles at
+    `link.before` are moved by a whole turn. A wrapped angle is moved to within half a turn of
+    itself a step before; others stay.
     """
     assert at.function is not None
     turned = value[link.angles] - before[link.before]

@@ -1,9 +1,10 @@
 """Gauss–Newton steps: the means of a linearised chain, from its normal equations.
 
-They cost a fraction of a smoother's two passes. Where the variances of noises differ by many orders
-they lose digits, which the next step restores, and after the last one the passes of a smoother.
-The *reference* is the trajectory (T+1, runs, n) at which the plan is linearised, for T steps and
-slices of n components; means are solved for as moves from it.
+A step costs a fraction of a smoother's two passes. Where the variances of noises differ by many
+orders, its means lose digits; the next step restores them, and after the last step the passes of a
+smoother do. A *slice* is the vector of all hidden variables of a step, of n components. The
+*reference* is the trajectory (T+1, runs, n) of slices at which the plan is linearised, for T steps;
+means are solved for as moves from it.
 """
 
 from __future__ import annotations
@@ -41,7 +42,10 @@ class Means:
 
     @property
     def point(self) -> Point:
-        """The means with covariances of which only the diagonals count; those of pairs are zero."""
+        """The means as a `Point`, with covariances of which only the diagonals, `variance`, count.
+
+        The covariances of pairs are zero.
+        """
         steps, runs, size = self.means.shape
         joint = np.broadcast_to(0.0, (steps - 1, runs, self.pair, self.pair))
         cov = np.broadcast_to(self.variance[..., None], (steps, runs, size, size))
@@ -51,8 +55,9 @@ class Means:
 def step(plan: ChainPlan, reference: Array) -> Means | None:
     """One Gauss–Newton step: the means of the plan linearised at a reference, (T+1, runs, n).
 
-    None where a noise or the prior is singular, or errors of sightings are correlated, so that
-    there are no normal equations here, and where rounding leaves these without a solution.
+    None where a noise or the prior is singular, or errors of one sensor's measurements at a step
+    are correlated, so that there are no normal equations here; and where rounding leaves the
+    equations without a solution.
     """
     readings = Readings.of(plan, reference)
     if readings.stacks:
@@ -119,7 +124,9 @@ class _Precision(NamedTuple):
 class _Terms(NamedTuple):
     """The terms of transitions in the normal equations of their two slices, without W itself.
 
-    In order Fᵀ W F and W F (steps, runs, n, n), Fᵀ W b and W b (steps, runs, n).
+    A transition is x[t] = F x[t − 1] + b + noise, and W the inverse covariance of its noise.
+    `before` is Fᵀ W F and `across` W F, (steps, runs, n, n); `right_before` is Fᵀ W b and
+    `right_after` W b, (steps, runs, n).
     """
 
     before: Array
@@ -129,7 +136,10 @@ class _Terms(NamedTuple):
 
 
 def _terms(move: _Move, precision: _Precision) -> _Terms:
-    """The products Fᵀ W F, W F, Fᵀ W b and W b of transitions and their precisions W."""
+    """The products Fᵀ W F, W F, Fᵀ W b and W b of transitions and their precisions W.
+
+    F and b are those of `move`, and W those of `precision`.
+    """
     across = multiply(precision.matrix, move.matrix)
     after = apply(precision.matrix, move.offset)
     back = transpose(move.matrix)

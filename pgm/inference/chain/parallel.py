@@ -1,13 +1,14 @@
 """The forward pass over a chain as a scan: 2 log₂ T rounds, every round one batched call.
 
-Each step is an *element*: the Gaussian of its slice given the slice before, with the likelihood of
-the measurements at the slice before (`kernels.elements`). Elements compose to those of segments;
-the belief at step 0, pushed through the segment up to step t, is the prediction at t. Slices are
-counted from a *reference*, a trajectory (T+1, runs, n) near the beliefs, for T steps and slices of
-n components, so that large coordinates cost no digits. An *anchor* is a further measurement of all
-components at each step, by which a step control holds the solution near a point. *Stacks* are the
-measurements of singular or correlated noise (`vector`). Where composing segments would lose digits
-the pass is made step by step, by `forward`.
+A *slice* is the vector of all hidden variables of a step, of n components. Each step is an
+*element*: the Gaussian of its slice given the slice before, with the likelihood of the measurements
+at the slice before (`kernels.elements`). Elements of neighbours compose to the element of a longer
+segment; the belief at step 0, pushed through the segment up to step t, is the prediction at t.
+Slices are counted from a *reference*, a trajectory (T+1, runs, n) near the beliefs, for T steps, so
+that large coordinates cost no digits. An *anchor* is a further measurement of all components at
+each step, by which a step control holds the solution near a point. *Stacks* are the measurements of
+singular or correlated noise (`vector`). Where composing segments would lose digits the pass is made
+step by step, by `forward`.
 """
 
 from __future__ import annotations
@@ -50,11 +51,15 @@ _BEYOND = 1e30
 class Scanned:
     """The forward pass of a scan: a `Forward` whose log-densities are computed when asked for.
 
-    They have to be asked for before the plan is linearised again. Moments are (T+1, runs, ...), not
-    counted from the reference. `agrees` says whether each belief
-    follows from the one before it to 10⁻⁷ standard deviations, and each variance keeps a share of
-    1 / `certificate.GENTLE` given the components before it, and through measurements. Then
-    composing segments loses no digits, in the backward pass either.
+    `log_density` returns ln p of each step's measurements given earlier ones, (T+1, runs); it has
+    to be called before the plan is linearised again. The moments before (`predicted_mean`,
+    `predicted_cov`) and after measurements (`mean`, `cov`) are (T+1, runs, ...), not counted from
+    the reference.
+
+    `agrees` says that composing segments loses no digits, in the backward pass either: each belief
+    follows from the one before it to 10⁻⁷ standard deviations, and each variance keeps at least a
+    share of 1 / `certificate.GENTLE`, given the components before it in the slice and through each
+    step's measurements.
     """
 
     predicted_mean: Array
@@ -95,10 +100,10 @@ def filtered(
 
 
 def run(plan: ChainPlan) -> Ahead:
-    """The forward pass of an affine model, as `forward.run` gives it.
+    """The forward pass of an affine model, as `forward.run` gives it, by scans about a reference.
 
-    The reference is a guess of the means. Where that is more than 10⁴ standard deviations from the
-    beliefs, or puts a measured angle on another branch than the prediction does, the scan is
+    The first reference is a guess of the means. If it is more than 10⁴ standard deviations from the
+    beliefs found, or puts a measured angle on another branch than the prediction does, the scan is
     repeated about the means found. After five scans, or where composing segments would lose digits,
     `forward.run` makes the pass, step by step.
     """
@@ -120,9 +125,9 @@ def run(plan: ChainPlan) -> Ahead:
 def _guess(plan: ChainPlan, moves: Conditional) -> Array:
     """Means (T+1, runs, n) near the beliefs of an affine model, for a reference.
 
-    They are the smoothed means by the normal equations, which an affine model has at once. Where
-    angles are measured, or there are no such equations, they are the prior's means propagated by
-    the transition `moves`, and the measured angles are moved to the branch nearest to them.
+    They are the smoothed means, by normal equations. Where angles are measured, or there are no
+    normal equations (`newton.step`), they are the prior's means propagated by the transition
+    `moves`, and the measured angles are moved to the branch nearest to their values there.
     """
     start = MomentChain(plan, None).start().by_run[0]
     if not any(sensor.variable.angle_mask.any() for sensor in plan.sensors):
@@ -137,7 +142,7 @@ def _guess(plan: ChainPlan, moves: Conditional) -> Array:
 def _move(plan: ChainPlan, mean: Array) -> bool:
     """Move measured angles to the branch nearest their values at means (T+1, runs, n), in place.
 
-    Returns whether one has changed.
+    Returns whether any angle has changed its branch.
     """
     changed = False
     for sensor in plan.sensors:
@@ -150,7 +155,11 @@ def _move(plan: ChainPlan, mean: Array) -> bool:
 
 
 class _First(NamedTuple):
-    """The beliefs at step 0 before and after its measurements, and ln p of these, (*batch)."""
+    """The solution of step 0: its beliefs before and after measurements, and ln p of these.
+
+    `predicted` and `known` have moments (runs, n) and (runs, n, n); `log_density` is () for one
+    run, (runs,) for several.
+    """
 
     predicted: Belief
     known: Belief
@@ -222,7 +231,7 @@ def _solve(
 
 
 def _read(predicted: Moments, readings: Readings) -> Moments:
-    """The beliefs given the measurements of their steps, from those before them, `predicted`.
+    """Condition beliefs on the measurements of their steps, from the moments before, `predicted`.
 
     Both are about the reference of `readings`, (T+1, runs, ...).
     """
@@ -237,11 +246,11 @@ def _read(predicted: Moments, readings: Readings) -> Moments:
 
 
 def _agree(found: Moments, due: Moments) -> bool:
-    """Whether the moments `found` are within 10⁻⁷ standard deviations of those `due`.
+    """Whether moments `found` are within 10⁻⁷ standard deviations of the moments `due`, everywhere.
 
-    That is of means and of standard deviations, for all steps and runs. Where the variance due is
-    zero, the unit of a mean is its own size, and that of a standard deviation the largest due for
-    this component at any step.
+    Means and standard deviations are compared, for all steps and runs. Where the variance in `due`
+    is zero, the unit of a mean is its own size, and that of a standard deviation the largest in
+    `due` for this component at any step.
     """
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)

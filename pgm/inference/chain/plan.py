@@ -1,10 +1,13 @@
 """Plans of chains: CPDs with their evidence, placed in the vectors of the slices.
 
+A *slice* is the vector of all hidden variables of a step, of n components; a *pair* is the vector
+of the states of the step before, then the slice. A *family* is a CPD at its *rows*: the steps of a
+transition, or the measurements of a sensor, of which a step may have several. A *window* is a
+stretch of consecutive steps, with a plan of its own.
+
 A sweep goes from step to step, with a few batched kernel calls for each. Reversing a chain, and
 linearising it again, is one call for all steps, on arrays that have the time axis first and the
-runs second. A *family* is a CPD at its rows: the steps of a transition, the sightings of a sensor.
-A *pair* is the vector of the states of the step before, then the slice. A *window* is a run of
-consecutive steps, with a plan of its own.
+runs second.
 """
 
 from __future__ import annotations
@@ -34,12 +37,12 @@ from pgm.tracing import Judge
 
 @dataclass(eq=False)
 class Link:
-    """A CPD at its rows, and where its hidden parents and its child stand.
+    """A CPD at its rows, and where its hidden parents and its child stand in a vector.
 
-    For the prior both stand in the vector of states, for the transition in that of the pair.
-    `angles` are the components of the child that are angles, `before` the places in that vector of
-    the same angles one step before; both are empty for an affine CPD, and where the child does not
-    depend on itself.
+    For the prior that is the vector of states, for the transition the pair. `angles` are the
+    components of the child that are angles, `before` the places in that vector of the same angles
+    one step before; both are empty for an affine CPD, and where the child does not depend on
+    itself.
     """
 
     family: Family
@@ -59,9 +62,10 @@ class ChainPlan:
     """A chain of slices with its evidence, ready to be swept.
 
     `steps` is T; `runs` are flattened from the user's axes `lead`. `first` is the number of the
-    first step, not zero online and of a window; `begin` the belief there given its measurements,
-    (n, *batch) and (n, n, *batch), where it takes the prior's place. `account` tells which sweeps
-    of this plan, and of those cut from it, machine code made, and why not the others.
+    first step, which is not zero online and for a window; `begin` is the belief there given its
+    measurements, (n, *batch) and (n, n, *batch), where that takes the prior's place, else None.
+    `account` tells which sweeps of this plan, and of the plans cut from it, machine code made, and
+    why it did not make the others.
     """
 
     layout: SliceLayout
@@ -140,7 +144,7 @@ class ChainPlan:
         """The plan of the steps `first` to `last`: a view of the evidence, its own linearisations.
 
         `begin` is the belief at `first` given its measurements, (n, *batch) and (n, n, *batch): the
-        window then has no prior, and no measurements there. Without it the prior is kept.
+        window then has no prior, and no measurements at `first`. If it is None the prior is kept.
         """
 
         def links(every: list[Link], start: int, end: int) -> list[Link]:
@@ -175,7 +179,7 @@ class ChainPlan:
     def put_runs(self, runs: slice, part: ChainPlan) -> None:
         """Copy into this plan how the CPDs were linearised in `part`, the plan of some of its runs.
 
-        `runs` are those with which `part` was cut out by `of`. No sensor may be robust, or have a
+        `runs` is the slice of runs from which `of` made `part`. No sensor may be robust, or have a
         gate.
         """
         where = slice(None), runs
@@ -201,9 +205,10 @@ class ChainPlan:
 
         The `lineariser` serves nonlinear CPDs that have none of their own. `first` is the number of
         the first step, and without `prior` the plan has none: both are for a plan of later steps.
-        With `probe` each function is called once on trial, if the graph has not done so before. The
-        answers of traces, which stand in for functions, are judged by the `judge` after the call;
-        without one, each is compared with its function at once.
+        With `probe` each function is called once on trial, if the graph has not done so before.
+        Functions may be replaced by traces, programs recorded from a call. The values that a trace
+        gives are judged by the `judge` after the call; without a judge, each trace is compared with
+        its function at once.
         """
         layout, lead = graph.layout, bound.lead
 
@@ -266,7 +271,7 @@ def _sensor(
 ) -> Sensor:
     """The sensor of a family with its measurements; `steps` is T.
 
-    EvidenceError for a sighting at step 0 of a control, which does not exist there.
+    EvidenceError for a measurement at step 0 of a control, which does not exist there.
     """
     number = int(family.step[0]) if family.step.size else 1
     for parent in family.hidden:

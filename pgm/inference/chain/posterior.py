@@ -40,8 +40,9 @@ from pgm.variables import Variable
 class ChainPosterior(Innovated, Posterior):
     """The beliefs of a chain of clusters after a schedule of messages.
 
-    ``posterior[x]`` is a stacked `Gaussian`: states at steps 0..T, hidden controls at 1..T
-    (``.steps`` says); ``posterior[x.at(3)]`` is that of one step. Leading axes are runs.
+    ``posterior[x]`` is a stacked `Gaussian`: states at steps 0..T, hidden controls at
+    1..T (``.steps`` says); ``posterior[x.at(3)]`` is that of one step. Leading axes are runs. A
+    slice is the vector of all hidden variables of a step.
 
     Attributes
     ----------
@@ -55,11 +56,13 @@ class ChainPosterior(Innovated, Posterior):
     log_evidence_kind : str
         ``exact``; ``linearised``, of the linearised model; or ``laplace``, at the fixed point of
         Taylor relinearisation. With robust noise a lower ``bound``, a ``linearised bound``, or
-        ``unnormalised``, if a density has no integral.
+        ``unnormalised``, if a density has no finite integral.
     weights : mapping of Variable to ndarray
-        By sensor, w of each sighting, (*runs, M), which counts with the covariance `cov` / w.
+        By sensor, (*runs, M): the weight w of each of its M measurements, which counts as a
+        Gaussian of covariance `cov` / w.
     associations : mapping of Variable to Associations
-        By sensor: what its sightings were taken to be of, where `unknown` left that open.
+        By sensor: which candidate each measurement was taken to be of, if the evidence left that
+        open, by `unknown`.
 
     Examples
     --------
@@ -99,13 +102,16 @@ class ChainPosterior(Innovated, Posterior):
     @property
     @quiet()
     def _forward(self) -> Forward:
-        """The forward pass of all steps, redone if only filtered moments were kept."""
+        """The forward pass of all steps, made again if only its filtered moments were kept."""
         swept = self._swept
         return swept.whole if isinstance(swept, Filtered) else swept
 
     @property
     def _plan(self) -> ChainPlan:
-        """The plan, linearised as the forward pass left it, which is redone where needed."""
+        """The plan, linearised as the forward pass left it.
+
+        If the pass kept no linearisations in the plan, it is made again first.
+        """
         assert self._forward is not None
         return self._planned
 
@@ -141,7 +147,10 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def weights(self) -> Mapping[Variable, Array]:
-        """The weights of sightings: 1 of Gaussian noise, NaN where nothing was taken."""
+        """By sensor, (*runs, M): the weights of its measurements, 1 of Gaussian noise.
+
+        NaN where nothing was measured.
+        """
         return Weights.of(self._plan)
 
     @property
@@ -158,7 +167,7 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def _reverse(self) -> Reverse:
-        """The conditionals p(x[t] | x[t + 1], measurements up to t), of the solver or made here."""
+        """The reversed chain p(x[t] | x[t + 1], measurements up to t), given or made here."""
         return self._reverse_given or Reverse.make(self._plan, self._forward)
 
     @cached_property
@@ -168,10 +177,10 @@ class ChainPosterior(Innovated, Posterior):
 
     @quiet()
     def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
-        """The joint of hidden variables at any steps, given what the latest one's belief knows.
+        """The joint belief of hidden variables at any steps.
 
-        After filtering that is the measurements up to the latest of the steps, after smoothing all
-        of them, as `kind` says.
+        It knows the measurements that the belief at the latest of the steps knows: after filtering
+        those up to that step, after smoothing all of them, as `kind` says.
 
         Parameters
         ----------
@@ -222,10 +231,11 @@ class ChainPosterior(Innovated, Posterior):
         return adjoint.smoothed(self._careful, self.graph.steps)
 
     def _careful_joint(self, careful: Careful, variables: Scope) -> Gaussian:
-        """The joint of hidden variables, each with a step, from slices in pairs of float64.
+        """The joint of hidden variables, each with a step, from the pass in twice the digits.
 
-        The joint of the S distinct steps' slices has means (runs, S n); the variables' components
-        are cut out of it, in the order given.
+        `careful` is the forward pass. The joint of the S distinct steps' slices has means
+        (runs, S n), n components a slice; the variables' components are cut out of it, in the order
+        given.
         """
         steps = [variable.step for variable in variables if variable.step is not None]
         distinct = sorted(set(steps))
@@ -260,7 +270,7 @@ class ChainPosterior(Innovated, Posterior):
         Returns
         -------
         CanonicalForm
-            Its g carries the evidence that went into it.
+            Its g includes the log-density of the measurements that went into the message.
 
         Raises
         ------
@@ -291,7 +301,10 @@ class ChainPosterior(Innovated, Posterior):
         )
 
     def _weight(self, step: int) -> Array:
-        """The log-evidence of what the belief at a step knows, by its `kind`, (runs,)."""
+        """The log-evidence of the measurements that the belief at a step knows, (runs,).
+
+        By `kind` these are the measurements up to the step, up to a lag after it, or all.
+        """
         last = self.kind.last(step, self.graph.steps)
         weight: Array = self._forward.log_density[: last + 1].sum(axis=0)
         return weight if self._windows is None else self._windows.log_evidence[last]
@@ -388,8 +401,9 @@ class ChainPosterior(Innovated, Posterior):
     ) -> CanonicalForm:
         """A canonical form for a user, with the leading axes of runs, from (K, h, g), (runs, ...).
 
-        Where its g is NaN, a covariance was singular, and the form does not exist: NumericalError
-        says so of `what`, such as "the belief of cluster 3", and has the number `cluster`.
+        Where g is NaN, a covariance was singular, and the form does not exist: a NumericalError
+        says that `what`, such as "the belief of cluster 3", has none, and carries the number
+        `cluster`.
         """
         if np.isnan(parts[2]).any():
             raise NumericalError(

@@ -1,8 +1,13 @@
 """The measurements of a step: linearised at a belief, and taken in; the batch is last.
 
-The k sightings of a sensor, of d components each, are stacked to one vector of D = k d. Components
-stand first and runs last, (D, *batch), `batch` being () for one run. A sighting of robust noise
-counts as a Gaussian of covariance R / w, w being its weight.
+A *slice* is the vector of all hidden variables of a step, of n components; a *sighting* is one
+measurement by a sensor, of which a step may have several. The k sightings of a sensor at a step, of
+d components each, are stacked to one vector of D = k d. Components stand first and runs last,
+(D, *batch), `batch` being () for one run. A *plan* (`ChainPlan`) stores linearisations.
+
+A sighting of robust noise counts as a Gaussian of covariance R / w, w being its weight. A
+*graduated* loss of such noise begins wide, and is sharpened from one weighing to the next until it
+is the loss that the user asked for.
 """
 
 from __future__ import annotations
@@ -62,7 +67,10 @@ class Moments(NamedTuple):
         return cls(components_first(mean, 1), components_first(cov, 2))
 
     def held(self, anchor: Anchor, step: int) -> Moments:
-        """The belief given the anchor's measurement of all components in its row `step`."""
+        """The belief given also an anchor's measurement of all components: its row `step`.
+
+        An anchor holds beliefs near a point, for a step control.
+        """
         mean, cov = anchor.hold(step, *self.by_run)
         if self.mean.ndim == 1:
             return Moments(mean[0], cov[0], False)
@@ -119,8 +127,8 @@ def _absorb(
 ) -> tuple[Moments, Array | float] | None:
     """`update` with the sightings as one vector; None if their covariance S is nearly singular.
 
-    That is looked at only with `NEARLY_SINGULAR` for `least`: S is nearly singular if a component
-    of z, given those before it, has less than this share of its variance in S. With a smaller
+    S is nearly singular if a component, given those before it, has less than the share `least` of
+    its variance in S. Only with `NEARLY_SINGULAR` for `least` is None returned; with a smaller
     `least` there is always a result.
     """
     mean, cov, _ = belief
@@ -152,13 +160,14 @@ class Reading:
     """The sightings of one sensor at a step, to be linearised at any belief.
 
     `at` is the sensor's CPD with the evidence of these sightings. `values` (D, *batch) are as
-    given, with a batch of one for all; `taken` (D, *batch) marks the components measured, None for
-    all. With `fixed` the sensor's stored linearisation is used as it is: angles stay on their
-    branch, and weights are not found anew. `seen` is the last linearisation, `erroneous` whether
-    one has added an approximation error to the noise, and `error` (D, D, *batch) the covariance of
-    this error where weights are found. Once a gate has decided, `gate` is its probability, and
-    `gated` has the mask of rejected sightings and their squares νᵀS⁻¹ν, (k, *batch) each; before,
-    `gated` is None. `weights` are those of robust noise, None where they are not to be found.
+    given, with a batch of length one if all runs have the same; `taken` (D, *batch) marks the
+    components measured, None for all. With `fixed` the linearisation stored in the plan is used as
+    it is: angles stay on their branch, and weights are not found anew. `seen` is the last
+    linearisation, `erroneous` whether one has added an approximation error to the noise, and
+    `error` (D, D, *batch) the covariance of this error where weights are found. Once a gate has
+    decided, `gate` is its probability, and `gated` has the mask of rejected sightings and their
+    squares νᵀS⁻¹ν, (k, *batch) each, ν being the innovation and S its covariance; before, `gated`
+    is None. `weights` are those of robust noise, None where they are not to be found.
     """
 
     __slots__ = (
@@ -192,7 +201,10 @@ class Reading:
         self.take(taken)
 
     def take(self, taken: Mask | None) -> None:
-        """Use only the components that `taken` (D, *batch) marks, None for all; weights are one."""
+        """Use only the components that `taken` (D, *batch) marks, None for all.
+
+        The weights of robust noise begin again at one.
+        """
         sensor, at = self.sensor, self.at
         self.taken, self.weights = taken, None
         if sensor.robust and not self.fixed:
@@ -206,9 +218,10 @@ class Reading:
     ) -> Measured:
         """Linearise at a belief over the slice, (n, *batch) and (n, n, *batch).
 
-        The result is `seen`, too. Runs that are not `active` (runs,) keep their linearisation; None
-        means all. Measured angles are moved to the branch nearest the value. Without a copy H and
-        the value may be arrays that the user's function uses again.
+        The result is also stored as `seen`. Runs that are not `active` (runs,) keep their
+        linearisation; None means all are active. Measured angles are moved to the branch nearest
+        the expected value. If `copy` is false, the slope H and the value may be arrays that the
+        user's function uses again.
         """
         sensor, at = self.sensor, self.at
         if not sensor.whole:

@@ -1,4 +1,8 @@
-"""Beliefs and measurements that are refused, with the CPD and the step to blame."""
+"""Errors that refuse beliefs and measurements, and name the CPD and the step to blame.
+
+Components stand first and runs last, (n, *batch), `batch` being () for one run and (runs,) for
+several.
+"""
 
 from __future__ import annotations
 
@@ -87,9 +91,9 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
 def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
     """Raise NumericalError if a covariance (d, d, *batch) predicted by a CPD is indefinite.
 
-    Whether it is indefinite is looked at only where the covariance of the linearisation's error may
-    be indefinite. With `finite` one that is not finite is refused, too. `step` is the step's number
-    in the error.
+    This is tested only for a CPD whose linearisation's error may have an indefinite covariance.
+    With `finite` a covariance that is not finite is refused, too. `step` is the step's number in
+    the error.
     """
     family, whole = link.family, bool(np.isfinite(cov).all())
     proper = family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2)))
@@ -111,9 +115,10 @@ def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
 def belief(plan: ChainPlan, step: int, *beliefs: tuple[Twofold, Twofold]) -> None:
     """Raise NumericalError if beliefs in twice the digits are not finite or indefinite.
 
-    A belief is the columns [m D] (runs, n, 1 + q) of its mean m + D δ, as of `careful_belief`, and
-    its covariance (runs, n, n). An indefinite one is blamed on a CPD whose approximation error may
-    be so; without such a CPD it is not looked for.
+    A belief is a pair: the columns [m D] (runs, n, 1 + q) of its mean m + D δ, δ being the q
+    components that a flat prior leaves unknown (`careful_belief`), and its covariance (runs, n, n).
+    An indefinite covariance is blamed on a CPD of the plan whose approximation error may be
+    indefinite; without such a CPD only finiteness is tested.
     """
     for belief in beliefs:
         if not all(np.isfinite(part.hi + part.lo).all() for part in belief):

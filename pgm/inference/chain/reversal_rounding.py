@@ -1,26 +1,29 @@
-r"""A bound of the rounding in smoothed covariances, for the certificate.
+r"""A bound of the rounding in smoothed covariances, for the certificate of digits (`certificate`).
 
-Bayes' rule reverses a transition y = A x + c + n, n ~ N(0, Q), with the gain G = P Aᵀ P_y⁻¹, and
-the backward pass finds
+Bayes' rule reverses a transition y = A x + c + n, n ~ N(0, Q), from a slice x (the vector of all
+hidden variables of a step) to the next slice y, with the gain G = P Aᵀ P_y⁻¹, and the backward pass
+finds
 
     P′ = (1 − G A) P (1 − G A)ᵀ + G (Q + P_y′) Gᵀ
 
-from the smoothed P_y′; P is the covariance of the filtered x, P_y that of the predicted y. It
-subtracts nothing, and is the least that any gain gives as long as the later measurements say
-nothing (P_y′ = P_y). An error of the gain still changes it by δG P_y′ Gᵀ and the transpose. With
-the standard deviations σ under P, σ_Q under Q and σ_y′ under P_y′, rounding changes P Aᵀ by ε σ aᵀ
-and P_y = A P Aᵀ + Q by ε a aᵀ, a = |A| σ + σ_Q, hence G by up to ε g aᵀ |P_y⁻¹|, g = σ + |G| a:
-much, where components of y hardly vary given all others, as with a motion whose noise has few
-directions. The ratios of the certificate compare a variance with that given the components *before*
-it alone, and do not show this.
+from the smoothed P_y′; P is the covariance of the filtered x, P_y that of the predicted y. The
+formula subtracts nothing, and its value is the least that any gain gives as long as the later
+measurements say nothing (P_y′ = P_y). An error δG of the gain still changes it by δG P_y′ Gᵀ and
+the transpose. With the standard deviations σ under P, σ_Q under Q and σ_y′ under P_y′, rounding by
+ε = 2.2·10⁻¹⁶ changes P Aᵀ by ε σ aᵀ and P_y = A P Aᵀ + Q by ε a aᵀ, a = |A| σ + σ_Q, hence G by up
+to ε g aᵀ |P_y⁻¹|, g = σ + |G| a: much, where components of y hardly vary given all others, as with
+a motion whose noise has few directions. The ratios of the certificate compare a variance with that
+given the components *before* it alone, and do not show this.
 
-Errors go back as covariances do, in the order of semidefinite matrices:
+The error of P′ is bounded by E in the order of semidefinite matrices. Errors go back as covariances
+do: with the bound E_y for P_y′,
 
     E = G E_y Gᵀ + ε diag(τ g² + w²/τ + (|G| σ_y′)² + σ²),    wᵀ = aᵀ |P_y⁻¹ P_y′ Gᵀ|,
 
-for any τ > 0, since 2 |u v| ≤ τ u² + v²/τ. With correlations C of P_y what is added is at most some
-ε (tr C⁻¹)² of P in that order, and as G P_y Gᵀ ≤ P, it never grows in units of P: what the later
-steps have added is a bound that costs little, and where it is enough the sweep need not be made.
+for any τ > 0, since 2 |u v| ≤ τ u² + v²/τ. With correlations C of P_y the term that a step adds is
+at most some ε (tr C⁻¹)² of P in that order, and as G P_y Gᵀ ≤ P, it never grows in units of P: the
+sum over the later steps is a bound that costs little, and where it is enough the sweep need not be
+made.
 """
 
 from __future__ import annotations
@@ -103,9 +106,10 @@ def _swept(
     """The largest share of a smoothed variance that the bound E comes to, by a sweep back.
 
     It is over the runs that are `doubtful` (T, runs) at some step. The sweep begins at the last
-    doubtful step; what the steps after it add is bounded by shares of P, `added` (T, runs), as of
-    `accumulated`. It ends with infinity where a share is beyond `TOLD`. `moves` are the transitions
-    between slices, and covariances are those of `keeps_digits`.
+    doubtful step; the errors that steps after it add are bounded by the shares of P in `added`
+    (T, runs), as of `accumulated`. The result is infinity, and the sweep ends, where a share is
+    beyond `TOLD`. `moves` are the transitions between slices, and covariances are those of
+    `keeps_digits`.
     """
     runs, size = np.flatnonzero(doubtful.any(axis=0)), predicted.shape[-1]
     end = int(np.flatnonzero(doubtful.any(axis=1))[-1]) + 1
@@ -144,9 +148,9 @@ def injected(
 ) -> tuple[Array, Array]:
     """The gains G (..., n, n) of slices given the ones after, and what they add to E, (..., n).
 
-    That is the diagonal of ε diag(...), with the τ at which its terms count equally.
-    `matrix` and `noise` are A and Q (..., n, n); `known`, `predicted` and `later` are P of the
-    slice, P_y of the one after, and P_y′.
+    The second result is the diagonal of ε diag(...) in E, with the τ at which its first two terms
+    count equally. `matrix` and `noise` are A and Q, `known` is P of the slice, and `predicted` and
+    `later` are P_y and P_y′ of the one after, all (..., n, n).
     """
     spread, own, after = deviation(predicted), deviation(known), deviation(later)
     unit = np.where(spread > 0.0, spread, 1.0)

@@ -1,7 +1,8 @@
-"""Weighing all sightings of robust noise at once; weights as results show them.
+"""Weighing all measurements of robust noise at once; weights as results show them.
 
-A sighting counts as a Gaussian of covariance R / w, w being its weight. Its surplus is the robust
-log-density less that of this Gaussian. Sightings of a sensor have M rows, sorted by step.
+A *sighting* is one measurement by a sensor, of which a step may have several; those of a sensor
+have M rows, sorted by step. A sighting with robust noise counts as a Gaussian of covariance R / w,
+w being its weight. Its surplus is the robust log-density less that of this Gaussian.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:
     """Weigh all robust sightings at a point, the beliefs at which the plan was linearised.
 
     Their noise in the plan becomes R / w, plus the covariance of the linearisation's error. Runs
-    that are not `active` (runs,) keep theirs; None means all.
+    that are not `active` (runs,) keep their weights and noise; None means all are active.
     """
     for sensor in plan.robust:
         family = sensor.family

@@ -1,7 +1,9 @@
 """Running a schedule on a chain of slices, in float64 and in twice the digits.
 
-A pass is done in float64 first. Where it fails, or the `certificate` finds that rounding has left
-too few digits, it is done again in pairs of float64, which have twice the digits.
+A *slice* is the vector of all hidden variables of a step, of n components. A pass along the chain
+is done in float64 first. Where it fails, or the `certificate` finds that rounding has left too few
+digits, it is done again in pairs of float64, which have twice the digits. A *balanced tree*
+(`pgm.Balanced`) solves for all steps at once, by scans.
 """
 
 from __future__ import annotations
@@ -79,9 +81,10 @@ class Solver(ABC):
 
     @abstractmethod
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        """The posterior computed in pairs of float64; for `start` see `solve`.
+        """The posterior computed in pairs of float64.
 
-        Sliding windows of a fixed lag choose float64 or pairs each for itself, in `solve` as here.
+        `start` (T+1, runs, n) are means of the slices for the first linearisation, or None. Sliding
+        windows of a fixed lag choose float64 or pairs each for itself, in `solve` as here.
         """
 
     def _posterior(
@@ -96,8 +99,9 @@ class Solver(ABC):
         windows: Windows | None = None,
         error: Array | None = None,
     ) -> ChainPosterior:
-        """The posterior with these parts, its status completed by digits and compiled sweeps.
+        """The posterior made of these results, its status completed.
 
+        The status gets the digits that rounding leaves, and whether machine code made the sweeps.
         `error` (runs,) is the rounding error of means, in standard deviations, which costs digits;
         None where it is not measured.
         """
@@ -152,8 +156,8 @@ class LagSolver(Solver):
     """The solver for fixed-lag smoothing: backward messages over a lag.
 
     Where CPDs are linearised again, a window, the last lag + 1 steps, slides along the chain, and
-    each window is solved in float64 or in pairs of float64, as it needs. Making a solver for a
-    balanced tree raises GraphError.
+    each window is solved in float64 or in pairs of float64, as its digits need. Making a solver for
+    a balanced tree raises GraphError.
     """
 
     def __init__(self, graph: DynamicGraph, schedule: FixedLag) -> None:
@@ -165,7 +169,7 @@ class LagSolver(Solver):
             )
 
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        """The posterior by one forward pass and back over the lag, or window after window."""
+        """The posterior by one forward pass and one pass back over the lag, or window by window."""
         return self._lagged(plan, fixed_lag.smooth)
 
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
@@ -177,7 +181,7 @@ class LagSolver(Solver):
     ) -> ChainPosterior:
         """The posterior of a fixed lag: by sliding windows where there is anything to iterate.
 
-        Else `once(plan, schedule)` linearises once, and returns the beliefs with their status.
+        If not, `once(plan, schedule)` linearises once, and returns the beliefs with their status.
         """
         slides = fixed_lag.slides(plan, self.schedule)
         found, status = (fixed_lag.slide if slides else once)(plan, self.schedule)
@@ -205,7 +209,7 @@ class SmootherSolver(Solver):
         super().__init__(graph, schedule)
 
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        """The smoothed posterior: sweeps there and back, or parallel scans, iterated."""
+        """The smoothed posterior: sweeps forward and back, or parallel scans if balanced."""
         smooth = smoother.scan if self.balanced else smoother.smooth
         found, status = smooth(plan, self.schedule, start)
         ahead = parallel.whole(found.forward)
@@ -236,9 +240,10 @@ def bind_chain(
 ) -> BoundEvidence:
     """The evidence of a dynamic network, checked and laid out by step.
 
-    `steps` is T, None for that of the evidence; `identities` allows sightings that leave open what
-    was seen; `compiled` tells how many threads may lay it out. A model that is not dynamic is
-    refused with a ModelError, evidence that is no mapping or does not fit with an EvidenceError.
+    `steps` is T, None for that of the evidence; `identities` allows measurements of unknown
+    identity (`pgm.unknown`); `compiled` tells how many threads may lay it out. A model that is not
+    dynamic is refused with a ModelError, evidence that is no mapping or does not fit with an
+    EvidenceError.
     """
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
@@ -262,9 +267,9 @@ def run(
 
     `start` maps hidden variables to means for the first linearisation; an EvidenceError refuses it
     unless the schedule smooths all at once. `room` is as of `Solver.solve`. A fixed lag of 0 is a
-    filter. Numbers that are too large are refused where they end up, so that NumPy
-    need not warn; of lost digits the status tells, and the caller warns. Traces stand in for users'
-    functions; where one proves wrong, all is done again.
+    filter. NumPy's warnings are silenced, since results that are not finite are refused at the end;
+    the status tells how many digits are lost, of which the caller warns. Functions may be replaced
+    by traces, programs recorded from a call; where one proves wrong, all is done again.
     """
     schedule = Smoothing() if schedule is None else schedule
     if isinstance(schedule, FixedLag) and not schedule.lag and not isinstance(graph, BalancedGraph):
@@ -288,9 +293,10 @@ def _solved(
     room: Room | None,
     judge: Judge,
 ) -> ChainPosterior:
-    """The posterior in float64, or, where that fails or loses too many digits, in twice as many.
+    """The posterior in float64, or, where that fails or loses too many digits, in pairs of float64.
 
-    `given` (T+1, runs, n) are the starting means, or None; the `judge` is of this call's traces.
+    `given` (T+1, runs, n) are the starting means, or None; the `judge` compares the values of
+    traces, which stand in for functions in this call, with those of the functions.
     """
     plan = ChainPlan.make(graph, bound, lineariser, judge=judge)
     gates = getattr(schedule, "gate", None)  # a plain calibration has none
@@ -315,10 +321,11 @@ def _solved(
 
 
 def _told(posterior: ChainPosterior) -> ChainPosterior:
-    """The posterior, its status telling what sigma points close together and last places cost.
+    """The posterior, its status completed by two losses of digits, if there are any.
 
-    It stays as it is where these cost no digits. Functions are evaluated in float64, whatever the
-    passes are in, and means are float64 in the end.
+    They are the rounding of sigma points close together (`close_points`) and of the last places of
+    means (`last_places`). No pass can avoid them: functions are evaluated in float64, and means are
+    float64 in the end.
     """
     plan, swept, status = posterior._planned, posterior._swept, posterior.status
     lost = close_points.error(plan, swept)
@@ -337,10 +344,10 @@ def _told(posterior: ChainPosterior) -> ChainPosterior:
 
 
 def _refuse_infinite(posterior: ChainPosterior) -> None:
-    """NumericalError where moments or log-densities are not finite, or a variance is negative.
+    """Raise NumericalError if moments or log-densities are not finite, or a variance is negative.
 
-    A flat prior's infinite variances are allowed. Negative ones are looked for where twice the
-    digits, or windows, have been used.
+    A flat prior's infinite variances are allowed. Negative variances are looked for only in passes
+    in twice the digits, or by windows.
     """
     swept, smoothed = posterior._swept, posterior._smoothed
     if isinstance(swept, Filtered):  # whose numbers have been looked at

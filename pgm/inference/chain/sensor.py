@@ -1,8 +1,9 @@
 """One sensor of a chain: measurements by step, their linearisation, gate decisions.
 
-A sensor has M sightings, the rows, sorted by step, of d components each. The k sightings of a step
-together have D = k d components. Arrays by row are (M, runs, ...), the runs of length one where all
-have the same.
+A *sighting* is one measurement by a sensor, of which a step may have several. A sensor has M
+sightings, the *rows*, sorted by step, of d components each. The k sightings of a step together have
+D = k d components. Arrays by row are (M, runs, ...), the runs of length one where all have the
+same. A *slice* is the vector of all hidden variables of a step, of n components.
 """
 
 from __future__ import annotations
@@ -40,11 +41,12 @@ from pgm.variables import Variable
 
 @dataclass(eq=False)
 class GateRecord:
-    """A sensor's gate decisions, filled in by a forward pass; windows of it are views.
+    """A sensor's gate decisions, filled in by a forward pass; a window's record is a view of it.
 
     `gate` is the probability of the χ² quantile; `given` (M, runs, d) marks the components that
     were measured, and `rejected` (M, runs) the sightings left out. `square` (M, runs) is νᵀS⁻¹ν of
-    the innovation ν, S its covariance, NaN where nothing was measured or decided.
+    the innovation ν, S its covariance, NaN where nothing was measured or decided. A window is a
+    stretch of consecutive steps.
     """
 
     gate: float
@@ -114,14 +116,15 @@ class Seen(NamedTuple):
 
 @dataclass(eq=False)
 class Sensor:
-    """A sensor: its family in place, with its measured `values` (M, runs or 1, d) sorted by step.
+    """A sensor: its CPD at all rows, and its measured `values` (M, runs or 1, d) sorted by step.
 
-    `parents` are the places of the CPD's hidden parents in the slice; `whole` says whether they are
-    all of it. Row k is row order[k] of the user's evidence; rows bounds[t] to bounds[t + 1] are of
-    step t. `taken` (M, runs or 1, d) marks the components measured, None for all; where there is a
-    gate it is an array of its own, to be written to. A grouped sensor's sightings of a step are
-    linearised as one vector: `cross` has by step the covariances (runs, D, D) between the
-    approximation errors of different ones. `gated` has the decisions of its gate, if there is one.
+    `family` is the CPD with its evidence and linearisations. `parents` are the places of the CPD's
+    hidden parents in the slice; `whole` says whether they are all of it. Row k is row order[k] of
+    the user's evidence; rows bounds[t] to bounds[t + 1] are of step t. `taken` (M, runs or 1, d)
+    marks the components measured, None for all; where there is a gate it is an array of its own, to
+    be written to. The sightings of a step are linearised as one vector if the CPD is grouped:
+    `cross` then has by step the covariances (runs, D, D) between the approximation errors of
+    different sightings. `gated` has the decisions of its gate, if there is one.
     """
 
     family: Family
@@ -141,7 +144,7 @@ class Sensor:
 
     @cached_property
     def robust(self) -> bool:
-        """Whether sightings are weighed by their residuals."""
+        """Whether the CPD's noise is robust, so that sightings are weighed by their residuals."""
         return self.family.cpd.noise is not None
 
     @cached_property
@@ -191,31 +194,35 @@ class Sensor:
         return [int(k) for k in np.flatnonzero(self.variable.angle_mask)]
 
     def sharpness(self, noise: Array) -> Array | None:
-        """The bound on det S, (1,), below which a sighting of noise covariance R = `noise` is mild.
+        """The bound on det S below which a sighting with noise covariance R = `noise` is mild.
 
-        S = H P Hᵀ + R is the predictive covariance; a mild sighting surely leaves a thousandth of
-        each variance or more, others count as sharp (`kernels.along_runs.sharpness`). None unless
+        The bound is (runs or 1,). S = H P Hᵀ + R is the predictive covariance, P that of the belief
+        and H the linearised sensor's slope; a mild sighting surely leaves a thousandth of each
+        variance or more, others count as sharp (`kernels.along_runs.sharpness`). None unless
         `noise` is the very array that all measurements of the sensor have in common.
         """
         return self._sharpness if noise is self._constant else None
 
     @cached_property
     def _constant(self) -> Array | None:
-        """The noise covariance, if it is one for all measurements."""
+        """The noise covariance (d, d, *batch), if all measurements have the same; else None.
+
+        The batch is () for one run, else one axis of runs, of length one where all have the same.
+        """
         return self.family._own(0, 1) if len(self.family.own_noise) == 1 else None
 
     @cached_property
     def _sharpness(self) -> Array:
-        """The bound of `sharpness`, for the noise covariance that all measurements share."""
+        """The bound of `sharpness`, (runs or 1,), for the noise covariance `_constant`."""
         assert self._constant is not None
         return along_runs.sharpness(self._constant)
 
     def at(self, step: int, *, stored: bool) -> tuple[At, Array, Mask | None] | None:
-        """The CPD at a step's sightings, their values and their mask `taken`; None without any.
+        """The CPD at a step's sightings, their values and mask `taken`; None without sightings.
 
-        Values and `taken` are (D, *batch), with a batch of one for all runs; `taken` marks the
-        components measured, None for all. With `stored` the CPD has its stored linearisation, and
-        angles are where it moved them.
+        Values and `taken` are (D, *batch): the batch is () for one run, else one axis of runs, of
+        length one where all have the same. `taken` marks the components measured, None for all.
+        With `stored` the CPD has its stored linearisation, and angles are where it moved them.
         """
         first, last = self.bounds[step], self.bounds[step + 1]
         if first == last:
@@ -250,7 +257,8 @@ class Sensor:
         """Store where angles were moved to, and the covariances between sightings' errors.
 
         `at` is the CPD at a step's sightings, `reading` (D, *batch) their values with angles moved,
-        `noise` (D, D, *batch) their noise with the approximation error; None without an error.
+        `noise` (D, D, *batch) their noise with the approximation error, None without an error; the
+        batch is () or (runs,).
         """
         count, height = at.last - at.first, self.height
         if self._angles and count == 1 and not self.family.batch:
@@ -267,9 +275,10 @@ class Sensor:
         )
 
     def window(self, first: int, last: int, *, after: bool) -> Sensor:
-        """The measurements at steps `first` to `last`, with linearisations of its own.
+        """The sensor with the measurements at steps `first` to `last`, its linearisations copied.
 
-        With `after`, those at step `first` are left out; it remains the window's step 0.
+        With `after` the measurements at step `first` are left out; that step is still the window's
+        step 0.
         """
         begin = self.bounds[first + after]
         rows, part = slice(begin, self.bounds[last + 1]), copy(self)
@@ -287,9 +296,9 @@ class Sensor:
         return part
 
     def put(self, first: int, part: Sensor, *, after: bool) -> None:
-        """Copy how a window, `part`, linearised its measurements, its weights and gate decisions.
+        """Copy into this sensor the linearisations, weights and gate decisions of a window `part`.
 
-        `first` and `after` are those with which `window` has made it.
+        `first` and `after` are the arguments with which `window` has made it.
         """
         row = self.bounds[first + after]
         self.family.put(slice(row, row + part.family.step.size), part.family)
@@ -337,10 +346,10 @@ class Sensor:
         return noise if taken is None else independent(noise, taken)
 
     def between(self, step: int) -> Array | None:
-        """The covariances between the errors of a step's sightings, (runs, D, D); None without any.
+        """The covariances between the errors of a step's sightings, (runs, D, D), if there are any.
 
-        They are of different sightings alone: zero in each sighting's own block (d, d). Those of
-        missing components are zero, too.
+        None if none are stored in `cross`. They are of different sightings alone: zero in each
+        sighting's own block (d, d), and for missing components.
         """
         cross, taken = self.cross.get(step), self._taken(self.rows(step))
         if cross is None or taken is None:

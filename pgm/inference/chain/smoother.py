@@ -1,11 +1,11 @@
 """Iterated smoothing: sweep forward and back, relinearise everything, sweep again.
 
-A *pair* is the vector of the states of the step before, then the slice. *Dead reckoning* is the
-prior's mean carried on by the transition's functions, without measurements. An *anchor* is a
-further measurement of all components at each step, by which a step control (Levenberg–Marquardt)
-holds the solution near a point. Where no CPD needs covariances, as with `Taylor`, smoothing is
-Gauss–Newton for the means: their normal equations may be solved alone (`newton`), and covariances
-follow by a pass at the end.
+A *slice* is the vector of all hidden variables of a step, of n components; a *pair* is the vector
+of the states of the step before, then the slice. *Dead reckoning* is the prior's mean carried on by
+the transition's functions, without measurements. An *anchor* is a further measurement of all
+components at each step, by which a step control (Levenberg–Marquardt) holds the solution near a
+point. Where no CPD needs covariances, as with `Taylor`, smoothing is Gauss–Newton for the means:
+their normal equations may be solved alone (`newton`), and covariances follow by a pass at the end.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Smoothed:
 
     @cached_property
     def point(self) -> Point:
-        """The moments of slices, and of pairs if need be, as a point of linearisation."""
+        """The moments of slices, and of pairs if `paired`, as a point of linearisation."""
         joint = None
         if self.paired:
             joint = backward.pairs(self.beliefs, self.reverse, slice(None)).cov
@@ -102,9 +102,9 @@ _CLOSE, _ALIKE = 1e-7, 3e-9
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
     """Run a smoothing schedule; without a `start` it begins with a filter, step by step.
 
-    Linearisations but the filter's are of all steps at once. What solves them is machine code,
-    where it can, a parallel scan, where there are many steps of few numbers, or a sweep forward and
-    back.
+    The filter linearises step after step; every other linearisation is of all steps at once. The
+    linearised chain is solved by machine code, if it knows the plan; by a parallel scan, if there
+    are many steps of few components; or by a sweep forward and back.
 
     Parameters
     ----------
@@ -145,8 +145,8 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
 def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
     """Run a smoothing schedule by parallel scans of O(log T) rounds.
 
-    `start` (T+1, runs, n) are means for the first linearisation. Without it that is along dead
-    reckoning, since a filter's beliefs come one step after another.
+    `start` (T+1, runs, n) are means for the first linearisation. Without them CPDs are first
+    linearised along dead reckoning, since a filter's beliefs come one step after another.
     """
     cost.require_cost(schedule, plan.families, first=False)
     chain = Chain(plan, _scanned)
@@ -165,8 +165,8 @@ def carefully(
 ) -> tuple[CarefulSmoothed, Status]:
     """Smooth in twice the digits, going forward step by step.
 
-    `start` (T+1, runs, n) are means for the first linearisation. Without it that is the filter's,
-    or along dead reckoning if `reckoned`.
+    `start` (T+1, runs, n) are means for the first linearisation. Without them CPDs are first
+    linearised at a filter's beliefs, or along dead reckoning if `reckoned`.
     """
     reckoned = reckoned and not plan.exact
     cost.require_cost(schedule, plan.families, first=start is None and not reckoned)
@@ -238,7 +238,7 @@ def _compiled(
     At the end the last linearisation is swept, too. The result is None where machine code does not
     know a part of the plan, where its equations have no solution, and where the last step and the
     sweep differ in a mean by more than 10⁻⁷ standard deviations, or in a standard deviation by more
-    than 3·10⁻⁹ of it. The plan's account says so.
+    than 3·10⁻⁹ of it. The reason is then noted in `plan.account`.
     """
     from pgm.inference.chain.compiled.newton import Newton
 
@@ -301,10 +301,11 @@ def _is_long(plan: ChainPlan) -> bool:
 
 
 def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """A `Chain.solver`: `_scanned`, or `swept` where a scan does not serve.
+    """A `Chain.solver`: smooth by a parallel scan, or by `swept` where a scan does not serve.
 
-    It does not where measurements have singular or correlated noise, and where a step has no
-    element, since a covariance is indefinite or not finite.
+    A scan does not serve where measurements have singular or correlated noise, and where a step has
+    no element of the scan, since a covariance is indefinite or not finite. Slices are counted from
+    `reference` (T+1, runs, n).
     """
     readings = Readings.of(plan, reference)
     if readings.stacks:
@@ -479,7 +480,10 @@ def _start(plan: ChainPlan, start: Array) -> Point:
 
 
 def dead_reckoning(plan: ChainPlan) -> Point:
-    """The prior's means carried on by the transition's functions, as a point of zero covariance."""
+    """The prior's means carried on by the transition's functions, as a point of zero covariance.
+
+    Its means are (T+1, runs, n); angles that functions wrap are unwrapped.
+    """
     layout = plan.layout
     front, states = layout.state_size, layout.state_places
     mean = np.zeros((plan.steps + 1, plan.runs, layout.slice_size))
@@ -501,7 +505,10 @@ def dead_reckoning(plan: ChainPlan) -> Point:
 
 
 def _without_spread(plan: ChainPlan, mean: Array) -> Point:
-    """A point of linearisation with zero covariances: Taylor's rule reads means alone."""
+    """A point of linearisation with zero covariances, of means (T+1, runs, n).
+
+    It serves Taylor's rule, which reads means alone.
+    """
     size = plan.layout.state_size + plan.layout.slice_size
     return Point(
         mean,

@@ -1,8 +1,10 @@
 """The measurements of a step, or of each of all steps, as one vector; a step's batch is last.
 
-The k sightings of a sensor at a step, of d components each, are stacked to D = k d components. At
-one step arrays have their components first and the runs last, (D, *batch), `batch` being () for one
-run; of many steps they are (steps, runs, D).
+A *slice* is the vector of all hidden variables of a step, of n components; a *sighting* is one
+measurement by a sensor, of which a step may have several. The k sightings of a sensor at a step, of
+d components each, are stacked to D = k d components. At one step arrays have their components first
+and the runs last, (D, *batch), `batch` being () for one run and (runs,) for several; of many steps
+they are (steps, runs, D).
 """
 
 from __future__ import annotations
@@ -20,11 +22,12 @@ from pgm.kernels.arrays import Array, Integers, Mask, apply, times
 class Measured(NamedTuple):
     """Linearised sightings of one sensor at a step: z = value + H (x − point) + n.
 
-    `matrix` is H over the m components of the sensor's parents, (D, m, *batch), `noise` the
-    covariance of n, (D, D, *batch); a batch may be one for all. `point` (m, *batch) is where they
-    were linearised, `value` E[h] there. `reading` is z, its angles on the branch nearest the value.
-    `taken` (D, *batch) marks the components measured, None for all; `offset` is the constant b of
-    an affine CPD, else None.
+    `matrix` is H over the m components x of the sensor's parents, (D, m, *batch), `noise` the
+    covariance of n, (D, D, *batch); the batch may be of length one, for all runs. `point`
+    (m, *batch) is where the CPD's mean h was linearised, `value` (D, *batch) is E[h] there.
+    `reading` (D, *batch) is z, its angles on the branch nearest the value. `taken` (D, *batch)
+    marks the components measured, None for all; `offset` (D, *batch) is the constant b of an affine
+    CPD, else None.
     """
 
     sensor: Sensor
@@ -38,7 +41,7 @@ class Measured(NamedTuple):
 
     @property
     def constant(self) -> Array:
-        """The b (D, *batch) of the linearisation E[z] = H x + b."""
+        """The constant b (D, *batch) of the linearisation E[z] = H x + b."""
         if self.offset is not None:
             return self.offset
         return self.value - times(self.matrix, self.point)
@@ -117,10 +120,10 @@ def vector(parts: Sequence[Measured], mean: Array) -> Vector:
 
 
 def _masked(seen: Measured, mean: Array) -> Vector:
-    """The sightings of a sensor over its own parents.
+    """The sightings of a sensor as a `Vector` over the sensor's parents alone, not the whole slice.
 
-    A missing component has H = 0, no residual, and unit variance without correlations: it says
-    nothing.
+    `mean` (n, *batch) is the slice's. A missing component has H = 0, no residual, and unit variance
+    without correlations: it says nothing.
     """
     residual = seen.residual(mean if seen.sensor.whole else mean[seen.sensor.parents])
     if seen.taken is None:

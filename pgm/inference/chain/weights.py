@@ -1,13 +1,15 @@
 r"""The weights of sightings with robust noise: each counts with the covariance R / w.
 
-w = 2 ρ′(s) is twice the slope of the loss ρ at the square s = rᵀ R⁻¹ r of the sighting's residual
-r. With `Taylor` r is that of the mean, and a fixed point maximises the density (iteratively
-reweighted least squares). With rules that take expectations over the belief, of covariance P, the
-square is expected, s = rᵀ R⁻¹ r + tr R⁻¹ (H P Hᵀ + Ω), with the covariance Ω of the linearisation's
-error, and a fixed point maximises the lower bound of the evidence (expectation–maximisation).
+A *sighting* is one measurement by a sensor; the k sightings of an array have d components each, and
+R is the noise covariance of one. Its weight w = 2 ρ′(s) is twice the slope of the loss ρ at the
+square s = rᵀ R⁻¹ r of its residual r. With `Taylor` r is that of the mean, and a fixed point
+maximises the density (iteratively reweighted least squares). With rules that take expectations over
+the belief, of covariance P, the square is expected, s = rᵀ R⁻¹ r + tr R⁻¹ (H P Hᵀ + Ω), with the
+slope H and the covariance Ω of the linearisation's error, and a fixed point maximises the lower
+bound of the evidence (expectation–maximisation).
 
 A *graduated* loss, truncated least squares, is reached in stages μ: it begins wide, and is
-sharpened until it is the loss asked for. The k sightings have d components each.
+sharpened until it is the loss asked for.
 """
 
 from __future__ import annotations
@@ -170,7 +172,7 @@ class Weights:
         return 2.0 * np.where(self.count > 0, found, 0.0)
 
     def scaled(self, own: Array) -> Array:
-        """The covariances R / w, (k, runs, d, d), of noise covariances `own`."""
+        """The covariances R / w, (k, runs, d, d), of noise R = `own`, (k or 1, runs or 1, d, d)."""
         return own / self.weight[..., None, None]
 
     def rows(self, rows: slice) -> Weights:
@@ -182,7 +184,7 @@ class Weights:
         return replace(self, white=white, taken=taken, weight=weight, square=square, stage=stage)
 
     def put(self, rows: slice, other: Weights) -> None:
-        """Copy the weights and squares of all sightings of `other` into the given rows of these."""
+        """Copy the weights and squares of all sightings of `other` into these weights at `rows`."""
         self.weight[rows], self.square[rows] = other.weight, other.square
 
 
