@@ -1,8 +1,8 @@
 """Checks of arguments: numbers, linearisers, and the CPDs that a kind of belief can take.
 
 Each check returns nothing. It raises a `ModelError`, or an `EvidenceError` about a measurement,
-that names what is wrong. `owner` is the object whose repr begins the error's text; `beliefs` names
-there, in the plural ("Gaussian beliefs"), the beliefs that need the CPDs to be of some kind.
+that names what is wrong. Its text begins with the repr of `owner`, and calls `beliefs`, in the
+plural ("Gaussian beliefs"), the beliefs for which the CPDs have to be of some kind.
 """
 
 from __future__ import annotations
@@ -50,9 +50,10 @@ def require_gaussian(cpds: Iterable[CPD], beliefs: str) -> None:
 
 
 def require_plain(cpds: Iterable[CPD]) -> None:
-    """Refuse CPDs with robust noise: Gaussian beliefs take it of a dynamic network's sensors alone.
+    """Refuse robust noise of CPDs that are no sensors of a dynamic network, for Gaussian beliefs.
 
-    It is handled by weights of a sensor's residuals, of which other CPDs have none.
+    Gaussian beliefs handle robust noise by weighting the residuals of measurements, and so take it
+    of a dynamic network's sensors alone, which the caller leaves out of `cpds`.
     """
     for cpd in cpds:
         if isinstance(cpd, ConditionalGaussian) and cpd.noise is not None:
@@ -66,10 +67,10 @@ def require_plain(cpds: Iterable[CPD]) -> None:
 
 
 def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
-    """Refuse CPDs whose density cannot be evaluated, for beliefs that are weighed by it.
+    """Refuse CPDs whose density cannot be evaluated, for beliefs that are weighted by densities.
 
     Refused are a `SampledCPD` without `log_density`, and robust noise whose density has an infinite
-    integral; of a mixture each part is checked.
+    integral. A mixture is refused if any of its component CPDs is.
     """
     for cpd in cpds:
         if isinstance(cpd, MixtureCPD):
@@ -86,10 +87,10 @@ def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
 
 
 def require_whole(cpd: CPD, taken: Mask, step: int) -> None:
-    """Refuse a measurement with missing components of a CPD whose density has no marginals.
+    """Refuse a partly missing measurement, if the density of its CPD has no marginals.
 
-    `taken` marks the components that were measured, of all sightings at `step`. A CPD that is
-    `partial` has the marginals, and is never refused. The error is an `EvidenceError`.
+    `taken` (d,) marks the components that were measured at `step`. A CPD that is `partial` has
+    marginals over the measured components, and is never refused. The error is an `EvidenceError`.
     """
     if not taken.all() and not cpd.partial:
         raise EvidenceError(

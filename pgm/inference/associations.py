@@ -1,8 +1,9 @@
 """Data association: which candidate each sighting was taken for.
 
-An *open* sighting is one whose sensor has a parent that the evidence leaves unknown
-(`pgm.unknown`). It is of one of k candidates, which are values (k, d) of that parent, or of none of
-them: *spurious*, or of a *new* thing. Probabilities (..., k + 2) are in that order.
+A *sighting* is one measurement of a sensor; there may be several at a step. An *open* sighting is
+one whose sensor has a parent that the evidence leaves unknown (`pgm.unknown`). It is of one of k
+candidates, which are values (k, d) of that parent, or of none of them: *spurious*, or of a *new*
+thing. Probabilities (..., k + 2) are in that order.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ class Associations(Shown, Immutable):
         (M,): the steps of the sightings.
     probability : ndarray
         (..., M, k + 2): the probability of each of k candidates, of a spurious sighting and of a
-        new thing, given the measurements that the belief knows; of Gaussian beliefs, given the
-        sighting and those taken in before it. Leading axes are runs. NaN where nothing was
-        measured.
+        new thing, given all measurements that the belief knows; with Gaussian beliefs, given only
+        the sighting itself and the measurements taken in before it. Leading axes are runs. NaN
+        where nothing was measured.
     candidate : ndarray of int
-        (..., M): the likeliest candidate, as its row of the k; −1 spurious, −2 new. −1 too where
-        nothing was measured, and where all candidates were beyond the gate and nothing was declared
-        spurious or new.
+        (..., M): the index of the likeliest candidate, 0 to k − 1; −1 spurious, −2 new. −1 too
+        where nothing was measured, and where all candidates were beyond the gate and nothing was
+        declared spurious or new.
     outliers : float
         The prior probability, as `pgm.unknown` declares it, that a sighting is spurious or new.
 
@@ -77,14 +78,16 @@ class Associations(Shown, Immutable):
 
     @property
     def measured(self) -> Mask:
-        """The mask of sightings of which some component was measured, (..., M)."""
+        """The mask (..., M) of sightings that have at least one measured component."""
         return np.asarray(~np.isnan(self.probability).any(axis=-1))
 
     def judged(self, *, gated: bool) -> tuple[Mask, Mask]:
-        """Masks (M, runs): sightings taken for no candidate, and sightings that count as judged.
+        """Two masks (M, runs) for the test whether a belief is lost: strange and judged sightings.
 
-        Every measured sighting of a sensor without a gate is judged. Of a sensor with one (`gated`)
-        the second mask equals the first, since the record of the gate counts all others.
+        A measured sighting is *strange* if it was taken for no candidate. The *judged* sightings
+        are those among which the test counts the strange ones: every measured one of a sensor
+        without a gate, and only the strange ones of a sensor with a gate (`gated`), since the
+        record of the gate counts all others.
         """
         measured = self.measured.reshape(-1, len(self.step)).T
         strange = measured & (self.candidate < 0).reshape(-1, len(self.step)).T
@@ -130,8 +133,8 @@ def is_open(bound: BoundEvidence) -> bool:
 def by_density(bound: BoundEvidence) -> BoundEvidence:
     """The same evidence with each open sensor's CPD replaced by a mixture over its candidates.
 
-    For beliefs that evaluate densities. Sightings that are to be associated all together
-    (``association="joint"``) raise an `EvidenceError`: only Gaussian beliefs do that.
+    It is for grids and particles, which evaluate densities. Sightings that are to be associated
+    all together (``association="joint"``) raise an `EvidenceError`: only Gaussian beliefs do that.
     """
 
     def closed(reading: Reading) -> Reading:
@@ -153,7 +156,7 @@ def by_density(bound: BoundEvidence) -> BoundEvidence:
 def unidentified(reading: Reading, parent: Variable, unknown: Unknown) -> UnidentifiedCPD:
     """The CPD of a sensor's open sightings: a mixture over the candidates for a parent.
 
-    `parent` is the one whose value the evidence leaves open, and `unknown` its candidates.
+    `parent` is the parent whose value the evidence leaves open, and `unknown` its candidates.
     """
     return UnidentifiedCPD(
         reading.cpd,
@@ -171,8 +174,9 @@ def collected(
 ) -> tuple[Variable, Associations]:
     """The sensor of a reading, and its `Associations` in the order of the user's evidence.
 
-    `rows` yields for each sighting, in the reading's own order by step, the probabilities (runs,
-    `candidates` + 2). `lead` are the user's axes of runs, to which the axis of runs is reshaped.
+    `rows` yields for each sighting, in the order of `reading`, which is by step, the probabilities
+    (runs, `candidates` + 2); `candidates` is the number k. `lead` is the shape of the user's
+    leading axes of runs, to which the axis of runs is reshaped.
     """
     ordered = np.empty((int(np.prod(lead)), len(reading.step), candidates + 2))
     for place, row in zip(reading.order.tolist(), rows, strict=True):

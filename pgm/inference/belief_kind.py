@@ -18,8 +18,9 @@ class Kind(InCode):
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + \mathrm{lag},\, T)})
 
-    Its text, ``predicted``, ``filtered``, ``fixed-lag (5)`` or ``smoothed``, labels plots:
-    ``pgm.plot.trajectory(posterior[x], label=posterior.kind)``. A lag that is no such number is
+    is the belief over the state x at step t, given the measurements z; T is the last step. The kind
+    as text, ``predicted``, ``filtered``, ``fixed-lag (5)`` or ``smoothed``, labels plots:
+    ``pgm.plot.trajectory(posterior[x], label=posterior.kind)``. Any other lag than those below is
     refused with a `ModelError`.
 
     Parameters
@@ -45,7 +46,7 @@ class Kind(InCode):
 
     @property
     def name(self) -> str:
-        """``predicted``, ``filtered``, ``fixed-lag`` or ``smoothed``."""
+        """The kind in a word, without the lag: predicted, filtered, fixed-lag or smoothed."""
         names = {-1: "predicted", 0: "filtered", math.inf: "smoothed"}
         return names.get(self.lag, "fixed-lag")
 

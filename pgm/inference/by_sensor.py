@@ -1,4 +1,4 @@
-"""Mappings from each sensor that was read to its results."""
+"""Mappings from sensors that have measurements to results, such as innovations or rejections."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Value = TypeVar("Value")
 
 
 class EachSensor(Shown, Mapping[Variable, Value]):
-    """A mapping from each sensor that was read to its results.
+    """A mapping from sensors that have measurements to results of the kind that a subclass is for.
 
     Any other key raises an `EvidenceError`, in whose text the results are called `_what`.
     """

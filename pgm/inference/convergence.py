@@ -1,10 +1,10 @@
 """The warning of a call whose iterations ended before they settled.
 
-Iterations of a run have *settled*, or converged, when the last residual is within the tolerance:
-the largest change of a message, or the largest move of a mean in standard deviations. A call warns
-once, of all its runs together. One linearisation is a plain filter or smoother, and a tolerance of
-0 asks for a number of iterations: nobody expects a fixed point of either, and nothing is said,
-unless messages diverge.
+The *residual* of an iteration is the largest change of a message, or the largest move of a mean in
+standard deviations. The iterations of a run have *settled*, or converged, when the last residual is
+within the tolerance. A call warns once, of all its runs together. One linearisation is a plain
+filter or smoother, and a tolerance of 0 asks for a number of iterations: nobody expects a fixed
+point of either, and no warning is given, unless messages diverge.
 """
 
 from __future__ import annotations
@@ -92,6 +92,7 @@ def _diverged(status: Status, schedule: Loopy) -> bool:
 
 
 def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
+    """The warning's text where messages on a graph have not settled or diverged, with advice."""
     last, of = _last(status)
     if _diverged(status, schedule):
         began = f"messages diverged{of}, and were stopped after {status.iterations} rounds"
@@ -135,6 +136,7 @@ def _has_hubs(posterior: Posterior) -> bool:
 
 
 def _of_linearisations(status: Status, schedule: Filtering | FixedLag | Calibration) -> str:
+    """The warning's text where the iterated linearisations have not settled, with advice."""
     last, of = _last(status)
     began = f"iterations had not settled{of} after {status.iterations} linearisations"
     how = f" (tolerance {schedule.tolerance:g}; status.residuals)"
@@ -162,10 +164,10 @@ def _otherwise(schedule: Filtering | FixedLag | Calibration) -> str:
 
 
 def _last(status: Status) -> tuple[str, str]:
-    """Two parts of a warning's text: the last residual, and in how many runs it has not settled.
+    """Two parts of a warning's text: the last residual, and how many runs have not settled.
 
-    The first is the largest last residual of these runs, empty if none was recorded. The second,
-    such as " in 2 of 8 runs" with its blank, is empty if there is only one run.
+    The first is the largest last residual of the unsettled runs, empty if none was recorded. The
+    second, such as " in 2 of 8 runs" with its leading blank, is empty if there is only one run.
     """
     unsettled = ~status.converged
     count, size = int(unsettled.sum()), unsettled.size
@@ -177,12 +179,11 @@ def _last(status: Status) -> tuple[str, str]:
 
 
 def _needed(status: Status, tolerance: float, over: int) -> int | None:
-    """The iterations in all after which the slowest run will have settled, or None.
+    """The total number of iterations after which the slowest run will have settled, or None.
 
     The residual of that run is taken to shrink on by the mean factor of its last `over` iterations.
-    None where it does not shrink, with a tolerance of 0, and where that would be more than ten
-    times as many iterations as were made, or than 100 if that is more: other ways are better advice
-    then.
+    None if that residual does not shrink, if the tolerance is 0, and if the total would exceed both
+    100 and ten times the number of iterations made: other advice is better then.
     """
     record: Array = status.residuals.reshape(len(status.residuals), -1)
     over = min(over, len(record) - 1)

@@ -1,4 +1,4 @@
-"""Levenberg–Marquardt: the control of steps of iterated schedules, and its option."""
+"""Damping of iterated schedules: by a fixed share of the old point, or Levenberg–Marquardt."""
 
 from __future__ import annotations
 
@@ -35,17 +35,19 @@ class LevenbergMarquardt(InCode):
     A smoother's step from the filter's linearisation to its first solution is not controlled. The
     first step from a start, or from dead reckoning on a `Balanced` tree, is: the cost of the start
     is never exceeded. A start that does not obey the exact CPDs (linear, with singular noise) has
-    no cost, and is represented by its projection onto them. A filter's predicted belief, beside an
-    exact measurement, is represented by that belief given this measurement alone.
+    no finite cost: its projection onto them takes its place. In a filter, the predicted mean has
+    none if it contradicts an exact measurement: the mean of the predicted belief given the exact
+    measurements alone takes its place.
 
     Parameters
     ----------
     start : float
         λ of the first try, and the least; positive.
     factor : float
-        What λ is multiplied with at each failure, and divided by after each success; above 1.
+        The number, above 1, by which λ is multiplied at each failure and divided after each
+        success.
     tries : int
-        Tries at the most in one iteration.
+        The most tries with an added measurement in one iteration.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Filtering and smoothing a dynamic network: compiled, and a schedule run on its graph."""
+"""Filtering and smoothing: a dynamic network is compiled, and a schedule run on its graph."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def filter(
     lineariser : Lineariser, optional
         `Taylor()` if not given.
     steps : int, optional
-        T, the last step: needed where the evidence has no plain array, whose length says it.
+        T, the last step: needed if the evidence has no plain array, whose length would tell it.
     iterations, tolerance, damping, gate
         See `Filtering`.
     compiled : bool or Compiled, optional
@@ -252,8 +252,8 @@ def smooth(
 
     .. math:: p(x_t \mid \text{all measurements}), \quad t = 0, \ldots, T
 
-    With a lag it is `FixedLag(lag, iterations, tolerance, damping)`, whose beliefs know the
-    measurements up to so many steps later.
+    With a lag the schedule is `FixedLag(lag, iterations, tolerance, damping)`: each belief knows
+    the measurements up to `lag` steps later.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def smooth(
     start : mapping of Variable to array_like, optional
         As for `infer`; not with a lag.
     lag : int, optional
-        See `FixedLag`, in steps.
+        The number of later steps whose measurements each belief knows; see `FixedLag`.
     iterations, tolerance, damping, gate
         See `Smoothing` and `FixedLag`.
     method : Balanced, optional

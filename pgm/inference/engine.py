@@ -154,9 +154,10 @@ def _run_points(
     keep: Keep | None,
     executor: Executor | None,
 ) -> PointPosterior:
-    """The posterior of a grid or particles; arguments of Gaussian beliefs alone are refused.
+    """The posterior of a grid or particles; arguments for Gaussian beliefs alone are refused.
 
-    The error is that of `require_no_others`, or of `by_density` for the sightings.
+    `require_no_others` raises the error, or `by_density` if measurements of unknown identity are to
+    be associated all together.
     """
     given = {"start": start, "keep": keep, "executor": executor}
     require_no_others(belief, lineariser, **given, compiled=graph.layout.compiled or None)
@@ -300,18 +301,18 @@ def infer(
     keep : collection of Variable, optional
         For a dynamic network, the hidden variables whose marginals at all steps are kept,
         ``keep=[x]``, with log-evidence and status; without, everything is. The runs are then
-        worked through in parts of some hundreds or thousands, of which no more is held at a time
-        than are worked on, so that a study of 100,000 simulations fits. A rule that draws points
-        afresh for each run takes all runs as one part.
+        worked through in parts of some hundreds or thousands, and only the parts at work are in
+        memory, so that a study of 100,000 simulations fits. With a lineariser that draws points
+        afresh for each run all runs are one part.
     executor : concurrent.futures.Executor, optional
-        For a dynamic network; its workers are handed parts of the runs, as many for each: a
-        process pool, a thread pool, a Dask client's `get_executor()`, an MPI pool. Results are
-        those of one process; so is an error, which is looked for once more in this one. Functions
-        and classes of a model must stand in modules, by name, since they are pickled. On Linux a
-        `ProcessPoolExecutor` shares memory with its caller, kept for the next call while the
-        executor lives. Threads gain little, since most calls are short, and need functions that are
-        thread-safe. With small states the threads of NumPy's linear algebra only get in the way
-        (OMP_NUM_THREADS=1).
+        For a dynamic network: a process pool, a thread pool, a Dask client's `get_executor()`, an
+        MPI pool. Workers are handed about equally many parts of the runs. Results are those of one
+        process. Where a worker fails, the calling process solves again, so that the error is raised
+        in it. Functions and classes of a model must stand in modules, by name, since they are
+        pickled. On Linux a `ProcessPoolExecutor` shares memory with its caller, kept for the next
+        call while the executor lives. Threads gain little, since most calls are short, and need
+        functions that are thread-safe. With small states the threads of NumPy's linear algebra only
+        get in the way (OMP_NUM_THREADS=1).
     memory : number, optional
         For a discrete network and a graph without loops, how many bytes the tables of all runs may
         take, besides the compiled graph, the evidence, and what is asked for; 2²⁸ (256 MiB), if not
@@ -325,11 +326,12 @@ def infer(
         function, ``progress(done, total)``, called at the start of each stage and after each of its
         items: steps, linearisations, rounds, runs or parts. An error that it raises ends the call.
     impossible : str
-        For a discrete network and a graph without loops, what is done where evidence has
-        probability zero: ``"raise"``, or ``"allow"``, where such runs, as of `records` of which
-        some contradict the tables, have a log-evidence of −∞ and beliefs of NaN, and the others
-        theirs. Over time beliefs are NaN that know the first impossible measurement: filtered ones
-        from its step on, with a lag ones as many steps earlier, smoothed ones at all steps.
+        For a discrete network and a graph without loops, what is done with runs whose evidence has
+        probability zero, as where some of many `records` contradict the tables: ``"raise"`` refuses
+        the evidence; with ``"allow"`` such runs have a log-evidence of −∞ and beliefs of NaN, and
+        all other runs their usual results. Over time a belief is NaN if it knows the first
+        impossible measurement: filtered beliefs from its step on, fixed-lag ones from a lag before
+        it on, smoothed ones at all steps.
 
     Returns
     -------

@@ -1,12 +1,16 @@
 """One CPD at all its rows: its evidence, its noise, and its linearisation.
 
-A linearised CPD of a child y, given its hidden parents stacked to one vector x, is
+A *row* is a step of a transition or one measurement of a sensor; *runs* are the simulations or
+robots that are worked on together. A linearised CPD of a child y, given its hidden parents stacked
+to one vector x, is
 
     y = F x + b + e,   e ~ N(0, Q),   Q = R + Ω,
 
 R being the CPD's own noise covariance and Ω that of the linearisation's error. An affine CPD is
 such from the start, with Ω = 0. d are the components of y, n those of x. Arrays over rows and runs
-are (rows, runs, ...); what rows, runs and the batch are says `rows`.
+are (rows, runs, ...). An `At` (module `rows`) has a few consecutive rows, stacked to one vector; in
+its arrays components come first and the *batch* last: no axis for one run, else that of runs. A
+`Line` is a linearisation at a mean: F, the value at the mean, and the error's covariance Ω.
 """
 
 from __future__ import annotations
@@ -63,10 +67,11 @@ class Family(Rows):
     """A CPD at its rows, and its linearisation F, b and Q there.
 
     `noise` is Q, (rows, runs, d, d): a read-only view of `own_noise`, R, until some row has an
-    error Ω, then (`approximate`) an array of its own. The `judge` of a call compares the values
-    and slopes that traces of functions gave (`trace`) with the functions, when the call is done.
-    `compiled` is the record of values and slopes that the trace gives in machine code, derivatives
-    that the user gave included (`trace_whole`); None without machine code.
+    error Ω, then (`approximate`) an array of its own. A *trace* is a user's function recorded as a
+    graph of scalar operations (`trace`); the `judge` of a call compares the values and slopes that
+    traces gave with the functions, when the call is done. `compiled` is the record of values and
+    slopes that the trace gives in machine code, derivatives that the user gave included
+    (`trace_whole`); None without machine code.
     """
 
     noise: Array = field(init=False, repr=False)
@@ -91,8 +96,8 @@ class Family(Rows):
         """Lay out a CPD with its evidence bound; an affine one has F, b and Q at once.
 
         `hidden` are the parents without evidence; `step` (rows,) is the step of each row, `inputs`
-        are the other parents' values (rows, runs or 1, d) and `lead` the user's axes of runs. Runs
-        have numbers from `first_run` on in errors. `timed` is False of a network without time. A
+        are the other parents' values (rows, runs or 1, d) and `lead` the shape of the user's axes
+        of runs. Errors count runs from `first_run`. `timed` is False of a network without time. A
         nonlinear CPD makes its own `template` if none is given, and its own lineariser, if it has
         one, is taken in place of `lineariser`. A CPD of any other kind is a `ModelError`.
         """
@@ -183,9 +188,10 @@ class Family(Rows):
         return part
 
     def put(self, rows: slice | tuple[slice, slice], part: Family) -> None:
-        """Copy the linearisations of a part into some rows, or into some rows and runs.
+        """Copy the linearisations F, b and Q of another family of this CPD into some rows.
 
-        `rows` is a slice of rows, or a pair of slices, of rows and of runs; `part` has just these.
+        `rows` is a slice of rows, or a pair of slices, of rows and of runs; the family `part` has
+        these rows and runs alone.
         """
         if not self.exact:
             self.matrix[rows], self.offset[rows] = part.matrix, part.offset
@@ -232,16 +238,21 @@ class Family(Rows):
 
     @cached_property
     def prepared(self) -> Prepared:
-        """The lineariser prepared for the CPD's function; `_value` where no parent is hidden."""
+        """The lineariser prepared for the CPD's function; `_value` where no parent is hidden.
+
+        It is called with the function, evidence bound, and a mean (n, *batch) and covariance
+        (n, n, *batch) of the hidden parents, and returns a `Line`.
+        """
         assert self.template is not None
         return prepare(self.lineariser, self.template) if self.hidden else _value
 
     def line(self, at: At, mean: Array, cov: Array) -> Line:
-        """Linearise rows at a belief over their hidden parents, (n, *batch) and (n, n, *batch).
+        """Linearise the rows of `at` at a belief over their hidden parents.
 
-        Rows that are affine, or linearised already, keep F; the line then has the value F mean + b,
-        and no error. An exception of the lineariser becomes an error that names the CPD, step and
-        run; see `failure`.
+        The belief has the `mean` (n, *batch) and the covariance `cov` (n, n, *batch). Rows that
+        are affine, or linearised already, keep F; the line then has the value F mean + b, and no
+        error. An exception of the lineariser becomes an error that names the CPD, step and run; see
+        `failure`.
         """
         function = at.function
         if function is None:
@@ -419,7 +430,7 @@ class Family(Rows):
         return apply(self.matrix[rows], mean) + self.offset[rows]
 
     def to_chart(self, parents: Array, child: Array) -> None:
-        """Move b by whole turns, in place, so that predicted angles lie within π of the child's.
+        """Add multiples of 2π to b, in place, so that predicted angles are within π of the child's.
 
         The means `parents` of the hidden parents are (rows, runs, n), those of the `child` (rows,
         runs, d). Angles of beliefs are not wrapped: they are numbers on one branch. The b of an
@@ -433,10 +444,10 @@ class Family(Rows):
     def probe(self, means: Mapping[Variable, Array]) -> None:
         """Call the function and its Jacobian on trial, to refuse wrong shapes before inference.
 
-        They are called at `means` (d,) by the parents' templates (zeros, where there are none) and
-        the first evidence, repeated along two leading axes of lengths that no vector of components
-        has: a function that indexes an axis of runs for one of components then returns a wrong
-        shape, which raises a `ModelError`.
+        Hidden parents are given their `means`, (d,) by template, or zeros if there are none for
+        them; other parents their first evidence. All are repeated along two leading axes whose
+        lengths no vector of components has: a function that takes an axis of runs for one of
+        components then returns a wrong shape, which raises a `ModelError`.
         """
         if self.template is None or not self.step.size:
             return
@@ -457,13 +468,13 @@ class Family(Rows):
                 function.jacobian(x)
 
     def trace(self, means: Mapping[Variable, Array], judge: Judge | None) -> None:
-        """Choose how the function's trace is used: the derivatives not given are taken from it.
+        """Choose how the function's trace is used, for derivatives that the user has not given.
 
         A trace is the function as a graph of scalar operations (`pgm.tracing`). If there is none,
-        it is made about `means` (d,) by the parents' templates (zeros, where there are none) and
-        the first evidence. With a judge that is `trusting` its answers are compared with the
-        function after the call; with one that is not, no trace is used. Without a judge each answer
-        is compared at once.
+        it is made about the first evidence and, for hidden parents, their `means`, (d,) by template
+        (zeros, where there are none). With a judge that is `trusting` the answers of the trace are
+        compared with the function after the call; with a judge that is not, no trace is used.
+        Without a judge each answer is compared at once.
         """
         template = self.template
         if template is None:
@@ -482,9 +493,10 @@ class Family(Rows):
                 self.answers = self._asked(judge, template.tracer, centres)
 
     def trace_whole(self) -> Answers | str:
-        """The record of the trace of the function and its given derivatives, for machine code.
+        """The record of values and slopes that the trace gives in machine code (see the class).
 
-        It is kept as `compiled`. Where there is no trace a text is returned that says why.
+        The trace is of the function and of the derivatives that the user gave. The record is kept
+        as `compiled`. Where there is no trace, a text is returned that says why.
         """
         assert self.template is not None
         if self.judge is None or self.template.tracer is None:
@@ -494,9 +506,10 @@ class Family(Rows):
         return self.compiled or str(tracer.reason)
 
     def _asked(self, judge: Judge, tracer: Tracer, centres: list[Array]) -> Answers | None:
-        """The record of what a trace gives in this call, for the judge; None without a trace.
+        """The record of the values and slopes that a trace gives in this call, for the judge.
 
-        If there is none yet, it is made about `centres`, a value (d,) for each argument.
+        If there is no trace yet, `tracer` makes it about `centres`, a value (d,) for each argument
+        of the function. The result is None if it cannot.
         """
         template, count = self.template, math.prod(self.noise.shape[:2])
         assert template is not None
@@ -522,7 +535,10 @@ def _unplaced(function: BoundFunction) -> At:
 
 
 def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    """The value of a function without hidden parents, as a `Line` whose slope has no columns."""
+    """The value of a function without hidden parents, as a `Line` whose slope F has no columns.
+
+    `mean` (0, *batch) is empty, and `cov` is not read.
+    """
     value = components_first(function(components_last(mean, 1)), 1)
     return Line(np.zeros((len(value), 0, *mean.shape[1:])), value, None)
 

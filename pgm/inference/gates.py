@@ -1,8 +1,8 @@
-"""Gates: a sighting is left out if its innovation is improbably large.
+"""Gates: a sighting, one measurement of a sensor, is left out if its innovation is too large.
 
 A gate is a probability: a sighting is taken in where νᵀS⁻¹ν, of its innovation ν with covariance S,
 is within the χ² quantile of that probability. There is one gate for all sensors, or a mapping from
-some of them, or None: no gate.
+some of the sensors to their gates, or None: no gate.
 """
 
 from __future__ import annotations

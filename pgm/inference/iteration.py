@@ -72,7 +72,7 @@ class Point(NamedTuple):
         return pair[..., places], block(self.joint, places, places)
 
     def mixed(self, other: Point, share: float) -> Point:
-        """The sum of `share` times this point and 1 − `share` times another, part by part."""
+        """The point with `share` times this point's arrays plus 1 − `share` times another's."""
         pairs = zip(self, other, strict=True)
         return Point._make(
             None if mine is None or its is None else share * mine + (1.0 - share) * its
@@ -144,8 +144,9 @@ class Problem(Protocol[Found]):
     def settled(self) -> Mask | bool:
         """Whether robust noise lets a run converge, (runs,); True where all runs may.
 
-        It does once a graduated loss has been sharpened to that of the user's model, and weights of
-        sightings, where they are iterated, no longer move.
+        It lets a run converge once the graduated loss, which begins wide, has been sharpened to
+        that of the user's model, and the weights of measurements, where they are iterated, no
+        longer move.
         """
 
 

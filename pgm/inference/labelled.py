@@ -65,9 +65,11 @@ Arrays = dict[str, tuple[list[str], Any]]
 def _tables(
     marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
 ) -> tuple[Arrays, dict[str, Any]]:
-    """The probabilities of discrete variables as arrays, and the coordinates: names of states.
+    """The probabilities of discrete variables, and the coordinates of the data set.
 
-    `dims` are the leading dimensions, runs and steps; T is `steps`, None without time.
+    The first result has an array for each variable, by its name, with its dimensions; the second
+    has the names of its states as the coordinate ``<name>_state``. `dims` are the leading
+    dimensions, runs and steps; `steps` is T, None without time.
     """
     data: Arrays = {}
     states: dict[str, Any] = {}
@@ -81,10 +83,12 @@ def _tables(
 def _moments(
     marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
 ) -> tuple[Arrays, dict[str, Any]]:
-    """Means, standard deviations and covariances of all components, and coordinates: their names.
+    """The moments of continuous variables, and the coordinates of the data set.
 
-    `dims` are the leading dimensions, runs and steps; T is `steps`, None without time. Covariances
-    between two variables are NaN.
+    The first result has ``mean``, ``std`` and ``cov`` over all components, each with its
+    dimensions; the second has the names of the components and of the variables they are of. `dims`
+    are the leading dimensions, runs and steps; `steps` is T, None without time. Covariances between
+    two variables are NaN.
     """
     each = [_at_all_steps(belief.mean, -2, steps) for belief in marginals.values()]
     lead = each[0].shape[:-1] if each else (0,) * len(dims)

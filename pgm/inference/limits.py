@@ -132,6 +132,7 @@ def require_runs(entries: int, runs: int, what: str) -> None:
 
 
 def _listed(cluster: Cluster) -> str:
+    """The variables of a cluster, or the first eight of more, as text that ends with a comma."""
     scope = cluster.scope
     if len(scope) <= LISTED:
         return f"{names(scope)},"

@@ -1,4 +1,10 @@
-"""Linearisations that fail or are not finite, refused with the CPD, the step and the run."""
+"""Linearisations that fail or are not finite, refused with the CPD, the step and the run.
+
+Arguments `rows` are the CPD with its evidence, at all its steps or measurements; `function` is its
+function with the evidence of some of these bound, and `mean` (n, *batch) the mean of its hidden
+parents, of n components, where it was linearised. The batch has no axis, or that of runs as its
+last.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +22,8 @@ def failure(rows: Rows, function: BoundFunction, mean: Array, error: Exception) 
     """The error to raise in place of one that a lineariser has raised, with CPD, step and run.
 
     A result of a wrong shape or type (`Misfit`) becomes a `LinearisationError`. An error of this
-    package that names its CPD, or comes from a rule on arrays, is returned itself, completed. Any
-    other becomes a `ModelError`. The last axis of `mean` (n, *batch) is that of runs.
+    package that names its CPD, or comes from an `ArrayLineariser`, is returned itself, with the
+    CPD, variable and step that it lacks added. Any other error becomes a `ModelError`.
     """
     if isinstance(error, Misfit):
         return _fault(rows, function, mean, *error.args)
@@ -62,9 +68,10 @@ def _fault(
 
 
 def require_finite(rows: Rows, function: BoundFunction, mean: Array, line: Line) -> None:
-    """Refuse a line at a mean (n, *batch) that has a NaN or an infinity, by a `LinearisationError`.
+    """Refuse a linearisation at a mean if it has a NaN or an infinity, by a `LinearisationError`.
 
-    It names the first step and run that has one.
+    `line` has its slope, its value at the `mean`, and the covariance of its error or None. The
+    error names the first step and run where a number is not finite.
     """
     total = line.matrix.sum() + line.value.sum()
     if line.error is not None:

@@ -54,11 +54,17 @@ class Directed:
         return found
 
     def inputs(self, message: int) -> list[int]:
-        """The messages that enter into a message: all to its source but the one from its target."""
+        """The numbers of the messages from which a message is computed.
+
+        They are all messages to its source, but the one from its target.
+        """
         return [other ^ 1 for other in self.outgoing[self.source[message]] if other != message]
 
     def dependents(self, message: int) -> list[int]:
-        """The messages that a message enters into: all from its target but the one back."""
+        """The numbers of the messages that are computed from a message.
+
+        They are all messages from its target, but the one to its source.
+        """
         return [other for other in self.outgoing[self.target[message]] if other != message ^ 1]
 
 
@@ -119,10 +125,10 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
 
     Nonlinear CPDs are linearised again whenever messages have nearly settled. A run that has
     converged keeps its messages, so that a batch equals its single runs, save where `accept` lets
-    it go on with others. One that has diverged always keeps them: its residual is not finite or,
-    unless changes are `bounded`, over 10⁴ times the least since its CPDs were linearised last, or a
-    relinearisation moves a mean over 10⁴ times as far as the least of them. `lead` are the user's
-    axes of runs.
+    it go on with other runs. A run that has diverged always keeps them: its residual is not finite
+    or, unless changes are `bounded`, over 10⁴ times its least since the run's CPDs were linearised
+    last; or a relinearisation moves a mean over 10⁴ times as far as the one that moved it least.
+    `lead` is the shape of the user's axes of runs.
     """
     step = next(_STEPS[each] for each in type(schedule).__mro__ if each in _STEPS)(messages)
     active = np.ones(messages.runs, dtype=bool)
@@ -174,16 +180,16 @@ class _Growth:
         self.least = np.full(runs, np.inf)
 
     def grown(self, residual: Array) -> Mask:
-        """Whether the next residual is not finite, or over 10⁴ times the least before, (runs,).
+        """Whether a run's `residual` is not finite, or over 10⁴ times the least before, (runs,).
 
-        `residual` (runs,) is the next one, which is kept if it is the least so far.
+        The residual (runs,) is the newest one, which is kept if it is the least so far.
         """
         found: Mask = ~np.isfinite(residual) | (residual > GROWN * self.least)
         self.least = np.fmin(self.least, residual)
         return found
 
     def forget(self, runs: Mask) -> None:
-        """Begin anew, in the runs of a mask."""
+        """Forget the least residuals of the runs in a mask (runs,), as at the start."""
         self.least[runs] = np.inf
 
 
@@ -214,7 +220,7 @@ def _sequential(messages: Messages[Any]) -> Step:
 
 
 def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
-    """The `Step` that sends groups of messages in turn, each from those of the groups before."""
+    """The `Step` that sends groups of messages in turn, each computed from the latest messages."""
     rounds = [(list(turn), messages.round(turn)) for turn in turns]
 
     def step(active: Mask, lost: Mask) -> Array:

@@ -6,14 +6,16 @@ times their variance, a step of NIS ~ χ²(d) adds, in nats,
 
     a = ½ (1 − 1/κ) NIS − ½ d ln κ,
 
-NIS being νᵀS⁻¹ν, the normalised innovation squared of the step's d measured components. Of n
-sightings that a gate judged it rejected r; they add, for a share q₁ of rejections against q₀,
+NIS being νᵀS⁻¹ν, the normalised innovation squared of the step's d measured components, with
+innovation ν of covariance S. If a gate has judged n *sightings* (single measurements of a sensor)
+and rejected r of them, they add
 
-    b = r ln(q₁/q₀) + (n − r) ln((1 − q₁)/(1 − q₀)).
+    b = r ln(q₁/q₀) + (n − r) ln((1 − q₁)/(1 − q₀)),
 
-A *strange* sighting, of unknown identity and taken for none of its candidates, counts as rejected;
-q₀ is then at least the share that was declared to be such, and q₁ as far between ½ and 1 as q₀
-between a tenth and 1.
+q₁ being the share of rejections of a lost belief, ½, and q₀ that of a consistent one, a tenth. A
+*strange* sighting, of unknown identity and taken for none of its candidates, counts as rejected; q₀
+is then at least the share of sightings that was declared spurious or new, and q₁ as far between ½
+and 1 as q₀ is between a tenth and 1.
 
 The sums of a and of b are Page's tests (see `Lost`): the belief is lost from where one exceeds h =
 ln 10⁶ until both have fallen by ln 100; both then begin again at zero.
@@ -42,7 +44,7 @@ _WHY = ("innovations", "rejections")
 
 
 def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
-    """The log-likelihood ratio b of r = `rejected` sightings of n = `judged`.
+    """The log-likelihood ratio b of r = `rejected` sightings of n = `judged`, in their shape.
 
     q₀ is `outliers`, the share that a consistent belief rejects, or a tenth if that is more; q₁
     follows from it.
@@ -56,11 +58,12 @@ def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
 
 
 class Read(NamedTuple):
-    """What steps have read, in numbers for the test, (..., runs) each.
+    """The numbers that both tests need of the measurements of steps, (..., runs) each.
 
     `nis` is the normalised innovation squared, `dof` its d. Gates rejected `rejected` of the
-    `judged` sightings. Of the `open` ones, of unknown identity, `strange` were taken for no
-    candidate, and `odds` is their b; of a sensor with a gate only strange ones are counted here.
+    `judged` sightings. Of `open` sightings of unknown identity `strange` were taken for no
+    candidate, and `odds` is their b. For a sensor with a gate `open` counts its strange sightings
+    alone, since the gate judges all others.
     """
 
     nis: Array
@@ -73,16 +76,17 @@ class Read(NamedTuple):
 
     @classmethod
     def of_open(cls, strange: Integers, open_: Integers, outliers: float) -> Read:
-        """What was read of open sightings, `strange` of which were taken for no candidate.
+        """The numbers of `open_` sightings, of which `strange` were taken for no candidate.
 
-        `outliers` is the prior probability, as it was declared, that a sighting is of none.
+        Both counts are (..., runs). `outliers` is the prior probability, as it was declared, that a
+        sighting is of no candidate. The numbers of innovations and gates are zero.
         """
         nothing = np.zeros_like(open_)
         odds = weighed(strange, open_, outliers)
         return cls(np.zeros(open_.shape), nothing, nothing, nothing, strange, open_, odds)
 
     def and_(self, other: Read) -> Read:
-        """The numbers of two updates of a step together: their sums."""
+        """The numbers of two updates of one step together: the sum of each."""
         return Read._make(mine + its for mine, its in zip(self, other, strict=True))
 
     @property
@@ -119,7 +123,7 @@ class PageTest(NamedTuple):
         return cls(np.zeros((2, runs)), both, np.zeros(runs, dtype=bool), *[nothing] * 3)
 
     def over(self, runs: int) -> PageTest:
-        """The same state for so many runs: it has these already, or one that is repeated."""
+        """The same state for `runs` runs; a state of a single run is repeated for all of them."""
         wide: list[Any] = [np.broadcast_to(part, (*part.shape[:-1], runs)) for part in self]
         return PageTest(*wide)
 
@@ -144,10 +148,11 @@ class Stretch:
     """A stretch of steps, of one run, at which the belief was lost.
 
     `run` is the run's index, empty without axes of runs. The stretch reaches from the step `first`,
-    where it probably began, to the step `last`; by the measurements up to the step `declared` it
-    was known. The reason `why` is ``"innovations"`` too large, and `value` then the mean NIS per
-    component of what was taken in (of a consistent belief 1); or it is ``"rejections"`` too many,
-    and `value` their share of the sightings that a gate or an association has judged.
+    where it probably began, to the step `last`; the test noticed it at the step `declared`. The
+    reason `why` is ``"innovations"`` if innovations were too large, and `value` is then the mean
+    NIS per component of the measurements taken in (1 for a consistent belief); or it is
+    ``"rejections"`` if these were too many, and `value` is then their share of the sightings that a
+    gate or an association has judged.
     """
 
     run: tuple[int, ...]
@@ -214,9 +219,9 @@ class Lost(Shown, Immutable):
 
     @classmethod
     def of(cls, read: Read, lead: tuple[int, ...]) -> Lost:
-        """Run the tests on what all steps have read, (T+1, runs) each, and record the stretches.
+        """Run both tests on the numbers of all steps, (T+1, runs) each, and record the stretches.
 
-        `lead` are the user's axes of runs.
+        `lead` is the shape of the user's leading axes of runs.
         """
         steps, runs = read.nis.shape
         weights, test = read.weights, PageTest.start(runs)

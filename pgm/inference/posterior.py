@@ -97,7 +97,8 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
         EvidenceError, ModelError
             If a variable has evidence, is not of the network or is named twice, or none is given.
         GraphError
-            If no cluster of a graph with loops holds them all, or the result would not fit.
+            If no cluster of a graph with loops holds them all, or the result would take too much
+            memory.
         """
 
     @abstractmethod

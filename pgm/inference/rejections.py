@@ -1,4 +1,4 @@
-"""The record of a gate, as users see it: which sightings of a sensor it has rejected."""
+"""The record of a gate, as users see it: which measurements of a sensor it has rejected."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from pgm.variables import Variable
 
 
 class Rejections(Shown, Immutable):
-    """The decisions of one sensor's gate, in the order of the evidence.
+    """The decisions of one sensor's gate about its M measurements, in the order of the evidence.
 
     Attributes
     ----------
     gate : float
-        The probability within which a sighting was taken in.
+        The gate's probability: a measurement was taken in if `square` was within its χ² quantile.
     step : ndarray of int
-        (M,): the steps of the sightings.
+        (M,): the steps of the measurements.
     rejected : ndarray of bool
-        (..., M). Leading axes are runs.
+        (..., M): whether a measurement was left out. Leading axes are runs.
     square : ndarray
         (..., M): νᵀS⁻¹ν, the squared length of the innovation at the predicted belief; NaN where
         nothing was measured.
@@ -58,8 +58,8 @@ class Rejections(Shown, Immutable):
     ) -> Rejections:
         """The decisions in a record (M, runs), put in the order of the evidence.
 
-        Row k of the record, at the k-th step of `step`, is sighting ``order[k]``; `lead` are the
-        user's axes of runs.
+        Row k of the record, at the k-th step of `step`, is measurement ``order[k]`` of the
+        evidence; `lead` is the shape of the user's leading axes of runs.
         """
         back = np.argsort(order)
         shape = *lead, len(order)
@@ -90,7 +90,7 @@ class Rejections(Shown, Immutable):
 
 
 class RejectionsBySensor(EachSensor[Rejections]):
-    """The decisions of each gated sensor that was read, by sensor."""
+    """The gate's decisions (`Rejections`) by sensor, of each that has a gate and measurements."""
 
     def _absent(self, variable: Variable) -> str:
         told = f"gates were those of {list(self)}" if self else "give gate=0.99 or so"

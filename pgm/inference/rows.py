@@ -172,9 +172,10 @@ class Rows:
 
     @cached_property
     def _known(self) -> list[Array | None]:
-        """For each argument its inputs by row, None if it is hidden; read-only, as users see them.
+        """For each argument of the function its inputs by row, None if it is a hidden parent.
 
-        They are (rows, d) of one run, (rows, runs or 1, d) of many.
+        They are (rows, d) of one run, (rows, runs or 1, d) of many; read-only, since users'
+        functions see them.
         """
         assert self.template is not None
         found: list[Array | None] = []
@@ -204,7 +205,10 @@ class Rows:
         return found
 
     def _own(self, first: int, last: int) -> Array:
-        """The own noise of some rows, as `_noise_of` stacks it; kept where all have the same."""
+        """The CPD's own noise at some rows, stacked by `_noise_of`: (k d, k d, *batch) for k rows.
+
+        It is kept for the next call if all rows have the same noise.
+        """
         if len(self.own_noise) > 1:
             return self._noise_of(self.own_noise, first, last)
         count = last - first
@@ -230,7 +234,10 @@ class Rows:
         return block_diagonal(np.broadcast_to(blocks, (last - first, *blocks.shape[1:])))
 
     def _affine_at(self, first: int, last: int) -> At:
-        """Some rows of an affine CPD, as `at` returns them; kept where all rows have the same."""
+        """Some rows of an affine CPD, as `at` returns them.
+
+        Their arrays are kept for the next call if all rows have the same offset and noise.
+        """
         constant, shift = self.affine
         count = last - first
         if len(shift) == 1 == len(self.own_noise):
@@ -267,7 +274,8 @@ def own_noise(
     """The CPD's own noise covariance at its rows, (rows or 1, runs or 1, d, d).
 
     It has one row if it does not depend on `inputs` (rows, runs or 1, d). `step` (rows,) is None
-    without time; `lead` are the user's axes of runs; errors count runs from `first_run`.
+    without time; `lead` is the shape of the user's axes of runs; errors count runs from
+    `first_run`.
     """
     size = cpd.child.dimension
     if not isinstance(cpd.cov, Noise):

@@ -35,16 +35,17 @@ class Filtering(InCode):
         Linearisations of a step's sensors at the most.
     tolerance : float
         A step of a run is done when no mean is more than this many standard deviations from where
-        it was linearised. With 0 all iterations are made, and none is missed (no
-        `ConvergenceWarning`).
+        it was linearised. With 0 all iterations are made, and there is no
+        `ConvergenceWarning`.
     damping : float or LevenbergMarquardt
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
         step by its cost, which `LevenbergMarquardt` defines.
     gate : float or mapping of Variable to float, optional
-        The probability within which readings are taken in: a sighting whose squared innovation
-        νᵀS⁻¹ν at the predicted belief exceeds the χ² quantile of it, with as many degrees of
-        freedom as components were measured, is left out, in this run. By sensor, those that are
-        not named have no gate. ``posterior.rejected[z]`` has the record.
+        The probability within which measurements are taken in. A measurement is left out, in its
+        run alone, if νᵀS⁻¹ν, with its innovation ν at the predicted belief and the covariance S of
+        ν, exceeds the χ² quantile of this probability, with as many degrees of freedom as
+        components were measured. A mapping gives the gates of some sensors; the others have none.
+        ``posterior.rejected[z]`` has the record.
 
     References
     ----------
@@ -96,7 +97,7 @@ class Calibration(InCode):
         Linearisations at the most.
     tolerance : float
         A run stops when no mean moves by more than this many standard deviations. With 0 all
-        iterations are made, and none is missed (no `ConvergenceWarning`).
+        iterations are made, and there is no `ConvergenceWarning`.
 
     Examples
     --------
@@ -132,7 +133,7 @@ class Smoothing(Calibration):
     ----------
     tolerance : float
         A run stops when no smoothed mean is more than this many standard deviations from where it
-        was linearised; 0 as of `Filtering`.
+        was linearised; for 0 see `Filtering`.
     iterations, damping, gate
         See `Filtering`; here for all CPDs. The gate is decided in the first forward pass and kept,
         so that all iterations are of the same measurements. With a start, CPDs are linearised
@@ -177,15 +178,16 @@ class FixedLag(InCode):
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + L,\, T)})
 
-    A lag L of zero is the filter; one that covers the record is the smoother, of linear models to
-    rounding, of others the one that was iterated until it settled.
+    is the belief over the state x at step t, given measurements z, with the lag L and the last step
+    T. A lag of zero is the filter. A lag that covers the record is the smoother: for linear models
+    up to rounding, for others the smoother iterated until it settled.
 
     With one iteration every CPD is linearised as in the filter. With more, each new step s has a
     window: the transitions into the steps s − L + 1 to s and their measurements. All of its CPDs
     are linearised again at the window's smoothed beliefs, the motion included, and the window is
     smoothed again from its prior p(x[s−L] | measurements up to s − L), until that settles or the
     iterations are used up. A step that the next window leaves behind keeps its last linearisations,
-    and what it says goes into the next window's prior: each measurement is a factor once. While the
+    and its information goes into the next window's prior: each measurement counts once. While the
     first step is in the window, so are the network's prior and the measurements there. A lag of one
     with iterations is the dynamically iterated filter.
 
@@ -285,8 +287,8 @@ class Flooding(Loopy):
         Rounds of messages at the most; a round sends as many messages as the graph has.
     tolerance : float
         A run has converged when no message changes by more than this: in standard deviations of
-        the belief it makes, or in probability. With 0 all rounds are sent, and none is missed
-        (no `ConvergenceWarning` unless messages diverge).
+        the belief it makes, or in probability. With 0 all rounds are sent, and there is no
+        `ConvergenceWarning` unless messages diverge.
     damping : float
         The share of the old message that is kept, in [0, 1): what is sent is the geometric mean of
         the old message and the new one, with weights `damping` and 1 − `damping`.
@@ -326,7 +328,7 @@ class Sequential(Loopy):
 class Residual(Loopy):
     """One message at a time, always the one that would change most.
 
-    After each message all those are computed anew that it enters into. So an iteration computes
+    After each message, all messages that depend on it are computed anew. So an iteration computes
     about n² messages around a hub of n neighbours, where `Flooding` and `Sequential` compute n.
     Convergence and parameters are as of `Flooding`.
 

@@ -75,8 +75,8 @@ class Status(Shown, Immutable):
         (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
         standard deviation (6 are an error of 10⁻⁶ deviations), or, if that is larger, from 10⁻⁹ of
         the largest deviation that the component had. The last place of the mean itself in float64
-        counts. None where digits are not measured, and half a last place is at most 10⁻⁶.
-        Below six there is a `PrecisionWarning`.
+        counts. None where digits are not measured and half a last place of a mean is at most 10⁻⁶
+        of its standard deviation. Below six there is a `PrecisionWarning`.
     compilation : str
         An account of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not
         compiled: ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call
@@ -130,7 +130,7 @@ class Status(Shown, Immutable):
         """The status of CPDs linearised once, and again once for each of `residuals`.
 
         A residual (runs,) is the largest move of a mean, in standard deviations; `converged` is
-        (runs,). `lead` are the user's axes of runs, to which the axis of runs is reshaped.
+        (runs,). `lead` is the shape of the user's axes of runs, to which that of runs is reshaped.
         """
         count = len(residuals)
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
@@ -152,9 +152,9 @@ class Status(Shown, Immutable):
     def _losing(self, error: Array, cause: str) -> Status:
         """The same status with a further error (runs,) of means, in standard deviations.
 
-        It is added to the error that digits measured before stand for. Of `cause` and
-        the cause before, that of the larger error is kept. Only `_warn` gives a warning, once a
-        call.
+        It is added to the error that digits measured before stand for. Of `cause` and the cause
+        recorded before, the one of the larger error is kept. No warning is given here: `_warn`
+        gives it, once a call.
         """
         past = np.zeros(error.shape)
         if self.digits is not None:
@@ -181,6 +181,7 @@ class Status(Shown, Immutable):
         return self._with(compilation=words)
 
     def _with(self, **changes: Any) -> Status:
+        """The same status with the attributes in `changes` replaced, by name."""
         names = ("iterations", "residuals", "converged", "by_edge", "edge_residuals", "digits")
         same = {name: getattr(self, name) for name in (*names, "compilation", "_cause")}
         return Status(**same | changes)
@@ -202,6 +203,7 @@ class Status(Shown, Immutable):
         return Summary(self._title, [f"residuals{of}: {', '.join(shown)}"])
 
     def _went(self) -> str:
+        """How the iterations went, in words: their number, runs converged, the last residual."""
         converged = int(self.converged.sum())
         if not len(self.residuals):
             every = converged == self.converged.size

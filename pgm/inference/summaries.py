@@ -1,7 +1,7 @@
-"""Summaries of posteriors: log-evidence, status, and the ends of the beliefs over time.
+"""Summaries of posteriors: log-evidence, status, and beliefs, over time at first and last steps.
 
-Arguments `runs` are the user's axes of runs; `last` is T, the last step; ``beliefs[x.at(t)]`` is
-the belief of a variable x at step t, of all runs.
+Arguments `runs` are the shape of the user's leading axes of runs; `last` is T, the last step;
+``beliefs[x.at(t)]`` is the belief of a variable x at step t, of all runs.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def over_time(
 ) -> Summary:
     """The summary of a posterior over time; beliefs that are not shown are not computed.
 
-    `variables` are hidden templates; those that are no states begin at step 1. `runs` are the
-    user's axes of runs, `last` is T. Lines `told_of` stand below the log-evidence and the status.
+    `variables` are hidden templates; controls, which are no states, begin at step 1. The lines
+    `told_of` stand below the log-evidence and the status.
     """
     states = posterior.graph.model.states
     told = [*figures(posterior), *told_of]
@@ -75,7 +75,7 @@ def ends(
 ) -> list[str | Listing]:
     """Listings of the beliefs of the first variables, each of its first and last steps.
 
-    Variables that are no `states` begin at step 1.
+    Variables that are no `states`, such as controls, begin at step 1.
     """
     shown = variables[:VARIABLES]
     most = max(ROWS // max(len(shown), 1) - (len(shown) > 1), ENDS)
@@ -108,7 +108,11 @@ def of_network(
 def by_variable(
     posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...]
 ) -> list[str | Listing]:
-    """The beliefs of the first and last variables as rows; the first runs are columns."""
+    """A listing of the beliefs of the first and last variables: a row for each component.
+
+    A discrete variable has one row. The columns are the first two runs; without variables or runs
+    there is no listing.
+    """
     picked = [place for place in places(runs, RUNS) if place is not None][:RUNS]
     rows: list[Sequence[str] | None] = []
     for k in few(len(variables), NETWORK_ROWS) if picked else ():
@@ -131,7 +135,10 @@ def by_variable(
 
 
 def moments_of(belief: Any) -> Listing:
-    """Means and standard deviations of a belief of point masses, of the runs and steps shown."""
+    """The listing of the mean and standard deviations of a grid's or particles' belief.
+
+    It has those of all components, for the runs and steps that a summary shows.
+    """
     names = [f"{c} [rad]" if c in belief.angles else c for c in belief.components]
     if not belief.lead:
         return by_component(names, belief.mean, belief.cov)

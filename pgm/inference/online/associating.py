@@ -1,6 +1,7 @@
 """Associating the open sightings of an online filter's step, before it takes them in.
 
-An open sighting is one with a parent that is unknown, `pgm.unknown`; see
+A sighting is one measurement of a sensor. It is *open* if the evidence leaves a parent of the
+sensor unknown, with some candidates for its value (`pgm.unknown`); see
 `pgm.inference.associations`.
 """
 
@@ -42,9 +43,9 @@ def associated(
 ) -> tuple[dict[Variable, Any], Found]:
     """The readings with candidates chosen for unknown parents, and the `Associations` by sensor.
 
-    `belief` is the one before these readings. Readings that are not open are taken into it first,
-    through `gate`, and candidates are chosen by the result. Sightings taken for no candidate become
-    NaN.
+    `belief` is the belief before these readings. Readings that are not open are taken into it
+    first, unless the `gate` rejects them, and candidates are chosen by the resulting belief.
+    Sightings taken for no candidate become NaN.
     """
     bound = step_evidence.readings(graph.model, belief, readings)
     everything = BoundEvidence(0, bound.lead, (), ())
@@ -62,6 +63,6 @@ def associated(
 
 
 def _by_run(rows: Any, lead: tuple[int, ...]) -> Any:
-    """Values (M, runs or 1, d) of sightings with the user's axes of runs first, (*runs, M, d)."""
+    """Values (M, runs or 1, d) of M sightings with the user's axes of runs first, (*lead, M, d)."""
     wide = np.broadcast_to(rows, (len(rows), int(np.prod(lead)), rows.shape[-1])).swapaxes(0, 1)
     return wide.reshape(*lead, *wide.shape[1:])

@@ -3,8 +3,13 @@
 Where float64 has too few digits, steps are made with moments in pairs of float64, *in twice the
 digits*; a belief has these as `careful`. Float64 loses digits where a covariance is nearly
 singular, where a variance falls far at once, or where a mean is very many standard deviations from
-zero; moments of which nothing is so are *moderate*. A compiled step leaves its results packed in a
+zero; moments without any of these are *moderate*. A compiled step leaves its results packed in a
 tuple, the *core*, from which the attributes of a belief are made when one is asked for.
+
+With a lag a belief has in `behind` the earlier steps that the filter keeps: a `Trail` of
+transitions, or a `Sliding` window. Its `watch` is the test whether the belief is lost, that is,
+wrong by more than its covariance says. A *plan* (`ChainPlan`) lays out the CPDs and evidence of a
+few steps.
 """
 
 from __future__ import annotations
@@ -207,9 +212,10 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
 
     def told(self, associations: Found, gate: Asked | None) -> OnlineBelief:
-        """The same belief with the associations of its sightings, which its watch counts, too.
+        """The same belief with the `associations` of its update's measurements, by sensor.
 
-        Which of them it counts depends on the sensors' `gate`; see `Watch.told`.
+        Its watch, if it has one, counts them too; which of them depends on the sensors' `gate` (see
+        `Watch.told`).
         """
         found = copy(self)
         watch = None if self.watch is None else self.watch.told(associations, gate)
@@ -217,7 +223,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return found
 
     def judged(self, gated: tuple[Decided, ...], watch: Watch | None) -> OnlineBelief:
-        """The same belief with the gates' decisions at its last update, and its watch."""
+        """The same belief with the decisions `gated` of gates at its last update, and a `watch`."""
         found = object.__new__(type(self))  # as `copy`, in a fifth of the time
         found.__dict__.update(self.__dict__, _gated=gated, watch=watch)
         put_core(found, None)
@@ -252,9 +258,9 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
 
     @property
     def _watched(self) -> PageTest:
-        """The state of the tests whether the belief is lost.
+        """The state of the tests whether the belief is lost, after all its measurements.
 
-        It is an `EvidenceError` if the filter was made without ``watch=True``.
+        A filter made without ``watch=True`` has none, which raises an `EvidenceError`.
         """
         if self.watch is None:
             raise EvidenceError(
@@ -266,11 +272,12 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
 
     @cached_property
     def lagged(self) -> OnlineBelief:
-        """The belief at the step a lag before, given all measurements so far; at step 0 until then.
+        """The belief at the step a lag before this one, given all measurements so far.
 
-        It is there where the filter's schedule is a `FixedLag`: ``belief.lagged[x]`` is x at
-        ``belief.lagged.step``, and ``belief.lagged.kind`` says how many steps it knows more. A
-        filter goes on from the belief itself, not from this one.
+        As long as fewer steps than the lag have been made, it is that of step 0. It exists if the
+        filter's schedule is a `FixedLag`: ``belief.lagged[x]`` is x at ``belief.lagged.step``, and
+        ``belief.lagged.kind`` tells how many later steps' measurements it knows. A filter goes on
+        from the belief itself, not from the lagged one.
 
         Raises
         ------
@@ -321,10 +328,11 @@ def belief_of(
     behind: Trail | Sliding | None,
     careful: Belief | None = None,
 ) -> OnlineBelief:
-    """A belief from moments `found` with the batch last, n and n × n components first.
+    """A belief from moments `found`: mean (n, *batch) and covariance (n, n, *batch).
 
-    Its own arrays have the user's axes of runs first, as `log_evidence`, (*runs), has them already.
-    `careful` are the moments in twice the digits, if there are any.
+    The batch is no axis for one run, else that of runs. The belief's own arrays have the user's
+    axes of runs first, as `log_evidence`, (*runs), has them already. `careful` are the moments in
+    twice the digits, if there are any.
     """
     lead, (mean, cov, _) = plan.lead, found
     if lead:
@@ -358,14 +366,20 @@ def careful_belief(
 
 
 def moments_of(belief: OnlineBelief, plan: ChainPlan) -> Moments:
-    """The moments of a belief with the batch last, repeated for the runs of a plan."""
+    """The moments of a belief with the axis of runs last, repeated for the runs of a plan.
+
+    The mean is (n, runs) and the covariance (n, n, runs), without the last axis for a single run.
+    """
     if not plan.lead:
         return Moments(belief.mean, belief.cov)
     return Moments.of(plan, _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
 
 
 def in_digits(belief: OnlineBelief, plan: ChainPlan) -> Belief:
-    """A belief in twice the digits, repeated for the runs of a plan."""
+    """The moments of a belief in twice the digits, repeated for the runs of a plan.
+
+    They are those that it has as `careful`, or are widened from float64.
+    """
     if belief.careful is None:
         return Belief.of(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
     found: Belief = over(belief.careful, belief.lead, plan.lead)
@@ -396,11 +410,12 @@ def is_moderate(found: Moments, before: Moments) -> bool:
 def told(
     status: Status, plan: ChainPlan, before: Moments, after: Moments, belief: OnlineBelief
 ) -> Status:
-    """The status of a step, with the digits that sigma points close together and last places leave.
+    """The status of a step in float64, with the decimal digits that rounding leaves of means.
 
-    `before` and `after` are the moments before and after the step; `belief` is the one before it,
-    with the digits that were left then. Without a loss of digits the status stays as it is; else
-    fewer than six are a `PrecisionWarning`. See `close_points` and `last_places`.
+    Digits are lost where sigma points lie close together (`close_points`) or a mean is very large
+    beside its standard deviation (`last_places`). `before` and `after` are the moments before and
+    after the step; `belief` is the belief before it, whose status has the digits left then. Without
+    a loss the status stays as it is; else fewer than six digits are a `PrecisionWarning`.
     """
     left = belief.status.digits if belief.careful is None else None
     place = last_places.of_step(after)
@@ -427,7 +442,10 @@ def refuse(step: int) -> NoReturn:
 
 
 def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
-    """A belief's array (*lead, ...) for the runs of a plan, (runs, ...); `own` axes are its own."""
+    """A belief's array (*lead, ...) repeated for the runs of a plan, (runs, ...).
+
+    `own` is the number of its last axes, which are those of components.
+    """
     rest = array.shape[-own:]
     return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)
 
@@ -443,9 +461,10 @@ def require_own(
     schedule: Filtering | FixedLag,
     behind: Trail | Sliding | None,
 ) -> None:
-    """Refuse to go on from a belief of another model or schedule, or one that is lagged.
+    """Refuse to go on from a belief of another model or schedule, or from one that is lagged.
 
-    `behind` is how this filter keeps the steps behind a belief. The error is a `ModelError`.
+    `behind` has the steps behind the filter's prior, with which those of the belief have to agree
+    in kind and lag. The error is a `ModelError`.
     """
     if not isinstance(belief, OnlineBelief) or belief.layout.model is not model:
         raise ModelError(

@@ -3,7 +3,8 @@
 A step that the machine code cannot make is made by NumPy, in the filter's *general way*. A *kind*
 of step is told by the variables that are given and the shapes of their arrays; each kind has a
 `Layout`, a table that machine code reads, which is made at the first step of that kind. The first
-steps of a kind are made in both ways, and compared.
+steps of a kind are made in both ways, and compared. *Sightings* are the measurements of one sensor,
+of which a step may have several (`pgm.sightings`).
 """
 
 from __future__ import annotations
@@ -228,8 +229,9 @@ def _tried(kind: Layout, found: Array, due: OnlineBelief) -> bool:
 def _given(values: Values) -> tuple[list[Any], list[Array]] | None:
     """The variables of the values given, and their arrays; None where a value has another form.
 
-    A value has to be an array (d,), or sightings without steps. The arrays of these are (M, d), of
-    the sensor first, then of its parents; `_SIGHTED` stands after the sensor among the variables.
+    A value has to be an array (d,), or sightings without steps. Sightings have several arrays
+    (M, d), the sensor's first, then those of the parents given with them; among the variables the
+    mark `_SIGHTED` stands after the sensor.
     """
     if type(values) is not dict:
         return None

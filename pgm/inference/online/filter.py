@@ -2,7 +2,7 @@
 
 Steps are made in float64, in machine code where that was asked for, and in pairs of float64, *twice
 the digits*, where float64 would lose too many (`beliefs`). With a lag the steps *behind* a belief
-are kept, too (`window`).
+are kept, too (`window`). A *plan* (`ChainPlan`) lays out CPDs and their evidence for some steps.
 """
 
 from __future__ import annotations
@@ -92,7 +92,8 @@ class OnlineFilter(InCode, Immutable):
     lag : int, optional
         In place of a schedule, as ``schedule=FixedLag(lag)``.
     gate : float or mapping of Variable to float, optional
-        That of the schedule, where none is given; see ``belief.rejected[z]``.
+        The gate of the schedule (see `Filtering`), if no schedule is given; for its decisions see
+        ``belief.rejected[z]``.
     watch : bool
         Whether ``belief.lost`` is to tell if a belief is probably wrong, as `Lost` does.
     belief : Grid or Particles, optional
@@ -214,12 +215,12 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _motions(self) -> Layouts:
-        """The layouts of predictions, kept by shape and filled with new inputs."""
+        """Plans of predictions, kept by the shapes of the inputs, to be filled with new inputs."""
         return Layouts(self._ahead, ONCE)
 
     @cached_property
     def _sensors(self) -> Layouts:
-        """The layouts of updates, kept by shape and filled with new readings."""
+        """Plans of updates, kept by the shapes of the readings, to be filled with new readings."""
         return Layouts(self._seen, self._filtering)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -267,9 +268,10 @@ class OnlineFilter(InCode, Immutable):
         return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
 
     def renewed(self) -> OnlineFilter:
-        """The same filter, with users' functions read anew together with what they refer to.
+        """The same filter, made anew, so that changes to the model's functions take effect.
 
-        A belief of this filter goes on with it.
+        Functions are read again together with all that they refer to. A belief of this filter can
+        be given to the new one.
 
         Examples
         --------
@@ -332,7 +334,7 @@ class OnlineFilter(InCode, Immutable):
         Raises
         ------
         EvidenceError
-            If an input is missing or of a wrong shape, or something is no input.
+            If an input is missing or of a wrong shape, or a variable given is no input.
         ModelError
             If the belief is not this filter's, or a function returns a wrong shape.
         LinearisationError, NumericalError
@@ -421,8 +423,8 @@ class OnlineFilter(InCode, Immutable):
         ----------
         belief : OnlineBelief
         readings : mapping of Variable
-            For a sensor ``pgm.sightings(values, given=...)`` without steps, any number, or one
-            measurement (..., d); for inputs that the sensors need, values (..., d).
+            For a sensor any number of measurements, ``pgm.sightings(values, given=...)`` without
+            steps, or one measurement (..., d); for inputs that the sensors need, values (..., d).
 
         Returns
         -------

@@ -1,7 +1,8 @@
 """Judged sightings of an update of an online filter: decisions of gates, and the watch after them.
 
-A *judged* sighting is one about which a gate, or robust noise that leaves outliers out, has
-decided; a `Watch` counts the decisions, beside the innovations.
+A sighting is one measurement of a sensor. A *judged* sighting is one about which a gate, or robust
+noise that leaves outliers out, has decided. A `Watch` is the test whether the belief is lost, which
+counts these decisions and the innovations.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 A *layout* is a plan of one step whose values stand in arrays of fixed shapes. The *table* has the
 addresses and shapes of these arrays, as described in `pgm.kernels.compiled.online`; at each step of
-the same kind machine code copies what is given into them.
+the same *kind*, with the same variables given in arrays of the same shapes, machine code copies
+what is given into them. The *general way* to make a step is NumPy's, without machine code.
 """
 
 from __future__ import annotations
@@ -98,11 +99,12 @@ class Layout:
         return np.array(step, dtype=np.int64)
 
     def _inputs(self, family: Family, row: Integers64, count: int, sensor: Variable | None) -> None:
-        """Have a CPD of `count` sightings read its inputs and measurements from own arrays.
+        """Make the arrays from which machine code reads a CPD's inputs and measurements.
 
-        `row` is its part of the table, `sensor` the CPD's child; None of a transition. Of an affine
-        CPD the offset is computed from the inputs at each step. A noise that depends on inputs
-        raises `Uncompiled`.
+        Their addresses and shapes are entered in `row`, the CPD's part of the table. `count` is the
+        CPD's number of measurements and `sensor` its child; for a CPD of the transition they are 1
+        and None. The offset of an affine CPD is computed from the inputs at each step. A noise that
+        depends on inputs raises `Uncompiled`.
         """
         if family.noisy:
             raise Uncompiled(f"{family.cpd!r} has a noise that depends on inputs")
@@ -129,8 +131,9 @@ class Layout:
     def _part(self, place: int, target: Array, *, shared: bool, missing: bool = False) -> None:
         """Note that the array given at a place is copied to the rows of `target`, (count, d).
 
-        The place is its position among all that are given at a step (`places`). If it is `shared`,
-        its only row goes to all of them; with `missing` its components may be NaN.
+        The `place` of an array is its position among all that are given at a step (`places`). If
+        the array is `shared`, its only row goes to all rows of the target; with `missing` its
+        components may be NaN.
         """
         count, width = target.shape
         rows = 1 if shared else count

@@ -1,4 +1,4 @@
-"""The settings of an online filter, checked."""
+"""Checks of the settings of an online filter."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from pgm.networks import DynamicBayesianNetwork
 
 
 def require_neither(gate: object, watch: object, compiled: object) -> None:
-    """Refuse a gate, a watch or compiled steps, of which only Gaussian beliefs have a use.
+    """Refuse a gate, a watch and compiled steps, for beliefs that are not Gaussian.
 
-    A `ModelError` is raised if `gate` is not None, or `watch` or `compiled` is true.
+    Only Gaussian beliefs have a use for them. A `ModelError` is raised if `gate` is not None, or
+    `watch` (the test whether a belief is lost) or `compiled` is true.
     """
     for name, value in (("gate", gate), ("watch", watch or None), ("compiled", compiled or None)):
         if value is not None:
@@ -29,10 +30,10 @@ def require_settings(
 ) -> Filtering | FixedLag:
     """The schedule of an online filter of Gaussian beliefs, from its settings, which are checked.
 
-    Without a schedule it is a `FixedLag` of the lag, or a `Filtering`, with the gate. A
-    `ModelError` refuses settings of a wrong kind or that exclude each other, and models with CPDs
-    that are not Gaussian, robust noise in the transition, or an infinite variance in the prior; an
-    `EvidenceError` a gate of what is no sensor.
+    Without a schedule it is a `FixedLag` of the lag, or a `Filtering` if there is none, with the
+    gate. A `ModelError` refuses settings of a wrong kind or that exclude each other, and models
+    with CPDs that are not Gaussian, robust noise in the transition, or an infinite variance in the
+    prior. An `EvidenceError` refuses a gate for a variable that is no sensor.
     """
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")

@@ -16,9 +16,9 @@ from pgm.kernels.arrays import Array
 def slid(make: Make, step: int, behind: Sliding, log_evidence: Array) -> OnlineBelief:
     """The belief at the newest step of a window: filtered, or predicted if nothing was read there.
 
-    `make` makes plans of evidence; `step` is the number of the newest step, and `log_evidence`
-    (*runs) that of all steps before, which is the belief's if nothing was read. A belief or
-    log-evidence that is not finite is a `NumericalError`.
+    `behind` is the window; `make` makes the plan of some steps from their evidence. `step` is the
+    number of the newest step, and `log_evidence` (*runs) that of all steps before, which is the
+    belief's if nothing was read. A belief or log-evidence that is not finite is a `NumericalError`.
     """
     lead, window = behind.lead, behind.window
     if window is None:

@@ -1,9 +1,11 @@
 """The evidence of one online step: its values checked and bound to the model's CPDs.
 
-For one robot a *layout*, a plan of the step, is made once for each *kind* of values: the variables
-that are given, and the shapes of their arrays. Batches of robots, missing measurements and values
-of odd types or shapes have none: their plans are made anew at each step, in the *general way*. The
-*place* of an array is its position among all that are given at a step.
+*Sightings* are the measurements of one sensor, of which a step may have several (`pgm.sightings`).
+For one robot a *layout*, a plan of the step (CPDs with room for their evidence), is made once for
+each *kind* of values: the variables that are given, and the shapes of their arrays. Batches of
+robots, missing measurements and values of odd types or shapes have none: their plans are made anew
+at each step, in the *general way*. The *place* of an array is its position among all that are given
+at a step.
 """
 
 from __future__ import annotations
@@ -49,7 +51,7 @@ class Place(Protocol):
 
     @property
     def lead(self) -> tuple[int, ...]:
-        """The user's axes of runs, as the belief's arrays have them."""
+        """The shape of the user's axes of runs, which the belief's arrays have first."""
         ...
 
     @property
@@ -61,7 +63,8 @@ class Place(Protocol):
 def mapping(value: Any, method: str, what: str) -> Mapping[Variable, Any]:
     """The same value; an `EvidenceError` if it is no mapping.
 
-    Its text names the user's `method` ("predict"), and `what` is mapped ("inputs to values").
+    The error's text names the `method` that the user called ("predict") and, as `what`, the mapping
+    that it takes ("inputs to values").
     """
     if not isinstance(value, Mapping):
         raise EvidenceError(f"{method} takes a mapping of {what}, not {type(value).__name__}")
@@ -214,7 +217,10 @@ def numbers(value: Any, axes: int) -> Array | None:
 
 
 def _numbers(value: Any) -> Array | None:
-    """The value as floats; None where it is refused: the general way then raises the error."""
+    """The value as an array of floats; None where it cannot be one.
+
+    The step is then made in the general way, which raises the error.
+    """
     try:
         return as_floats(value, "a value", EvidenceError)
     except EvidenceError:  # which the general way words
@@ -242,10 +248,11 @@ Values = Mapping[Variable, Any]
 
 
 class _Local:
-    """A CPD of a layout, and at which places its inputs are.
+    """A CPD of a layout, and the places of its inputs and measurements.
 
-    `inputs` are pairs: the place of an input, and whether all sightings share its only row. There
-    are so many `sightings`, and `reading` is the place of their values, −1 of a transition.
+    `inputs` are pairs: the place of an input, and whether all measurements share its only row.
+    `sightings` is the number of measurements, and `reading` the place of their values; they are 1
+    and −1 for a CPD of the transition.
     """
 
     def __init__(

@@ -1,7 +1,8 @@
 """The test whether an online belief is lost, as it stands between steps and within one.
 
-A *watch* is the state of that test (`pgm.inference.lost`) before a step, with the numbers that the
-step has read so far.
+A belief is *lost* if it is wrong by more than its covariance says. A *watch* is the state of the
+test for that (`pgm.inference.lost`) before a step, with the test's numbers (`Read`) of the
+measurements that the step has taken so far. A sighting is one of these measurements.
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ from pgm.inference.lost import PageTest, Read
 
 
 class Watch(NamedTuple):
-    """The test whether a belief is lost, as it stood before a step, and what the step has read.
+    """The test whether a belief is lost: its state before a step, and the step's numbers so far.
 
-    `read` has the numbers of the step's updates so far, None before the first. `opened` has those
-    of sightings with candidates, apart, since a window reads all of its newest step again.
+    `before` is that state. `read` has the numbers of the step's updates so far, None before the
+    first. `opened` has, apart, the numbers of sightings of unknown identity, since a window that is
+    settled again replaces all of `read`.
     """
 
     before: PageTest
@@ -28,11 +30,11 @@ class Watch(NamedTuple):
 
     @classmethod
     def start(cls, lead: tuple[int, ...]) -> Watch:
-        """The watch at the prior, before any measurement; `lead` are the axes of runs."""
+        """The watch at the prior, before any measurement; `lead` is the shape of the runs' axes."""
         return cls(PageTest.start(math.prod(lead)))
 
     def test(self, step: int) -> PageTest:
-        """The state of the test after the step, whose number is `step`, as far as it was read."""
+        """The state of the test after the step of number `step`, by its measurements so far."""
         parts = [each for each in (self.read, self.opened) if each is not None]
         if not parts:
             return self.before
@@ -44,11 +46,11 @@ class Watch(NamedTuple):
         return Watch(self.test(step))
 
     def and_(self, read: Read) -> Watch:
-        """The watch after a further update of the step has read these numbers."""
+        """The watch after a further update of the step, whose numbers are `read`."""
         return self._replace(read=read if self.read is None else self.read.and_(read))
 
     def told(self, associations: Found, gate: Asked | None) -> Watch:
-        """The watch after counting how sightings of the step were associated, by sensor.
+        """The watch after counting the `associations` of the step's sightings, by sensor.
 
         Of a sensor with a `gate` only sightings taken for no candidate count here: the gate counts
         the others.

@@ -2,7 +2,8 @@
 
 With one linearisation there is a *trail*: the transitions of the last steps, over which a lagged
 belief is smoothed backwards when it is asked for. With more there is a sliding *window*: its steps
-are linearised and smoothed at each update until they settle, as along a recorded chain.
+are linearised and smoothed at each update until they settle, as along a recorded chain. A *plan*
+(`ChainPlan`) lays out CPDs and their evidence for some steps.
 """
 
 from __future__ import annotations
@@ -50,13 +51,13 @@ class Entry(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Sliding:
-    """The window of a belief's step, and all that it is found from.
+    """The sliding window that ends at a belief's step, and all that it is computed from.
 
     `entries` are the evidence of the steps whose CPDs are in it. `window` is the settled window,
     None while nothing has been read at its newest step; `before` is that of the step before, None
     at step 0. `left` (runs,) is the log-evidence of the steps that have left the window, in nats.
-    `lead` are the user's axes of runs. Methods take the filter's `make`, which makes the plan of
-    some steps from their evidence.
+    `lead` is the shape of the user's axes of runs. Methods take the filter's `make`, which makes
+    the plan of some steps from their evidence.
     """
 
     schedule: FixedLag
@@ -78,9 +79,9 @@ class Sliding:
     def on(self, make: Make, motion: tuple[Inputs, ...], lead: tuple[int, ...]) -> Sliding:
         """The window one step later, at whose newest step nothing has been read yet.
 
-        `motion` has the inputs of the transition to that step (see `Entry`), `lead` the axes of
-        runs from then on. The present window is settled first. If it spans the lag, its oldest step
-        is left behind with the linearisations that it has.
+        `motion` has the inputs of the transition to that step (see `Entry`), `lead` the shape of
+        the axes of runs from then on. The present window is settled first. If it spans the lag, its
+        oldest step is left behind with the linearisations that it has.
         """
         window, kept, left = self.settled(make), self.entries, self.left
         if window.plan.steps == self.schedule.lag:
@@ -92,7 +93,7 @@ class Sliding:
     def read(self, make: Make, readings: tuple[Reading, ...], lead: tuple[int, ...]) -> Sliding:
         """The window settled again with further measurements of its newest step.
 
-        `lead` are the axes of runs from then on.
+        `lead` is the shape of the axes of runs from then on.
         """
         *others, last = self.entries
         last = last._replace(readings=(*last.readings, *readings))
@@ -194,7 +195,10 @@ def _joined(entries: Sequence[Entry], lead: tuple[int, ...], *, begun: bool) -> 
 
 
 def _rows(parts: Sequence[npt.NDArray[Kind]]) -> npt.NDArray[Kind]:
-    """Arrays (rows, runs or 1, d) one below another, read-only, as users' functions see them."""
+    """Arrays (rows, runs or 1, d) stacked along rows, read-only, since users' functions see them.
+
+    The axis of runs has length 1 if it has in all of them.
+    """
     runs = max(part.shape[1] for part in parts)
     whole = np.concatenate([np.broadcast_to(p, (len(p), runs, p.shape[2])) for p in parts])
     whole.flags.writeable = False
@@ -216,7 +220,7 @@ class _Ends(NamedTuple):
 
 
 class Passed:
-    """A transition behind the belief, made in float64, with its reverse for lagged beliefs.
+    """A past transition, made in float64, with its reverse, by which lagged beliefs are smoothed.
 
     The plan is of this one step; `before` are the moments before it, `after` those predicted. The
     reverse is found when it is asked for, since most beliefs are never lagged.
