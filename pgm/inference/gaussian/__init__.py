@@ -1,4 +1,4 @@
-"""Gaussian networks of any shape, whose factors are rows A of information matrices AᵀA."""
+"""Gaussian networks of any shape; a factor is kept as a root A of its information matrix AᵀA."""
 
 from pgm.inference.gaussian.run import run
 

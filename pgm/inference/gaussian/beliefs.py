@@ -54,12 +54,12 @@ class Places:
 
     @cached_property
     def starts(self) -> Integers:
-        """The flat index of each cluster's first mean, and their total, (clusters + 1,)."""
+        """The flat index where each cluster's means begin, then where all end, (clusters + 1,)."""
         return np.cumsum([0, *self.sizes])
 
     @cached_property
     def block_starts(self) -> Integers:
-        """The flat index of each covariance's first entry, and their total, (clusters + 1,)."""
+        """The flat index where each covariance begins, then where all end, (clusters + 1,)."""
         return np.cumsum([0, *(size * size for size in self.sizes)])
 
     def means(self, clusters: Integers, columns: Integers) -> Integers:
@@ -143,7 +143,10 @@ class Beliefs:
         return mean, self.cov[:, entries] * (scale[..., :, None] * scale[..., None, :])
 
     def components(self) -> tuple[Array, Array]:
-        """Means (runs, size) and standard deviations (V, size) of all components of x."""
+        """Means (runs, size) and standard deviations (V, size) of all hidden components.
+
+        They are in the user's units.
+        """
         cluster, column = self.places.homes
         where = self.places.starts[cluster] + column
         size = np.array(self.places.sizes, dtype=np.intp)[cluster]
@@ -194,6 +197,7 @@ def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
     """Linearise every nonlinear CPD anew at its cluster's belief, in the `active` runs, (runs,)."""
 
     def moments(g: int) -> tuple[Array, Array]:
+        """Means (CPDs, runs, n) and covariances (CPDs, V, n, n) of group g's hidden parents."""
         where, entries = beliefs.places.families[g]
         mean, cov = beliefs.moments(where, entries, model.layout.groups[g].parents)
         return mean.swapaxes(0, 1), cov.swapaxes(0, 1)
@@ -237,6 +241,6 @@ class Flat(NamedTuple):
     ) -> None:
         """Store `matrix` at flat indices `entries` and `right` at flat indices `rows`.
 
-        Zeros are stored for one that is not given.
+        Where `matrix` or `right` is left out, zeros are stored.
         """
         self.matrix[:, entries], self.right[:, rows] = matrix, right

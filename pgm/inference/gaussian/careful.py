@@ -53,12 +53,15 @@ def work(layout: Layout, runs: int, shared: bool) -> int:
 
 
 class DenseBeliefs(Beliefs):
-    """Moments of all components together, in the user's units: (runs, size), (V, size, size)."""
+    """The joint moments of all hidden components, in the user's units, not in those of a frame.
+
+    `mean` is (runs, size), `cov` (V, size, size).
+    """
 
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
         """Means (runs, ..., n) and covariances (V, ..., n, n) of components at `places` (..., n).
 
-        The flat indices `where` and `entries` of other `Beliefs` are not needed.
+        `where` and `entries`, the flat indices that other `Beliefs` need, are ignored.
         """
         return self.mean[:, places], self.cov[:, places[..., :, None], places[..., None, :]]
 
@@ -90,8 +93,8 @@ def predictive(
     """The frame of the prior predictive moments, calculated in decimals and rounded at the end.
 
     It replaces `prior_predictive` where float64 loses digits, but takes no account of `start`.
-    `families` has one for each group of the layout: nonlinear ones are linearised on the way, at
-    their parents' moments in float64. `shared` says whether V is 1.
+    `families` has a family for each group of the layout: nonlinear CPDs are linearised on the way,
+    at their parents' moments in float64. `shared` says whether V is 1.
     """
     conditionals = Conditionals(layout, families, runs, shared)
     with decimals.precision(MANY):
@@ -180,12 +183,12 @@ def _read(
     joint: Joint,
     offset: Decimals,
 ) -> tuple[Array, Array]:
-    """Condition the joint on the readings of an observed child, component after component.
+    """Condition the joint on the measurement z of an observed child, component after component.
 
-    With the noise Σ = L D Lᵀ these are the components of L⁻¹ z, whose noise is independent, of
-    variances D. `offset` (V, d, ·) is b for each column of `joint.mean`. Returns ln p of the
-    readings given those before, (V, N), and the largest shift of a component's ln p by rounding,
-    (V,). A reading that differs from a value determined by the model is a NumericalError.
+    With the noise Σ = L D Lᵀ the components are those of L⁻¹ z, whose noise is independent, of
+    variances D. `offset` (V, d, ·) is b for each column of `joint.mean`. Returns ln p(z) given the
+    measurements before, (V, N), and the largest shift of a component's ln p by rounding, (V,). A
+    component that differs from a value determined by the model is a NumericalError.
     """
     group, row, g = conditional.group, conditional.row, conditional.g
     reading, taken = model.moved[g], model.taken[g]
@@ -232,14 +235,14 @@ def _read(
 
 
 def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
-    """Correct decimal digits of each run's means and ln p, (runs,): −log₁₀ of their shift.
+    """Correct decimal digits of each run's means and ln p, (runs,): −log₁₀ of their largest shift.
 
     The first `sides` columns of `joint.mean` are means. The others are the shifts that rounding
     errors of linearised values cause; without them all digits of float64 are correct. A run's shift
-    is the larger of `moved` (V,), that of ln p, and that of a mean in posterior standard
-    deviations, of the worst component. If CPDs were linearised for the first time (`Model.first`),
-    it is multiplied by the distance of the posterior mean from the frame's mean in standard
-    deviations of the prior, of the farthest component, if that is more than one.
+    is the largest of `moved` (V,), the shift of ln p, and of the shifts of its components' means,
+    each in posterior standard deviations. If CPDs were linearised for the first time
+    (`Model.first`), it is multiplied by the largest distance of a component's posterior mean from
+    the frame's mean, in standard deviations of the prior, if that is more than one.
     """
     size = model.layout.size
     lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))

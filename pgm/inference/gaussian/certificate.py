@@ -7,9 +7,9 @@ by how much a CPD or measurement is sharper than the prior. With ε ≈ 10⁻¹�
 - a factorisation moves each row by about ε a, and a mean by as many of its own standard
   deviations, times its distance from the frame's mean in standard deviations of the prior;
 - a covariance that is pushed down the tree is wrong by ε of the prior's, by ε a² of itself;
-- relations without noise are put into rows: the entries that result count as others do, and so do
-  the reciprocals of the numbers divided by. Where it is not certain how many relations are
-  independent, no digit is;
+- relations without noise are solved for variables, which are replaced in the rows: the entries that
+  result count as other entries do, and so do the reciprocals of the numbers divided by. Where it is
+  not certain how many relations are independent, no digit counts as correct;
 - the rounding of linearised values, where it is large, shifts means too (`linearised_rounding`).
 """
 
@@ -35,9 +35,9 @@ _RANGE = 1e-140, 1e140
 def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
     """The decimal digits that sending all messages in float64 keeps, for the worst run.
 
-    They are the least of means and covariances, counted from standard deviations; zero if some
-    number is not finite, or if the square of a unit of the frame is out of range. `buffer` is the
-    one from which `beliefs` and `log_evidence` have been computed.
+    Digits of means and of covariances are counted from standard deviations, and the fewer of both
+    are returned; zero if some number is not finite, or if the square of a unit of the frame is out
+    of range. `buffer` is the one from which `beliefs` and `log_evidence` have been computed.
     """
     frame = buffer.model.frame
     total = beliefs.cov.sum() + log_evidence.sum() + frame.mean.sum()
@@ -53,6 +53,10 @@ def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
 
 
 def cause(model: Model) -> str:
-    """Why digits are few, for the warning: sigma points too close, or numbers too far apart."""
+    """The text of the warning that digits are few: `CLOSE_POINTS` or `FAR_APART`, by the cause.
+
+    The cause is that sigma points lie too close together, if their rounding alone takes too many
+    digits; else that standard deviations of the model are too far apart.
+    """
     few = _OF_SUMS - np.log10(max(shift(model), 1.0)) < SAFE_DIGITS
     return CLOSE_POINTS if few else FAR_APART

@@ -38,7 +38,7 @@ class Conditional:
 class Conditionals:
     """The linearised CPDs of a network, in decimals; iteration gives parents before children.
 
-    `families` has one for each group of the layout; `shared` says whether V is 1.
+    `families` has a `Family` for each group of the layout; `shared` says whether V is 1.
     """
 
     layout: Layout
@@ -95,10 +95,10 @@ class Conditionals:
     def span(self) -> int:
         """The decades (powers of ten) between the numbers that matter in a solution, at least one.
 
-        They are those between the largest and the smallest standard deviation, of noises and of the
-        prior, plus those between the largest and the smallest slope |F_ij|; 1 is among both, zeros
-        are not. The prior's are bounds from above: summands of F p are taken as positive, so that
-        nothing cancels.
+        They are the decades between the largest and the smallest standard deviation, of noises and
+        of the prior, plus the decades between the largest and the smallest slope |F_ij|; both
+        ranges include 1 and leave out zeros. The prior's standard deviations are bounds from above:
+        summands of F p are taken as positive, so that nothing cancels.
         """
         edge = decimals.zeros(self.stacked, self.layout.size)
         least, most = Decimal(1), Decimal(1)
@@ -180,7 +180,7 @@ class Root:
         return decimals.product(self.lower * self.pivots, self.lower.T)
 
     def whitened(self, right: Decimals) -> Decimals:
-        """The rows L⁻¹ B of B (d, m), in the order of the pivots, (d, m)."""
+        """The product L⁻¹ B, (d, m), for B = `right` (d, m); its row k is that of pivot k."""
         left, found = right.copy(), decimals.zeros(*right.shape)
         for k, row in enumerate(self.order):
             found[k] = left[row]

@@ -1,15 +1,18 @@
 """The dense joint Gaussian of a network's components, made of linearised CPDs in decimals.
 
 Nothing is rounded but the last decimal. A child y = F p + b + n, n ~ N(0, Σ), joins the components
-before it, whose covariance is P and of which p are some: its own covariance is F P_pp Fᵀ + Σ, and
-the one with them F P_p·. An observed child joins, is conditioned on one component k after another,
+before it, whose covariance is P; p are some of these. The child's covariance is F P_pp Fᵀ + Σ, and
+its covariance with the components before it F P_p·. An observed child joins, the joint is
+conditioned on one of its components k after another,
 
     G = P eₖ / s,   m ← m + G (z − mₖ),   P ← P − G eₖᵀ P,   s = eₖᵀ P eₖ,
 
-for its value z and the joint's mean m, and leaves again. A component with s = 0 is determined by
-what was read before: its value agrees with that, or contradicts the model.
+for the component's value z and the joint's mean m, and the child leaves again. A component with
+s = 0 is determined by the values read before: its own value agrees with them, or contradicts the
+model.
 
-V is 1 where all runs share their covariances, with N columns of means; else V = runs.
+V is the number of joint covariances: 1 where all runs share them, else the number of runs. N is the
+number of columns of means, and of errors of means, that go with each covariance.
 """
 
 from __future__ import annotations
@@ -30,12 +33,12 @@ ROUNDED = Decimal(2) ** -51
 
 
 class Read(NamedTuple):
-    """The result of conditioning on one component's values z, (V, N').
+    """The result of conditioning a joint on the values z of one component, (V, N').
 
-    `log_density` is ln p(z) given what was read before, zero where it is determined;
-    `contradiction` whether z then misses the determined value; both are (V, N'). `moved` (V,) is
-    about how much the errors in the columns of `Joint.mean` beyond the first N' may together shift
-    ln p(z).
+    `log_density` (V, N') is ln p(z) given the values read before; it is zero where these determine
+    the component, and there `contradiction` (V, N') tells whether z misses the determined value.
+    The first N' columns of `Joint.mean` are means, the others errors: `moved` (V,) is about how
+    much these errors together may shift ln p(z).
     """
 
     log_density: Array
@@ -47,10 +50,10 @@ class Read(NamedTuple):
 class Joint:
     """The joint of the components so far: V covariances (V, size, size), and means (V, size, N).
 
-    Each column of `mean` is transformed as a mean is. `edge` (V, size) are bounds on the prior's
-    standard deviations: summands are taken as positive, so that nothing cancels. A covariance below
-    the share `nothing` of the product of its two bounds counts as zero: it is rounding of the
-    decimals.
+    Each column of `mean` goes through the operations that a mean goes through. `edge` (V, size) are
+    upper bounds on the components' prior standard deviations: in them the summands of F p count as
+    positive, so that nothing cancels. The covariance of two components counts as zero if it is
+    below `nothing` times the product of their bounds: it is then rounding of the decimals.
     """
 
     mean: Decimals
@@ -60,9 +63,9 @@ class Joint:
 
     @classmethod
     def empty(cls, stacked: int, size: int, columns: int, nothing: Decimal) -> Joint:
-        """A joint without components yet, for V = `stacked` and N = `columns`: its rows are zero.
+        """A joint without components yet, for V = `stacked` and N = `columns`: its arrays are zero.
 
-        `size` is the most components that it can have at a time.
+        `size` is the most components that it can have at a time; `nothing` is as for the class.
         """
         zeros = decimals.zeros
         return cls(
@@ -82,8 +85,8 @@ class Joint:
     ) -> None:
         """Add a child y = F p + b + n at `places` (d,) of the joint, p being at `parents` (n,).
 
-        F is (V, d, n), b (V, d, N), and the noise covariance (V, d, d). A component of F p whose
-        variance is no more than rounding of its summands has none.
+        `matrix` is F (V, d, n), `offset` b (V, d, N), and `noise` the covariance Σ (V, d, d). A
+        component of F p whose variance is no more than rounding of its summands counts as constant.
         """
         self.mean[:, places] = decimals.product(matrix, self.mean[:, parents]) + offset
         cross = decimals.product(matrix, self.cov[:, parents])
@@ -104,11 +107,11 @@ class Joint:
         self.edge[:, places] = decimals.sqrt(prior * prior + variance)
 
     def read(self, place: int, value: Decimals, allowed: Decimals) -> Read:
-        """Condition on the component at `place`: its values in the first N' columns are z (V, N').
+        """Condition the joint on the component at `place` having the values z = `value`, (V, N').
 
-        z is `value`; in the other columns, which are of errors, the component's value is zero.
-        `allowed` (V, N') is by how much z may miss a value that is determined without contradicting
-        it.
+        These are its values in the first N' columns of `mean`; in the other columns, which hold
+        errors, its value is zero. Where the component is determined already, z contradicts the
+        model if it misses the determined value by more than `allowed` (V, N').
         """
         count = value.shape[1]
         variance, edge = self.cov[:, place, place], self.edge[:, place]

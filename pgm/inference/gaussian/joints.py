@@ -19,7 +19,9 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
     collected from the top of the tree down. Given its sepset s with its parent, a cluster's other
     components f are independent of the components a above it, so that their covariance is
 
-        P_fa = P_fs P_ss⁺ P_sa.
+        P_fa = P_fs P_ss⁺ P_sa,
+
+    P_ss⁺ being the pseudo-inverse of P_ss.
     """
     if isinstance(beliefs, DenseBeliefs):
         return beliefs.moments(wanted, wanted, wanted)
@@ -51,8 +53,8 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
 def _walk(plan: TreePlan, wanted: Integers) -> list[int]:
     """The clusters that connect the components at places `wanted` (n,), parents before children.
 
-    They are the smallest subtree with the smallest cluster that holds each component,
-    `Places.homes`; where these are in several trees, the paths from them to the roots.
+    They are the smallest subtree that contains the smallest cluster of each component,
+    `Places.homes`; where these clusters are in several trees, the paths from them to the roots.
     """
     home, _ = plan.places.homes
     parent, depth = plan.forest.parent, plan.forest.depth
@@ -77,11 +79,12 @@ def _gain(
     shared: list[int],
     fresh: list[int],
 ) -> Array:
-    """The regression P_fs P_ss⁺ of a cluster's other components f on the sepset s with its parent.
+    """The regression P_fs P_ss⁺ (V, f, s) of a cluster's components on the sepset with its parent.
 
-    `inside` is the cluster's covariance, (V, s + f, s + f), the sepset first; `shared` and `fresh`
-    are the places of s and f. Beliefs of `calibrate` have the gain, which is then zero for
-    components without variance; else it is computed by a pseudo-inverse.
+    s are the components of the sepset, f the cluster's others; `shared` and `fresh` are their
+    places. `inside` is the cluster's covariance, (V, s + f, s + f), the sepset first. `TreeBeliefs`
+    have the gain of the upward pass, in which rows of components without variance are made zero;
+    for other beliefs, and an empty sepset, it is computed by a pseudo-inverse.
     """
     if not isinstance(beliefs, TreeBeliefs) or not shared:
         count = len(shared)

@@ -2,7 +2,7 @@
 
 The components of all hidden variables make one vector, (size,), and the *place* of a component is
 its index there; its *column* is its index in the scope of a cluster. A *group* are the copies of
-one CPD, such as those of all steps of an unrolled chain, whose same parents are hidden.
+one CPD, as at the steps of an unrolled chain, that have the same of its parents hidden.
 """
 
 from __future__ import annotations
@@ -24,15 +24,18 @@ from pgm.variables import Variable
 
 
 def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
-    """The parents of a CPD that must have evidence: those in `inputs`, and those of its noise."""
+    """The parents of a CPD that must have evidence: inputs, and those that its noise depends on.
+
+    `inputs` are the inputs of the network.
+    """
     return [v for v in cpd.parents if v in inputs or v in cpd.noise_given]
 
 
 def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
-    """The variables that are left out: inputs without evidence, and unobserved children of them.
+    """The variables to leave out: inputs without evidence, and unobserved children of these inputs.
 
-    A child is left out if one of its CPD's `known_parents` has no evidence. A variable stays if an
-    observed one, or one that stays, depends on it.
+    An unobserved child is left out if one of its CPD's `known_parents` has no evidence. A variable
+    stays if an observed variable, or another variable that stays, depends on it.
     """
     inputs = set(network.inputs)
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}
@@ -49,11 +52,12 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Copies of one CPD, a row each, of whose parents the same are hidden; linearised together.
+    """Copies of one CPD, a row each, with the same parents hidden; they are linearised together.
 
-    `hidden` are the hidden parents of the first copy. `child` (rows, d), empty if observed, and
-    `parents` (rows, n) are places among all hidden components; `clusters` (rows,) the clusters that
-    the CPDs are assigned to.
+    `hidden` are the hidden parents of the first copy; `observed` says whether the children have
+    evidence. `child` (rows, d) and `parents` (rows, n) are the places of the components of each
+    copy's child, (rows, 0) if it is observed, and of its hidden parents; `clusters` (rows,) are the
+    indices of the clusters that the CPDs are assigned to.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -65,12 +69,12 @@ class Group:
 
     @property
     def height(self) -> int:
-        """Rows of each CPD's factor: the child's components."""
+        """The number of rows of each CPD's factor: the components of the child."""
         return self.cpds[0].child.dimension
 
     @property
     def width(self) -> int:
-        """Columns of each CPD's factor: the hidden components of the family."""
+        """The number of columns of each CPD's factor: the hidden components of the family."""
         return int(self.child.shape[1] + self.parents.shape[1])
 
     def shape(self) -> tuple[bool, int, int]:
@@ -82,8 +86,9 @@ class Group:
 class Layout:
     """The layout of a cluster graph's hidden components: their places, columns, and CPD groups.
 
-    Variables that are `observed` or `absent`, which `barren` leaves out, have none. It is made once
-    for each set of observed variables; see `ClusterGraph.derived`.
+    Variables that are `observed`, and those that are `absent` because `barren` leaves them out,
+    have no places. A layout is made once for each set of observed variables; see
+    `ClusterGraph.derived`.
     """
 
     graph: ClusterGraph
@@ -123,7 +128,7 @@ class Layout:
 
     @cached_property
     def columns(self) -> list[dict[int, int]]:
-        """For each cluster, the column of each component that it holds, by the place."""
+        """For each cluster a map from the place of each component that it holds to its column."""
         return [
             {int(place): k for k, place in enumerate(self.components(scope))}
             for scope in self.scopes
@@ -178,7 +183,7 @@ class Layout:
 
     @cached_property
     def shapes(self) -> list[list[int]]:
-        """Lists of neighbouring groups, by index, whose factors have one shape."""
+        """The indices of all groups, in lists of groups whose factors have the same shape."""
         every = groupby(enumerate(self.groups), lambda item: item[1].shape())
         return [[k for k, _ in alike] for _, alike in every]
 
@@ -186,8 +191,9 @@ class Layout:
     def order(self) -> list[tuple[int, int]]:
         """All CPDs as (group, row), parents before children.
 
-        They are in the order of a depth-first search from the last children: a parent comes just
-        before something needs it, so that few components are needed at once.
+        They are in the order of a depth-first search from the observed and the childless variables:
+        a parent comes just before the child that needs it first, so that few components are needed
+        at once.
         """
         where = {
             cpd.child: (g, row)

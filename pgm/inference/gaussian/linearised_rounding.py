@@ -1,8 +1,8 @@
 """The rounding of linearised CPDs of a network, and by how much it shifts its variables.
 
-A linearised mean F x + b is a difference of numbers as large as F μ, μ being the parents' mean. The
-values that sigma points give are weighted besides; where these lie close together the weights are
-large, and of both signs (`Points.cancellation`).
+A linearised mean F x + b is a difference of numbers as large as F μ, μ being the parents' mean.
+With sigma points it is made of weighted values of the function; where the points lie close together
+the weights are large, and of both signs (`Points.cancellation`).
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ ROUNDING = 2.0**-52
 def rounding(model: Model, g: int) -> Array:
     """A bound on the rounding of F x + b of the nonlinear CPDs of group g, (CPDs, runs, d).
 
-    Where they were linearised the parents have the means μ and the standard deviations σ. With
+    The CPDs were linearised where the parents have the means μ and the standard deviations σ. With
     sigma points the bound is 2⁻⁵² k (|F| (|μ| + σ) + |b|), k being the sum of their absolute
-    weights in the mean and in the slope. Else it is 2⁻⁵² (k (|F| |μ| + |b|) + |F| σ), k being 1,
-    and for each numerical derivative σ over its step besides; without |F| σ if `Taylor` has all
-    derivatives, and without hidden parents.
+    weights in the mean and in the slope. With other rules it is 2⁻⁵² (k (|F| |μ| + |b|) + |F| σ):
+    k is 1, plus for each numerical derivative of `Taylor` the ratio of σ to the step of the
+    difference. The term |F| σ is absent if `Taylor` needs no numerical derivative, or if no parent
+    is hidden.
     """
     family = model.families[g]
     rule, template = family.lineariser, family.template
@@ -54,8 +55,8 @@ def rounding(model: Model, g: int) -> Array:
 def shift(model: Model) -> float:
     """The largest shift that rounding causes, in units of 2⁻⁵² standard deviations of the noise.
 
-    It is that of CPDs whose sigma points lie close together, and zero without them. Where a
-    component has no noise the standard deviation is that of F x.
+    Only CPDs whose sigma points lie close together count: without any the shift is zero. Where a
+    component has no noise the standard deviation of F x takes the place of the noise's.
     """
     most = 0.0
     for g, family in enumerate(model.families):

@@ -2,7 +2,8 @@
 
 A message is the factor exp(g − ½ ‖A ξ − r‖²) over the s components of a sepset, in the coordinates
 ξ of a frame, with A (V, s, s), r (V, s, N) and the log-scale g (V, N): V = 1 where N runs share
-matrices, else V runs and N = 1. It is numbered as in `Directed`, and the one back is number ^ 1.
+matrices, else V runs and N = 1. Messages are numbered as in `Directed`: message m and message m ^ 1
+go along the same edge in opposite directions.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ class RowMessages:
     """The messages of a graph with loops, as rows in a buffer: the `Messages` of `run_loopy`.
 
     Each starts as the factor exp(−½ |ξ|²): from any positive start the information matrices
-    converge to the same fixed point, and with a proper one every message exists. `damping` is the
-    share of the old message in a new one.
+    converge to the same fixed point, and from a proper start every message exists. `damping` is the
+    share of the old message in a new one. `places` tells where `Beliefs` of the clusters stand.
     """
 
     buffer: Buffer
@@ -46,9 +47,9 @@ class RowMessages:
 
     @classmethod
     def make(cls, buffer: Buffer, places: Places, damping: float) -> RowMessages:
-        """Messages at their start, put into a buffer as `Buffer.make` returns it.
+        """The messages at their start, written into a new buffer, as `Buffer.make` returns it.
 
-        The factors of the CPDs are put in, too. `damping` is 0 for none.
+        The factors of the CPDs are written into it, too. Without damping `damping` is 0.
         """
         buffer.refresh()
         for size, members in buffer.rounds.by_size:
@@ -131,7 +132,7 @@ class RowMessages:
     def send_once(self, rounds: list[list[Stack]]) -> None:
         """Send each message of a tree once, in rounds of stacks.
 
-        A round has to come after those whose messages enter into its own.
+        A round has to come after all rounds whose messages enter into its own messages.
         """
         for stacks in rounds:
             for stack in stacks:
@@ -146,14 +147,15 @@ class RowMessages:
         return row_messages.first(one), log_scale
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
-        """The product of a cluster's CPDs and all messages to it, (V, k, n); log-scale (V, N).
+        """The product of a cluster's CPDs and all messages to it, as rows; its log-scale (V, N).
 
-        Its k rows are over the n hidden components of the cluster, in the order of its scope.
+        The matrix is (V, k, n), the right side (V, k, N): the k rows are over the n hidden
+        components of the cluster, in the order of its scope.
         """
         return self._product(*self.buffer.rounds.beliefs([cluster]))
 
     def potential(self, cluster: int) -> tuple[Rows, Array]:
-        """The product of a cluster's CPDs alone: rows as of `belief`, and log-scale (V, N)."""
+        """The product of a cluster's CPDs alone, as rows (see `belief`); its log-scale (V, N)."""
         return self._product(*self.buffer.rounds.potentials([cluster]))
 
     def _product(self, stack: Stack) -> tuple[Rows, Array]:

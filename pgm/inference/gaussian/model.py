@@ -1,4 +1,4 @@
-"""A Gaussian network with its evidence: its CPDs, which are linearised anew at each belief.
+"""A Gaussian network with its evidence, whose CPDs can be linearised again at each new belief.
 
 A *group* are copies of one CPD, the rows of a `Family`. A *place* is the index of a component in
 the vector of all hidden components, (size,).
@@ -61,13 +61,15 @@ class LinearisedAt(NamedTuple):
 class Model:
     """The CPDs of a network, linearised, and the evidence of its observed children.
 
-    `lead` are the user's axes of runs. Lists have an entry for each group. `readings` are the
-    values of observed children, (CPDs, runs or 1, d), None of hidden ones; `moved` (CPDs, runs, d)
-    are the same with angles on the branch nearest the CPD's value where it was linearised; `taken`
-    (CPDs, runs or 1, d) masks the components that were measured, None for all. `shared` says
-    whether all runs have the same matrices, covariances and components measured. `points` are the
-    moments of hidden parents where CPDs were linearised last. `first` is True until `relinearise`:
-    until then `points` are the prior's moments or a start, maybe far from the posterior.
+    `lead` are the user's axes of runs. Lists have an entry for each group of CPDs. `readings` are
+    the values of a group's children, (CPDs, runs or 1, d), None if they are hidden; `moved` (CPDs,
+    runs, d) are these values with angles on the branch nearest the CPD's value where it was
+    linearised; `taken` (CPDs, runs or 1, d) masks the components that were measured, None for all.
+    `shared` says whether all runs have the same matrices, covariances and components measured.
+    `frame` are the coordinates in which factors are kept. `points` are the moments of hidden
+    parents where CPDs were linearised last. `first` is True
+    until `relinearise` is called: until then `points` are the prior's moments or the user's start,
+    maybe far from the posterior.
     """
 
     layout: Layout
@@ -94,9 +96,9 @@ class Model:
     ) -> Model:
         """Bind evidence, and linearise at the prior predictive moments or a start, (runs, size).
 
-        Without a start `predictive` finds these moments and linearises on the way. `judge` compares
-        the answers of traces after the call; without one each is compared at once (`Family.trace`).
-        A flat prior is a ModelError.
+        Without a start `predictive` finds these moments and linearises on the way. Values and
+        slopes from traced functions are compared with the functions: by `judge` after the call,
+        without one at once (`Family.trace`). A flat prior is a ModelError.
         """
         for group in layout.groups:
             for cpd in group.cpds:
@@ -150,7 +152,7 @@ class Model:
         parents: Sequence[tuple[Array, Array] | None],
         active: Mask,
     ) -> None:
-        """Linearise every nonlinear CPD at a belief for the active runs, one call a group.
+        """Linearise every nonlinear CPD at a belief, in the runs that `active` (runs,) marks.
 
         `parents` are the means (CPDs, runs, n) and covariances (CPDs, runs, n, n) of the hidden
         parents, for each group; None for affine CPDs. `mean` (runs, size) are the means of all
@@ -169,9 +171,9 @@ class Model:
     def _follow(self, mean: Array, active: Mask) -> None:
         """Move angles by whole turns to the branch nearest the means (runs, size), in active runs.
 
-        Readings of an observed child move to within π of its CPD's value at these means. If the
-        child is hidden, the offset of its linearised CPD moves, so that this value is within π of
-        the child's mean.
+        `active` (runs,) marks these runs. Readings of an observed child move to within π of its
+        CPD's value at these means. If the child is hidden, the offset of its linearised CPD moves,
+        so that this value is within π of the child's mean.
         """
         groups = zip(self.layout.groups, self.families, self.readings, self.moved, strict=True)
         for k, (group, family, reading, kept) in enumerate(groups):
@@ -213,9 +215,9 @@ def _taken(group: Group, bound: BoundValues) -> Mask | None:
 def _stacked(
     variables: Sequence[Variable], rows: Mapping[Variable, npt.NDArray[Kind]]
 ) -> npt.NDArray[Kind]:
-    """The values of some variables of d components each, (variables, runs or 1, d).
+    """The values of some variables of d components each, stacked, (variables, runs or 1, d).
 
-    `rows` has (runs or 1, d) by variable.
+    `rows` maps each of the variables to its values, (runs or 1, d).
     """
     values = [rows[v] for v in variables]
     runs = max(value.shape[0] for value in values)

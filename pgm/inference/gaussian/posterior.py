@@ -32,8 +32,9 @@ from pgm.variables import Variable
 class GaussianPosterior(Posterior):
     """The beliefs of a Gaussian network; leading axes are runs.
 
-    On a tree they are exact for the (linearised) network; on a graph with loops the means are,
-    where the messages have converged, and variances are approximate: too small or too large.
+    On a tree the beliefs are exact for the (linearised) network. On a graph with loops the means
+    are exact where the messages have converged; the variances are approximate: too small or too
+    large.
     """
 
     graph: ClusterGraph
@@ -55,6 +56,10 @@ class GaussianPosterior(Posterior):
         return self._read((variable,), int(cluster[places[0]]))
 
     def _require_hidden(self, variable: Variable) -> Integers:
+        """The indices (d,) of a hidden variable's components in the vector of all hidden ones.
+
+        Any other variable is an EvidenceError, which says why it has no belief.
+        """
         layout = self._plan.layout
         if require_variable(variable) in layout.places:
             return layout.places[variable]
@@ -77,12 +82,17 @@ class GaussianPosterior(Posterior):
         )
 
     def _read(self, scope: Scope, cluster: int) -> Gaussian:
+        """The joint of the variables in `scope`, (*runs, n), from a cluster that holds them all."""
         components = self._plan.layout.components(scope)
         where, entries = self._plan.places.of(np.array([cluster]), components[None])
         mean, cov = self._done.beliefs.moments(where[0], entries[0], components)
         return self._gaussian(scope, mean, cov)
 
     def _gaussian(self, scope: Scope, mean: Array, cov: Array) -> Gaussian:
+        """The Gaussian of a mean (runs, n) and a covariance (runs or 1, n, n), (*runs, n).
+
+        Moments that are not finite are a NumericalError.
+        """
         lead = self._model.lead
         size = mean.shape[-1]
         if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
@@ -123,7 +133,7 @@ class GaussianPosterior(Posterior):
 
     @cached_property
     def _messages(self) -> RowMessages:
-        """All messages; those of a tree are sent on the first request."""
+        """The messages between clusters; on a tree they are sent when they are first asked for."""
         if self._sent is not None:
             return self._sent
         buffer = Buffer.make(self._plan.rounds, self._model)
@@ -168,11 +178,13 @@ class GaussianPosterior(Posterior):
     def _form(
         self, factor: Rows, log_scale: Array, scope: Scope, what: str, cluster: int
     ) -> CanonicalForm:
-        """Rows A (V, k, n) and r in a frame's coordinates as a canonical form in the user's.
+        """The canonical form, in the user's coordinates, of rows A (V, k, n) and r (V, k, N).
 
-        It is K = AᵀA, h = Aᵀr and g = log_scale − ½ |r|², with A and r in the user's coordinates.
-        Exact relations, or numbers that are not finite, are a NumericalError that names the
-        `cluster`; its text begins with `what` ("the belief of cluster 2").
+        The rows are in a frame's coordinates, and their log-scale is (V, N). V is 1 if N runs share
+        A, else V = runs and N = 1. The form is K = AᵀA, h = Aᵀr and g = log_scale − ½ |r|², with A
+        and r in the user's coordinates. Exact relations, or numbers that are not finite, are a
+        NumericalError that names the `cluster`; its text begins with `what` ("the belief of cluster
+        2").
         """
         if factor.exact is not None and factor.exact.any():
             raise NumericalError(
@@ -201,7 +213,7 @@ class GaussianPosterior(Posterior):
     def log_evidence(self) -> Array:
         """The value ln p(evidence), (...); see `log_evidence_kind`.
 
-        Exact measurements that repeat one another have no joint density; the value is then that of
+        Exact measurements that repeat one another have no joint density; the value is then ln p of
         measurements of which none repeats another, in a unit that depends on the graph. A value
         beyond the range of float64, of measurements some 10¹⁵⁰ standard deviations from the model,
         is a NumericalError.

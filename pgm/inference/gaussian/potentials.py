@@ -1,12 +1,14 @@
 """The potentials of clusters as rows: their linearised CPDs, in the units of a frame.
 
 A CPD y = F p + b + n, n ~ N(0, Σ), of the child y (d,) and the hidden parents p, is a factor over
-the frame's coordinates ξ, x = m + s ξ, of the w components that are hidden. With the residual e = y
-− (F p + b) at the frame's means m it is
+the frame's coordinates ξ, x = m + s ξ, of the w components x of y and p that are hidden: m are the
+frame's means, s its units. With the residual e = y − (F p + b) at the means m it is
 
-    N(e + s_y ξ_y − F s_p ξ_p; 0, Σ).
+    N(e + s_y ξ_y − F s_p ξ_p; 0, Σ),
 
-An *exact* row is one without noise: a relation that holds exactly.
+without s_y ξ_y where y is observed. Divided by a root of Σ it is d *rows* A ξ − r, whose factor is
+exp(−½ ‖A ξ − r‖²) times a scale. An *exact* row is one without noise: a relation that holds
+exactly.
 """
 
 from __future__ import annotations
@@ -32,11 +34,11 @@ class Potentials:
     """The rows of all CPDs, one after another in the order of the groups.
 
     Where all runs share their matrices, V is 1 and each of N runs is a right side; else each of V
-    runs has a matrix, and N is 1. `proper` has the rows with noise, and `exact` those without, None
-    if there are none; in each there are zeros in place of the other's rows. Log-scales are (V,
-    CPDs, N). `coarse` is a tenth of the largest number that a residual is a difference of, over the
-    standard deviation of the noise, or over the length of an exact row; infinite where rounding
-    alone may make a component certain.
+    runs has a matrix, and N is 1. `proper` has the rows with noise and zeros in place of the exact
+    rows; `exact` the exact rows and zeros in place of the rows with noise, None if no row is exact.
+    Log-scales are (V, CPDs, N). `coarse` measures the digits that residuals lose: a tenth of the
+    largest number that a residual is a difference of, over the standard deviation of the noise, or
+    over the length of an exact row; infinite where rounding alone may make a component certain.
     """
 
     proper: Flat
@@ -48,9 +50,9 @@ class Potentials:
 def make_potentials(model: Model) -> Potentials:
     """Turn the linearised CPDs of a model into rows.
 
-    With Σ = L Lᵀ they are L⁻¹ [s_y, −F s_p]; right sides are −L⁻¹ e. Where L has no pivot the
-    component of the noise is determined by those before, and the row is exact. An indefinite noise
-    is a NumericalError.
+    With Σ = L Lᵀ the rows are L⁻¹ [s_y, −F s_p]; right sides are −L⁻¹ e. Where L has no pivot the
+    component of the noise is determined by the components before it, and the row is exact. An
+    indefinite noise is a NumericalError.
     """
     if not model.layout.shapes:
         stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
@@ -72,10 +74,12 @@ class _Linearised(NamedTuple):
 
     The first axis runs over CPDs. `matrix` is [s_y, −F s_p], (CPDs, V, d, w), without s_y where
     children are observed; `residual` is e, and `size` the largest of the numbers it is a sum of,
-    (CPDs, runs, d); `noise` is Σ; `known` (CPDs, w) marks the columns of parents without variance
-    in the prior. Components not measured, counted as `missing` (CPDs, V), have unit variance.
-    `doubtful` (CPDs,) marks a child without variance whose parents have some: do the parts of F p
-    cancel exactly, or by rounding?
+    (CPDs, runs, d); `noise` is Σ, (CPDs, V, d, d); `known` (CPDs, w) marks the columns of parents
+    without variance in the prior. `missing` (CPDs, V) counts the components of an observed child
+    that were not measured: their rows are zero, and their noise is independent, of variance one.
+    `doubtful` (CPDs,) marks a hidden child some component of which has no variance in the prior
+    although it depends on a parent with variance: it is open whether the parts of F p cancel
+    exactly, or by rounding.
     """
 
     matrix: Array
@@ -122,9 +126,9 @@ class _Linearised(NamedTuple):
 class _Factor:
     """The rows of CPDs of one shape, (V, CPDs, d, w), with right sides (V, CPDs, d, N).
 
-    `matrix` and `right` have the rows with noise, `exact` and `exact_right` those without, with
-    zeros in place of the other's rows; `fixed` says whether some are exact. Log-scales are (V,
-    CPDs, N); `coarse` is as for `Potentials`.
+    `matrix` and `right` have the rows with noise and zeros in place of the exact rows, `exact` and
+    `exact_right` the exact rows and zeros in place of the rows with noise; `fixed` says whether
+    some row is exact. Log-scales are (V, CPDs, N); `coarse` is as for `Potentials`.
     """
 
     matrix: Array

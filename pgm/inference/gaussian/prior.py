@@ -1,4 +1,4 @@
-"""The prior predictive moments: where a network is first linearised, and its unit of length.
+"""The prior predictive moments: where a network is first linearised, and units of its variables.
 
 The *place* of a component is its index in the vector of all hidden components, (size,).
 """
@@ -21,11 +21,12 @@ SHARE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Coordinates ξ with x = mean + scale ξ, in which factors are kept: (runs, size) and (size,).
+    """The coordinates ξ in which factors are kept: x = mean + scale ξ, with x (size,).
 
-    The means and standard deviations are the prior's predictive ones, so that large coordinates
-    cost no digits and units do not matter. Components that are `certain`, (size,), have no variance
-    at all: their ξ is zero.
+    x is the vector of all hidden components. `mean` (runs, size) are the prior's predictive means,
+    or those of a start, and `scale` (size,) the largest predictive standard deviations of any run,
+    so that large coordinates cost no digits and units do not matter. The mask `certain` (size,)
+    marks components that have no variance at all: their ξ is zero.
     """
 
     mean: Array
@@ -40,13 +41,13 @@ Predictive = Callable[..., Frame]
 def prior_predictive(
     layout: Layout, families: list[Family], runs: int, *, shared: bool, start: Array | None
 ) -> Frame:
-    """Push moments through the CPDs in topological order, linearising on the way.
+    """The frame of the prior predictive moments, pushed through the CPDs, parents before children.
 
-    `families` has one for each group; `shared` says whether all runs have the same covariances,
-    which are then computed once. Without a `start` nonlinear CPDs are linearised here. At a start,
-    (runs, size), they have to be linearised already, and it is the frame's mean; where it is NaN
-    the mean follows from the parents. A unit is at least a millionth of the numbers that its mean
-    is a sum of.
+    `families` has a `Family` for each group of CPDs; `shared` says whether all runs have the same
+    covariances, which are then computed once. Without a `start` nonlinear CPDs are linearised here,
+    at the moments of their parents. With a start, (runs, size), they have to be linearised already,
+    and the start is the frame's mean; where it is NaN the mean follows from the parents. The scale
+    of a component is at least a millionth of the numbers that its mean is a sum of.
     """
     mean = np.empty((runs, layout.size)) if start is None else start.copy()
     variance = np.zeros((1 if shared else runs, layout.size))
@@ -85,8 +86,8 @@ def prior_predictive(
 class _Frontier:
     """The joint covariance of the components that later CPDs need.
 
-    It is (V, slots, slots), V = `stacked`; `slots` has each component's row there by its place, and
-    `free` the rows that no component uses.
+    `cov` is (V, slots, slots), V = `stacked`. A component in use has a slot, its row and column of
+    `cov`: `slots` maps its place to it, and `free` lists the slots without a component.
     """
 
     def __init__(self, stacked: int) -> None:
@@ -95,18 +96,18 @@ class _Frontier:
         self.free = list(range(8))
 
     def covariance(self, places: Integers) -> tuple[Array, Array]:
-        """The covariance of the components at places (m,), and that with all slots.
+        """The covariance of the components at `places` (m,), and their covariance with all slots.
 
-        They are (V, m, m) and (V, m, slots).
+        The two are (V, m, m) and (V, m, slots).
         """
         rows = [self.slots[int(place)] for place in places]
         across = self.cov[:, rows]
         return across[:, :, rows], across
 
     def add(self, places: Integers, across: Array, own: Array) -> None:
-        """Take in the components at d places.
+        """Give slots to the new components at `places` (d,).
 
-        `own` (V, d, d) is their covariance, and `across` (V, d, slots) that of them with the
+        `own` (V, d, d) is their covariance, and `across` (V, d, slots) their covariance with the
         components in all slots so far.
         """
         while len(self.free) < len(places):

@@ -2,8 +2,9 @@
 
 The rows of all factors and messages stand in one buffer: the *entries* of their matrices along one
 axis, their right sides along another, with one for each *row*. An elimination gathers the rows of a
-cluster's CPDs and of messages to it by such indices, and integrates columns out. The *place* of a
-component is its index in the vector of all hidden components; its *column* that in a cluster.
+cluster's CPDs and of messages to it, by indices along both axes, and integrates columns out. The
+*place* of a component is its index in the vector of all hidden components; its *column* that in a
+cluster.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Stack:
 
     @property
     def kept(self) -> int:
-        """The number of columns left: the sepset's components."""
+        """The number of columns that are not integrated out: those of the sepset; 0 of a belief."""
         return int(self.components.shape[1] - self.drop)
 
 
@@ -52,7 +53,8 @@ class Rounds:
     """Where the rows of a layout's factors and messages stand in one buffer.
 
     The factors of the CPDs come first, group by group, then the messages, each with as many rows as
-    its sepset has components, then a zero, at which all that is missing points.
+    its sepset has components, then a single zero, to which indices of absent entries and rows
+    point.
     """
 
     layout: Layout
@@ -110,10 +112,10 @@ class Rounds:
 
     @cached_property
     def _arriving(self) -> list[tuple[Integers, Integers]]:
-        """For each message, indices of its entries (s, n) and right sides (s,), for the target.
+        """For each message a pair: the buffer's indices of its entries (s, n) and right sides (s,).
 
-        s are the sepset's components, n the columns of the target cluster in the order of its
-        scope: entries outside the sepset point at the zero.
+        s are the sepset's components, n the columns of the cluster that the message goes to, in the
+        order of its scope: indices of entries outside the sepset point at the zero.
         """
         found = []
         for message, target in enumerate(self.layout.directed.target.tolist()):
@@ -124,10 +126,10 @@ class Rounds:
         return found
 
     def _block(self, cluster: int, places: Integers, first: int, height: int) -> Integers:
-        """Indices of entries (height, n) in a cluster's n columns.
+        """The buffer's indices, (height, n), of entries of `height` rows in a cluster's n columns.
 
-        In the buffer the rows stand from `first` on, over the components at `places` only; entries
-        of other columns point at the zero.
+        In the buffer the rows stand from entry `first` on, over the components at `places` only;
+        indices in other columns point at the zero.
         """
         columns = self.layout.columns[cluster]
         block = np.full((height, len(columns)), self.entry_starts[-1])
@@ -138,8 +140,8 @@ class Rounds:
     def messages(self, wanted: Sequence[int]) -> list[Stack]:
         """The eliminations that compute some messages, by number.
 
-        Each gathers the rows of the source cluster's CPDs and of the messages to it, save the
-        target's, and integrates out what is not in the sepset.
+        Each gathers the rows of the source cluster's CPDs and of all messages to it but the target
+        cluster's, and integrates out the components that are not in the sepset.
         """
         layout, directed = self.layout, self.layout.directed
         kept = (layout.components(layout.sepsets[m // 2]).tolist() for m in wanted)
@@ -147,26 +149,31 @@ class Rounds:
         return self._stacks(zip(wanted, sources, map(directed.inputs, wanted), kept, strict=True))
 
     def beliefs(self, clusters: Iterable[int]) -> list[Stack]:
-        """The eliminations of all columns of some clusters, from CPDs and all messages to them."""
+        """The eliminations that compute the beliefs of some clusters.
+
+        Each gathers the rows of the cluster's CPDs and of all messages to it, and integrates out
+        all columns.
+        """
         outgoing = self.layout.directed.outgoing
         return self._stacks([(i, i, [m ^ 1 for m in outgoing[i]], []) for i in clusters])
 
     def potentials(self, clusters: Iterable[int]) -> list[Stack]:
-        """The eliminations of all columns of some clusters, from their CPDs alone."""
+        """The eliminations of all columns of some clusters, from the rows of their CPDs alone."""
         return self._stacks([(i, i, [], []) for i in clusters])
 
     @cached_property
     def all_beliefs(self) -> list[Stack]:
-        """The eliminations of all columns of every cluster; see `beliefs`."""
+        """The eliminations that compute the beliefs of every cluster; see `beliefs`."""
         return self.beliefs(range(len(self.layout.scopes)))
 
     def _stacks(self, tasks: Iterable[tuple[int, int, list[int], list[int]]]) -> list[Stack]:
-        """Lay out eliminations.
+        """Lay out eliminations, in stacks of one shape.
 
-        A task is a message or cluster, the cluster that it comes from, the numbers of the messages
-        to gather, and the places of the components to keep. Clusters with as many components, as
-        many of them kept, and about as many rows make one stack. Eliminated columns come first;
-        rows that one has less than another of its stack point at the zero.
+        A task is the number of a message or cluster, the cluster whose CPDs are gathered, the
+        numbers of the messages to gather, and the places of the components to keep. Tasks with
+        equal numbers of columns, and of columns kept, and about as many rows make one stack. The
+        columns that are integrated out come first. Where a task has fewer rows than others of its
+        stack, the indices of the absent rows point at the zero.
         """
         count = len(self.layout.scopes)
         zero, zero_row = int(self.entry_starts[-1]), int(self.row_starts[-1])

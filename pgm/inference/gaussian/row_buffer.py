@@ -22,8 +22,8 @@ from pgm.kernels.rows import Eliminated, Rows, eliminate
 class Buffer:
     """Factors and messages as rows; see `Rounds` for where they stand.
 
-    V runs have a matrix each and N = 1, or V = 1 matrix is for all of N runs. `proper` rows have
-    noise, `exact` ones are relations without it, None where there are none. Log-scales are (V,
+    V runs have a matrix each and N = 1, or V = 1 matrix is for all of N runs. `proper` are the rows
+    with noise, `exact` the relations without noise, None where there are none. Log-scales are (V,
     clusters + messages + 1, N), the last zero. `coarse` is that of `Potentials`, and `largest` the
     largest entry of all factors and eliminations, by which digits are estimated (`certificate`).
     """
@@ -38,7 +38,7 @@ class Buffer:
 
     @classmethod
     def make(cls, rounds: Rounds, model: Model) -> Buffer:
-        """A buffer of zeros; see `refresh`."""
+        """A buffer of zeros, for a model whose factors `refresh` puts in."""
         stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
         entries, rows = int(rounds.entry_starts[-1]) + 1, int(rounds.row_starts[-1]) + 1
         logs = len(rounds.layout.scopes) + len(rounds.layout.directed) + 1
@@ -65,11 +65,11 @@ class Buffer:
         np.add.at(self.log_scale.swapaxes(0, 1), clusters, potentials.log_scale.swapaxes(0, 1))
 
     def factor(self, stack: Stack) -> Rows:
-        """The factors that a stack gathers, CPDs and messages of B clusters: (V, B, k, n)."""
+        """The factors that a stack gathers, of CPDs of B clusters and messages, (V, B, k, n)."""
         return self._rows(stack.entries, stack.rows)
 
     def _rows(self, entries: Integers, rows: Integers) -> Rows:
-        """The rows at some entries (B, k, n) and sides (B, k), with exact ones if there are any."""
+        """Rows with their matrices at `entries` (B, k, n) and right sides at `rows` (B, k)."""
         exact = () if self.exact is None else self.exact.at(entries, rows)
         return Rows(*self.proper.at(entries, rows), *exact)
 

@@ -77,11 +77,11 @@ def _solved(
     again: bool,
     judge: Judge,
 ) -> GaussianPosterior:
-    """The posterior in float64, or where that keeps too few digits or fails, in decimals.
+    """The posterior in float64, or, where float64 fails or keeps too few digits, in decimals.
 
-    Only if `again` is it calculated in decimals, as small networks are; else a failure is raised,
-    and for too few digits the status has their number, and warns. `at` are the means of a start,
-    (runs, size), or None; `judge` is as for `Model.make`.
+    `again` allows the calculation in decimals, which is for small networks; without it a failure is
+    raised, and where digits are too few the status has their number, of which the caller warns.
+    `at` are the means of a start, (runs, size), or None; `judge` is as for `Model.make`.
     """
     loopy = isinstance(schedule, Loopy)
     try:
@@ -109,10 +109,11 @@ def _solved(
 
 
 def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) -> Status:
-    """The status with the digits that are left by what was `lost` and by the means' last place.
+    """The status with the correct digits of the means, which two errors limit.
 
-    `lost` (runs,) is an error of means in their standard deviations; None if it leaves enough
-    digits: then the last place counts only if some error by it is over 10⁻⁶ standard deviations.
+    `lost` (runs,) is the error of the computation, in standard deviations of the means; None if it
+    leaves enough digits. The other error is half the last place of a mean in float64: without
+    `lost` it counts only if it is over 10⁻⁶ standard deviations in some run.
     """
     place = last_place.rounding(*beliefs.components(), model.frame.scale)
     if lost is not None:
@@ -125,7 +126,10 @@ def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) ->
 def _plan(
     graph: ClusterGraph, observed: frozenset[Variable], absent: frozenset[Variable]
 ) -> TreePlan:
-    """The plan of a tree's messages for evidence of some variables; the graph keeps it."""
+    """The plan of a graph's messages, for evidence of the `observed` variables.
+
+    The `absent` variables are left out. The graph caches the plan; see `ClusterGraph.derived`.
+    """
     return TreePlan(Layout(graph, observed, absent))
 
 
@@ -152,7 +156,7 @@ class _Tree:
         relinearise(at.beliefs, self.model, active)
 
     def settled(self) -> bool:
-        """Whether the model of each run is the one asked for: True, since it has no stages."""
+        """Whether a run may converge: True, since no robust loss has to settle first."""
         return True
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
@@ -165,9 +169,10 @@ def _iterated(
 ) -> tuple[Calibrated, Status]:
     """Solve, linearise at the beliefs, and solve again, until the means stay.
 
-    They stay when no mean moves by more than the schedule's tolerance in standard deviations; its
-    iterations are the most linearisations. A schedule that is no `Calibration`, as None, counts as
-    `Calibration()`. `solver` solves the model as it is linearised.
+    They stay when no mean moves by more than the schedule's tolerance in standard deviations; the
+    schedule's iterations are the most linearisations. A schedule that is no `Calibration`, as None,
+    counts as `Calibration()`. `solver` solves the model as it is linearised. Returns the last
+    solution and the status.
     """
     asked = schedule if isinstance(schedule, Calibration) else Calibration()
     tree, exact = _Tree(model, solver), np.full(model.runs, model.exact)
@@ -187,7 +192,7 @@ def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
     """The means of all hidden components at a start, (runs, size).
 
-    Of a variable that the start lacks they are NaN if it has no children; else it is an
+    A variable that the start lacks gets NaN if it has no children; if it has, it is an
     EvidenceError.
     """
     require_hidden(start, layout.places)

@@ -44,12 +44,15 @@ class TreePlan:
 
     @cached_property
     def forest(self) -> Forest:
-        """The tree, rooted."""
+        """The trees of the graph, each with a root."""
         return Forest.of(self.layout.graph)
 
     @cached_property
     def levels(self) -> list[list[Stack]]:
-        """Stacks of messages to parents by depth, deepest first; last of the roots' beliefs."""
+        """Stacks of messages to parents, in a list for each depth of the tree, deepest first.
+
+        The last list has the stacks of the roots' beliefs.
+        """
         *below, roots = reversed(self.forest.levels)
         found = [self.rounds.messages(self.upward[level].tolist()) for level in below]
         return [*found, self.rounds.beliefs(roots.tolist())]
@@ -75,7 +78,7 @@ class TreePlan:
 
     @cached_property
     def both_ways(self) -> list[list[Stack]]:
-        """The messages to parents, deepest first, then those to children."""
+        """Rounds of stacks: messages to parents, deepest first, then messages to children."""
         downward = (self.upward[level] ^ 1 for level in self.forest.levels[1:])
         down = [self.rounds.messages(messages.tolist()) for messages in downward]
         return [*self.levels[:-1], *down]
@@ -84,7 +87,8 @@ class TreePlan:
     def separators(self) -> list[list[tuple[Integers, Integers]]]:
         """For each stack of messages, where `Beliefs` has the sepsets' moments, in the parents.
 
-        They are flat indices of means (B, s) and covariances (B, s, s); see `Places.of`.
+        separators[level][stack] are flat indices of means (B, s) and covariances (B, s, s), as
+        `Places.of` gives them, for the B messages of ``levels[level][stack]``.
         """
         parent = self.forest.parent
         return [
@@ -98,9 +102,10 @@ class TreePlan:
 
 @dataclass(frozen=True, eq=False)
 class TreeBeliefs(Beliefs):
-    """Moments of a tree's clusters, with the gains G of the upward pass, (V, B, r, s).
+    """Moments of a tree's clusters, with the gains G of the upward pass.
 
-    gains[level][stack] are the regressions of components r on the sepset with the parent.
+    gains[level][stack] (V, B, r, s) are the regressions of the r components that each of B clusters
+    integrates out on the s components of the sepset with its parent; see `TreePlan.levels`.
     """
 
     gains: list[list[Array]]
@@ -152,7 +157,10 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
 
 
 def _certain(cov: Array) -> Array:
-    """Covariances in which variances that are only rounding are zero, and so their covariances."""
+    """Covariances (..., n, n) with zero for variances that are only rounding, at most `CERTAIN`.
+
+    The covariances of a component without variance are zero, too.
+    """
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) > CERTAIN
     if open_.all():
         return cov

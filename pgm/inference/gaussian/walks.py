@@ -22,7 +22,10 @@ MOST = 1000
 
 
 def shown(radius: float) -> str:
-    """A spectral radius in three or four digits, or 1 and its difference from 1 where it rounds."""
+    """The text of a spectral radius: three or four digits.
+
+    Where these digits are "1", the text is 1 plus or minus the radius's distance from 1.
+    """
     text = f"{radius:.4g}" if radius < 1.0 else f"{radius:.3g}"
     if text != "1" or radius == 1.0:
         return text

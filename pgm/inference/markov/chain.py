@@ -1,4 +1,4 @@
-r"""The chain family of finitely many states: beliefs are probabilities, one for each state.
+r"""Hidden Markov chains of finitely many states: a belief is a probability for each state.
 
 With weights l_t(x) = p(z_t | x), of the measurements of step t, the forward messages are
 
@@ -77,7 +77,7 @@ class Slices(Behind, Protocol):
         """Raise `EvidenceError` for a step's measurements, which are impossible in some run.
 
         belief: The predicted belief under which they have probability zero, (*states, *runs).
-        run: Such a run, by its place among the flattened runs.
+        run: A run in which they are impossible, by its place among the flattened runs.
         """
         ...
 
@@ -126,9 +126,9 @@ class BackwardChain:
     def back(self, step: int, message: Array) -> Array:
         """The backward message to a step, of sum one, but zero where the filtered belief is zero.
 
-        `message` is that to the step after it. Posteriors are the same without these zeros; with
-        them, states that are possible are not lost beside impossible ones for which later
-        measurements speak.
+        `message` is the backward message to the step after it. The zeros change no posterior;
+        without them the entries of possible states might underflow where later measurements favour
+        impossible states.
         """
         found, zero = self._passed(step, message), self.semiring.zero
         return self._scaled(np.where(self.known[step] > zero, found, zero))
@@ -197,13 +197,14 @@ class StateChain(BackwardChain):
     def contradicted(
         self, step: int, belief: Array, joint: Array, totals: Array
     ) -> tuple[Array, Array]:
-        """What `take` goes on with where measurements are impossible in some run.
+        """The joint and the sums that `take` goes on with if measurements are impossible in a run.
 
         belief: The predicted belief of the step, (*states, *runs).
         joint: The product of `belief` and the weights of the measurements.
         totals: The sums of `joint` over the states, (*runs), some of them zero.
 
-        Returns `joint` and `totals`, or others in their place; here an `EvidenceError` is raised.
+        Returns `joint` and `totals`, or, in a subclass, arrays in their place; this class raises an
+        `EvidenceError`.
         """
         self.slices.refuse(step, belief, int(np.argmin(totals > self.semiring.zero)))
 
@@ -253,7 +254,7 @@ class StateChain(BackwardChain):
         return rows
 
     def smoothed_beliefs(self) -> Array | list[Array]:
-        """The beliefs given all measurements, by step."""
+        """The beliefs given all measurements, by step, as `gathered` returns them."""
         return self.gathered(self.smoothed())
 
     def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:

@@ -70,7 +70,7 @@ class Contraction(NamedTuple):
     order: The permutation for `transpose` that comes last: axis i of the result is axis
         ``order[i]`` of the array after the steps and `spread`.
     back: Whether maps are applied from the child to the parent, as their transposes.
-    largest: Entries, of one run, of the largest array that a step leaves.
+    largest: The number of entries, in one run, of the largest array that a step leaves.
     """
 
     steps: tuple[Step, ...]
@@ -173,10 +173,11 @@ class Contraction(NamedTuple):
 
 
 def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool) -> Array:
-    """An array with one axis transformed by a `Transition`, that of all runs or that of each run.
+    """An array with one of its axes transformed by the `Transition` of each run.
 
-    The axis, of the parent's states, becomes one of the child's, or if `back` one of the child's
-    becomes one of the parent's; where runs have maps of their own, they are the last axis.
+    The axis of the parent's states becomes one of the child's states, or, if `back`, an axis of the
+    child's states one of the parent's. If runs have different transitions, the array's last axis is
+    that of runs.
     """
     if move.maps[0][1] is None:
         return _mapped(move.maps[0][0], array, axis, semiring, back)

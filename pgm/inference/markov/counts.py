@@ -13,11 +13,11 @@ from pgm.kernels.arrays import Array, Integers
 def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Array]:
     """The expected number of times that each CPD's parents and child had their states.
 
-    cpds: The CPDs to count for, of the posterior's model; their tables are arrays of numbers, not
+    cpds: CPDs of the posterior's model, for which to count; their tables are arrays of numbers, not
         functions.
 
-    Returns: By CPD, (size of each parent..., size of the child), summed over steps, sightings and
-        runs.
+    Returns: By CPD its counts, (size of each parent..., size of the child), summed over steps,
+        measurements and runs.
     """
     chain, plan, bound = posterior._chain, posterior._plan, posterior._slices.bound
     model = posterior.graph.model

@@ -1,8 +1,8 @@
-"""Runs of a chain whose measurements have probability zero: from which step on, and what is NaN.
+"""Runs of a chain whose measurements have probability zero: from which step on, and with which NaN.
 
-Such runs are called *lost*. A belief that knows the impossible measurement is NaN: a filtered one
-from its step on, a fixed-lag one as many steps earlier, a smoothed one at all steps. The filtered
-beliefs before it, and the predicted one at its step, are what the measurements before it give.
+These runs are called *lost*. A belief that knows the first impossible measurement, of step t, is
+NaN: a filtered one from step t on, a fixed-lag one from step t less the lag on, a smoothed one at
+all steps. The filtered beliefs before step t, and the predicted belief at step t, are not NaN.
 """
 
 from __future__ import annotations

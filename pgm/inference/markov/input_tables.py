@@ -1,4 +1,7 @@
-"""Tables of CPDs that are functions of inputs, called at the values of each row."""
+"""Tables of CPDs that are functions of inputs, called at the inputs' values.
+
+A *row* is the place of a step, or of a measurement, along the first axis of the inputs' values.
+"""
 
 from __future__ import annotations
 

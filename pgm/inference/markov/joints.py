@@ -39,7 +39,7 @@ def potential(
 ) -> tuple[Array, Array | None, Array | float]:
     """The transition into a step, or the prior, and the weights of the step's measurements.
 
-    All measurements given count, also in runs whose impossible ones the chain has left out.
+    All measurements of the evidence count, even impossible ones that the chain has left out.
 
     Returns, in entries of the chain's semiring: p(slice | states before), (*states, *slice, *runs),
     or at step 0 p(states), (*slice, *runs); the weights, (*slice, *runs), None where nothing is
@@ -60,8 +60,8 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
 
     It is given the measurements that a belief of this `kind` at the latest of their steps knows. A
     forward message goes from the first of the steps to the latest; from the step of each variable
-    on it has one axis more, of that variable's state. There it is multiplied by the backward
-    message.
+    on it has one more axis, of that variable's state. At the latest step it is multiplied by the
+    backward message.
     """
     slices: TableSlices = chain.slices  # type: ignore[assignment]
     semiring, axes = chain.semiring, len(plan.shape)
@@ -98,10 +98,10 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
 
 
 def _behind(values: Array, axes: int, passed: int) -> Array:
-    """Values over a slice, with axes of length one for variables of earlier slices behind its own.
+    """Values over a slice with further axes of length one, for variables of earlier slices.
 
     values: (*slice, *runs), with `axes` axes of the slice; they become (*slice, 1..., *runs).
-    passed: How many variables of earlier slices there are.
+    passed: The number of variables of earlier slices, and of new axes.
     """
     return values.reshape(*values.shape[:axes], *(1,) * passed, *values.shape[axes:])
 

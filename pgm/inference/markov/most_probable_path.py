@@ -17,11 +17,12 @@ def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
 
         δ_0 = ln p(x_0) l_0,    δ_t(x) = ln l_t(x) + max_x' (ln p(x | x') + δ_{t−1}(x')).
 
-    No pointers are kept: of a state on the path the best one before it is the maximum over a single
-    column, looked for on the way back.
+    Here l_t(x) = p(z_t | x) is the likelihood of the measurements of step t. No pointers are kept:
+    the best state before a state on the path is the maximum over a single column, looked for on the
+    way back.
 
     Returns: A list of the states of each variable of the slice, (runs, T + 1), where controls have
-    0 at step 0; and ln p(path, measurements), (runs,), with sensors summed over where not read.
+    0 at step 0; and ln p(path, measurements), (runs,), summed over sensors that were not measured.
 
     Source: Viterbi, Error bounds for convolutional codes, 1967; Koller & Friedman, section 13.3.
     """

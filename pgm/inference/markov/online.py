@@ -72,10 +72,10 @@ class OnlineTables(InCode, Immutable):
     ) -> OnlineStates:
         """The belief one step later, before its measurements.
 
-        belief: Of this filter; another filter's, or a smoothed one of `lagged`, raises
-            `ModelError`.
-        inputs: Of the transition's inputs the name or index of a state, (...), or values (..., d);
-            None where it has no inputs.
+        belief: A belief of this filter. One of another filter, or a smoothed one of `lagged`,
+            raises `ModelError`.
+        inputs: For each input of the transition the names or indices of states, (...), or values
+            (..., d); None if the transition has no inputs.
         """
         self._check(belief)
         given = as_mapping(inputs, "the inputs of predict")
@@ -100,11 +100,11 @@ class OnlineTables(InCode, Immutable):
     def update(self, belief: OnlineStates, readings: Mapping[Variable, Any]) -> OnlineStates:
         """The belief given measurements of its step, and those of earlier updates at this step.
 
-        belief: Of this filter; another filter's, or a smoothed one of `lagged`, raises
-            `ModelError`.
+        belief: A belief of this filter. One of another filter, or a smoothed one of `lagged`,
+            raises `ModelError`.
         readings: For a sensor the name or index of the state measured, (...), `soft` weights (...,
-            size), or ``pgm.sightings(values, given=...)`` without steps, any number; for inputs
-            that the sensors need, their states or values.
+            size), or, for any number of measurements, ``pgm.sightings(values, given=...)`` without
+            steps; for inputs that the sensors need, their states or values.
         """
         self._check(belief)
         given = step_evidence.mapping(readings, "update", "sensors to measurements")
@@ -115,6 +115,7 @@ class OnlineTables(InCode, Immutable):
         before = self._spread(belief, bound.lead)
 
         def taken(own: TableSlices, known: Held) -> tuple[Array, Array | None, Array | float]:
+            """The belief times the new weights, all weights of the step, and the log-scale."""
             weights, scale = own.likelihood(step)
             if weights is None:
                 return known.entries, known.weights, 0.0
@@ -136,11 +137,15 @@ class OnlineTables(InCode, Immutable):
         )
 
     def _in_digits(self, slices: TableSlices, known: Held, work: Any) -> tuple[Held, Array]:
-        """A belief after some work, in numbers, or in logarithms where numbers may lose a state.
+        """A prediction or an update, in numbers, or in logarithms where numbers may lose a state.
 
-        work: Takes slices and a belief, both in one semiring; returns its new entries, (*states,
-            *runs), not normalised, the weights of its step's measurements or None, and a log-scale
-            of the entries.
+        A state is lost if its probability underflows.
+
+        slices: The transition, or the measurements, of the step.
+        known: The belief before.
+        work: The prediction or update, a function of slices and a belief, both in one semiring. It
+            returns the new entries, (*states, *runs), not normalised; the weights of the step's
+            measurements, or None; and a log-scale of the entries.
 
         Returns: The belief, of sum one, and the logarithm of the entries' sum, their scale
             included, (*runs).
@@ -174,6 +179,7 @@ class OnlineTables(InCode, Immutable):
         axes = len(self._plan.slice)
 
         def wide(values: Array | None) -> Array | None:
+            """Values (*slice, [runs]), repeated for the runs of `lead`; None stays None."""
             if values is None:
                 return None
             new = (1,) * (len(lead) - len(belief.lead))

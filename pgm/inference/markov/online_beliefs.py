@@ -47,7 +47,7 @@ class Held(NamedTuple):
         return SUM_PRODUCT if self.linear else LOG_SUM_PRODUCT
 
     def within(self, semiring: Semiring) -> Held:
-        """The same belief in entries of a semiring, which is its own or one of logarithms.
+        """The same belief in entries of a semiring: that of the belief, or one of logarithms.
 
         A belief of logarithms cannot become one of numbers.
         """
@@ -189,7 +189,10 @@ class _Window:
         self.steps, self.lead = len(passed), lead
 
     def smoothed(self) -> Array:
-        """The probabilities of the states at the first step, given all of the window."""
+        """The probabilities of the states at the window's first step, (*states, *runs).
+
+        They are given all measurements up to the window's last step.
+        """
         chain = BackwardChain(self, self.semiring)
         chain.known = [each.entries for each in self.held]
         message = chain.unit()

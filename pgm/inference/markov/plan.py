@@ -1,7 +1,9 @@
-"""The slices of a discrete dynamic network with evidence: tables at their rows, by step.
+"""The slices of a discrete dynamic network with evidence, and the tables of its CPDs at each step.
 
-A *slice* is the hidden variables of a step, states and controls. Arrays have an axis for each, then
-one of runs, or none where the user gave none. A *row* is a step's place in the values of inputs.
+A *slice* is the hidden variables of a step, states and controls. Arrays have an axis for each
+hidden variable, then one of runs, or none where the user gave no axes of runs. A *row* is a step's
+place in the values of inputs. A *map* is the table of a CPD with one hidden parent as a matrix that
+is applied along the parent's axis (`Move`).
 """
 
 from __future__ import annotations
@@ -37,15 +39,16 @@ ADVICE = (
 class SlicePlan:
     """A plan of the sums over the slices of a model: variables with their axes, and contractions.
 
-    It is made once for a model, whatever the evidence.
+    A plan is made once for a model, whatever the evidence.
 
-    slice: The hidden variables of a step, states and controls: the axes of a belief. Controls have
-        length one at step 0.
+    slice: The hidden variables of a step, states and controls: the axes of a belief. At step 0 the
+        axes of controls have length one.
     states: The variables of the slice that are states, in its order.
-    labels: A number for each variable: of one in the slice its axis; of each state at the step
-        before, ``x.previous``, in the order of `states`, the next number after those.
-    sizes: The number of states by label.
-    shape, first_shape: Of a belief without runs, at steps from 1 on and at step 0.
+    labels: A number for each variable. A variable of the slice has the number of its axis; the
+        states at the step before, ``x.previous``, have the numbers after these, in the order of
+        `states`.
+    sizes: The number of states of each variable, by label.
+    shape, first_shape: The shape of a belief without runs, at steps from 1 on and at step 0.
     """
 
     def __init__(self, layout: SliceLayout) -> None:
@@ -152,9 +155,11 @@ class RowTables:
         return self._joined(states, semiring, as_map)
 
     def _joined(self, states: Any, semiring: Semiring, as_map: bool) -> Factor:
-        """The table of runs whose observed parents differ, runs last; or each run's map.
+        """The tables of all runs, where observed parents differ by run, with runs on the last axis.
 
-        states: (observed parents, runs).
+        With `as_map` the result is a `Move` with the map of each run.
+
+        states: The observed parents' states, (observed parents, runs).
         """
         keys, which = np.unique(states, axis=1, return_inverse=True)
         parts: list[Any] = [self._factor(tuple(map(int, key)), semiring, as_map) for key in keys.T]
@@ -188,7 +193,7 @@ class RowTables:
         return found
 
     def _called(self, row: int, semiring: Semiring, as_map: bool) -> Factor:
-        """The table that the function of inputs returns at a row, runs last; or each run's map."""
+        """The table at a row, where a function of the inputs gives it; see `factor`."""
         tables = self.called.at(row)
         states = [self.inputs[v][row, :, 0] for v in self.observed]
         runs = max([len(tables), *map(len, states)])
@@ -213,17 +218,19 @@ class RowTables:
 
     @cached_property
     def _least(self) -> float:
-        """The smallest positive entry, which tells whether products in float64 may underflow."""
+        """The smallest positive entry of the table: it tells whether products may underflow."""
         if self.cpd._maps:
             return min(each.smallest for each in self.cpd._maps.values())
         return smallest_entry(self.cpd.table)
 
 
 class TableSlices:
-    """The slices of a discrete dynamic network: `Slices` whose numbers are tables.
+    """The slices of a discrete dynamic network with its evidence, as a `StateChain` needs them.
+
+    They are `Slices` whose transitions are sums of products of tables.
 
     first: The step of row 0 of the transition; 1, of recorded evidence.
-    semiring: That of all entries: `SUM_PRODUCT`, unless the slices were made by `within`.
+    semiring: The semiring of all entries: `SUM_PRODUCT`, unless the slices were made by `within`.
     rows: The tables of each transition CPD.
     weights: The weights of states by each sensor's measurements.
     of_runs: The end of an error's text for impossible measurements where there are axes of runs; it
@@ -276,7 +283,7 @@ class TableSlices:
         return cast(tuple[TableCPD, ...], self.plan.model.prior)
 
     def prior(self) -> Array:
-        """The probabilities of the states at step 0, (*slice, *runs); controls have length one."""
+        """The probabilities of the states at step 0, (*slice, *runs); controls have length 1."""
         semiring = self.semiring
         tables = [semiring.entries(cpd.table) for cpd in self._prior_cpds]
         found = self.plan.prior.apply(np.full((), semiring.one), tables, semiring)
@@ -320,7 +327,7 @@ class TableSlices:
 
     @cached_property
     def single(self) -> bool:
-        """Whether one map moves one state variable, alike in all runs."""
+        """Whether the slice is one state, whose transition is a map that all runs share."""
         only = len(self.plan.slice) == 1 and len(self.plan.states) == 1
         return only and self.plan.onward.along == {0} and not self.rows[0].by_run
 
@@ -369,9 +376,9 @@ class TableSlices:
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
         """The weights of a step's measurements, and their log-scale; None without measurements.
 
-        The weights are entries of the semiring, (*slice, [runs]), and one in runs lost by then.
-        p(z_t | x) is the weights, which broadcast with a belief, times the exponential of the
-        scale.
+        The weights are entries of the semiring, (*slice, [runs]); in runs whose measurements are
+        left out from this step or an earlier one (`lost`) they are the semiring's one. p(z_t | x)
+        is the weights, which broadcast with a belief, times the exponential of the scale.
         """
         found, log_scale = self.given_likelihood(step)
         if found is None or self.lost is None:
@@ -407,8 +414,9 @@ class TableSlices:
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
         """Raise `ImpossibleEvidence` for measurements that a predicted belief makes impossible.
 
-        `run` counts the flattened runs. The error names the sensor of the first measurement after
-        which no state is possible in this run, and has all runs that are lost at this step.
+        `belief` is the predicted belief, (*slice, [runs]); `run` counts the flattened runs. The
+        error names the sensor of the first measurement after which no state is possible in this
+        run, and marks all runs in which the step's measurements are impossible.
         """
         left, culprit = belief, None
         for weights in self.weights:

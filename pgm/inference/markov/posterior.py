@@ -102,7 +102,10 @@ class StatePosterior(Posterior):
 
     @property
     def _lost(self) -> Integers | None:
-        """The step, ([runs]), from which on runs are impossible; None if all are possible."""
+        """The step, ([runs]), from which on measurements are impossible; None if all are possible.
+
+        It is T + 1 in runs whose measurements are all possible.
+        """
         return self._slices.lost
 
     def _blanked(self, beliefs: Beliefs, kind: Kind) -> Beliefs:
@@ -157,11 +160,12 @@ class StatePosterior(Posterior):
         Raises
         ------
         EvidenceError
-            If none is given, or one is not hidden, is without a step, or does not stand there.
+            If no variable is given, or a variable is not hidden, has no step, or is not in the
+            model at its step.
         ModelError
-            If one stands twice.
+            If a variable is given twice.
         GraphError
-            If the table, or one on the way, would not fit.
+            If the table, or a table on the way to it, would not fit memory.
         """
         scope = discrete(require_at_steps(self.graph.layout, variables, self.graph.steps))
         # Arrays on the way hold those of earlier slices, and the whole of the last one.
@@ -184,9 +188,9 @@ class StatePosterior(Posterior):
 
         Its log-scale carries the evidence that went into it. Backward messages, from a later
         cluster to an earlier one, are sent by smoothing alone; without it they raise GraphError.
-        One may have zeros for states that are impossible given the measurements up to its step:
-        where later measurements speak so much for these that the possible states' entries would be
-        too small for numbers.
+        A backward message may have zeros for states that are impossible given the measurements up
+        to its step: where later measurements favour these states so strongly that the
+        possible states' entries would be too small for float64.
         """
         source, target = self.graph.index(source), self.graph.index(target)
         scope = discrete(self.graph.sepsets[source, target])
@@ -210,10 +214,11 @@ class StatePosterior(Posterior):
     def _scaled_back(self, step: int, message: Array) -> tuple[Array, Array]:
         """The backward message to a step as values, (sizes..., [runs]), and its log-scale.
 
-        p(later measurements | states) is the values, whose largest is one, times exp(log-scale),
-        (*runs). `message`, (*states, *runs), is the same message up to a factor. Where later
-        measurements speak so much for impossible states that the possible ones' entries would be
-        too small for numbers, the message is made anew, with zeros for the impossible states.
+        p(later measurements | states) is the values, whose largest is one, times exp(log-scale);
+        the log-scale is (*runs). `message`, (*states, *runs), is the same message up to a factor.
+        Where later measurements favour impossible states so strongly that the possible states'
+        entries would be too small for numbers, the message is made anew, with zeros for the
+        impossible states.
         """
         chain = self._chain
         with np.errstate(invalid="ignore"):  # 0/0, where numbers hold none of the states
@@ -245,10 +250,10 @@ class StatePosterior(Posterior):
             yield self._scaled_back(step, plain)
 
     def _sized(self, step: int, message: Array) -> tuple[Array, Array, Array]:
-        """A message to a slice, its product with the filtered belief summed, and its largest entry.
+        """A message to a slice, the sum of its product with the filtered belief, its largest entry.
 
-        `message`, (*states, *runs), is returned as it is; the other two are (*runs). All are in
-        entries of the chain's semiring.
+        `message`, (*states, *runs), is returned as it is; the sum over the states and the largest
+        entry are (*runs). All are entries of the chain's semiring.
         """
         chain = self._chain
         found = chain.total(chain.semiring.times(chain.known[step], message))
@@ -257,7 +262,7 @@ class StatePosterior(Posterior):
     def _message_back(self, step: int, passed: Callable[[int, Array], Array]) -> Array:
         """The message to the slice of a step, (*states, *runs), from measurements after the step.
 
-        It takes in those that a belief of the posterior's kind at this step knows.
+        It takes in the measurements that a belief of the posterior's kind at this step knows.
         ``passed(step, message)`` makes the message to a step from that to the next one.
         """
         chain = self._chain

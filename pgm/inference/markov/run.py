@@ -51,9 +51,10 @@ def run(
 
 
 def solved(slices: TableSlices) -> StateChain:
-    """The chain after its forward sweep, with logarithms where numbers may have lost a state.
+    """The chain after its forward sweep, of logarithms if plain numbers may have lost a state.
 
-    Evidence of probability zero is refused with an `ImpossibleEvidence`.
+    A state is lost if its probability underflows. Evidence of probability zero is refused with an
+    `ImpossibleEvidence`.
     """
     found = _in_numbers(slices) if slices.smallest >= TINY else None
     return found or StateChain(slices.within(LOG_SUM_PRODUCT), LOG_SUM_PRODUCT).run()
@@ -78,10 +79,11 @@ def _in_numbers(slices: TableSlices) -> StateChain | None:
 
 
 def _without_impossible(slices: TableSlices) -> StateChain:
-    """The chain after its forward sweep, without a lost run's measurements from a step on.
+    """The chain after its forward sweep, for evidence that is impossible in some runs.
 
-    That is the step of the run's first impossible measurements, where its log-density is −∞;
-    `chain.slices.lost` has it for each run.
+    The measurements of such a run are left out from the first step on at which they have
+    probability zero; its log-density at this step is −∞. `chain.slices.lost` has the step of each
+    run.
     """
     lost = first_lost(slices)
     chain = solved(slices.until(lost))
@@ -92,7 +94,7 @@ def _without_impossible(slices: TableSlices) -> StateChain:
 
 
 def require_beliefs(plan: SlicePlan, bound: BoundEvidence, sets: int) -> None:
-    """Raise `GraphError` if beliefs, or tables on the way from a step to the next, would not fit.
+    """Raise `GraphError` if the beliefs, or the tables of one step's message, do not fit memory.
 
     `sets` is how many beliefs are kept for each step and run.
     """

@@ -12,7 +12,7 @@ from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, S
 def require_chain(graph: DynamicGraph, beliefs: str) -> None:
     """Raise `GraphError` for a balanced tree of slices, since beliefs sweep along a chain.
 
-    `beliefs` is what the error calls the beliefs, a plural such as "tables".
+    `beliefs` names the beliefs in the error's text: a plural such as "tables".
     """
     if isinstance(graph, BalancedGraph):
         raise GraphError(
@@ -25,8 +25,8 @@ def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
     """The kind of beliefs that a schedule gives; smoothed without a schedule.
 
     `Filtering`, `FixedLag` and `Smoothing` are taken, and `Calibration` counts as `Smoothing`. Any
-    other schedule, or one with a gate, damping, or more than one iteration, raises a `ModelError`,
-    which calls the beliefs by the plural `beliefs`, such as "tables".
+    other schedule, or one with a gate, damping, or more than one iteration, raises a `ModelError`.
+    `beliefs` names the beliefs in the error's text: a plural such as "tables".
     """
     if schedule is None or type(schedule) is Calibration:
         schedule = Smoothing() if schedule is None else Smoothing(schedule.iterations)

@@ -33,8 +33,8 @@ _WINDOWS = 16
 class DirectChain(StateChain):
     """A hidden Markov chain of one state variable, whose messages are computed many steps at once.
 
-    precise: Whether `run` was made, and has lost no state to underflow; else the chain is not to be
-        used.
+    precise: Whether `run` was called, and has lost no state to underflow; if not, the chain must
+        not be used.
     """
 
     slices: TableSlices
@@ -68,10 +68,10 @@ class DirectChain(StateChain):
 
     @cached_property
     def _blocks(self) -> markov.Blocks | None:
-        """The sweeps of all steps in blocks, worked at side by side; None where there are none.
+        """The sweeps in blocks of steps that are computed side by side; None if not worth it.
 
-        Blocks are made without an axis of runs, for few states and many steps (`FEW`, `MANY`) whose
-        transition is constant and dense.
+        Blocks are worth it if beliefs have no axis of runs, states are few, steps are many (`FEW`,
+        `MANY`) but not too many for memory (`ROOM`), and the transition is constant and dense.
         """
         steps, size = self.slices.steps, self.slices.plan.shape[0]
         if self.batch or size > FEW or steps < MANY or steps * size > ROOM:
@@ -84,7 +84,11 @@ class DirectChain(StateChain):
 
     @cached_property
     def _by_runs(self) -> bool:
-        """Whether the runs of a state lie side by side in memory, as dense matrices want them."""
+        """Whether the runs of a state lie side by side in memory, not the states of a run.
+
+        They do if beliefs have an axis of runs and the transition is a dense matrix, whose products
+        with them are then faster.
+        """
         return bool(self.batch) and isinstance(self._map(1), Dense)
 
     def room(self, like: Array) -> Array:
@@ -114,7 +118,7 @@ class DirectChain(StateChain):
         return self._latest[1]
 
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
-        """The functions `_apply` returns for each step of a part, in the order of the part."""
+        """The function that `_apply` returns for each step of a part, in the order of the part."""
         if self.slices.constant is not None:
             return repeat(self._apply(part[0], back), len(part))
         return (self._apply(step, back) for step in part)

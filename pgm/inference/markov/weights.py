@@ -23,10 +23,9 @@ class Weights:
 
     A *row* is the place of a measurement among the sensor's, which are sorted by step.
 
-    runs: How many runs there are.
-    batch: Whether beliefs have an axis of runs.
-    observed: The sensor's parents that evidence gives.
-    shape: That of the weights without runs: an axis for each variable of the slice, of length one
+    runs: How many runs there are. batch: Whether beliefs have an axis of runs. observed: The
+    sensor's parents that evidence gives. shape: The shape of the weights without runs: an axis for
+    each variable of the slice, of length one
         for a variable that is no parent.
     soft: Whether the measurements are soft evidence, weights of the sensor's states.
     """
@@ -74,9 +73,9 @@ class Weights:
         return logs
 
     def _laid(self, table: Array, lead: int) -> Array:
-        """A table (lead..., parents..., child) as (lead..., observed..., child, *slice).
+        """A table (lead..., parents..., child) as (lead..., observed parents..., child, *slice).
 
-        `lead` is the number of its leading axes.
+        The hidden parents' axes go to those of the slice. `lead` is the number of leading axes.
         """
         axes = (*self.cpd.given, self.cpd.child)
         order = [lead + axes.index(v) for v in (*self.observed, self.cpd.child, *self.order)]
@@ -86,9 +85,9 @@ class Weights:
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
         """The weights of a measurement, (*slice, [runs]), the semiring's one in runs without it.
 
-        The result is None if the measurement at this row is missing, not soft, and of the only run
-        or of all runs together. Entries are those of the semiring; as numbers, the
-        weights of soft evidence are to be multiplied by the exponential of `log_scale`.
+        The result is None if a measurement that is not soft is missing in the only run, or in all
+        runs at once, which share it. Entries are those of the semiring; as numbers, the weights of
+        soft evidence are to be multiplied by the exponential of `log_scale`.
         """
         values, taken = self.reading.values[row], self.reading.taken[row]
         if self.cpd.function is None:
@@ -112,11 +111,12 @@ class Weights:
         return np.moveaxis(found, 0, -1)
 
     def picked(self, part: range) -> tuple[Array, Array] | None:
-        """The weights of some steps, (steps, *slice, [runs]), and log-scales, picked in one go.
+        """The weights of some steps, (steps, *slice, [runs]), and log-scales, (steps, [runs]).
 
-        The largest weight of each step and run is one; a step without a measurement has ones.
-        `part` are consecutive steps. None where a step has several measurements, or where the
-        weights are no column of a constant table: with observed parents, soft evidence, a function.
+        All steps' weights are indexed at once. The largest weight of each step and run is one; a
+        step without a measurement has ones. `part` are consecutive steps. None where a step has
+        several measurements, or where the weights are no column of a constant table: with observed
+        parents, soft evidence, a function.
         """
         rows = self._rows(part)
         step = self.reading.step[rows.start : rows.stop] - part.start
@@ -137,8 +137,8 @@ class Weights:
         """The weights p(z | x) by state z of a sensor, (k + 1, *slice), and log-scales, (k + 1,).
 
         The largest weight of each of the k states z is made one; log-scales are the logarithms of
-        the divisors. The last entry is that of no measurement: ones, and 0. For sensors none of
-        whose parents is observed.
+        the divisors. The last entry is that of no measurement: ones, and 0. Only for sensors
+        without observed parents.
         """
         top = self._columns.max(axis=tuple(range(1, self._columns.ndim)), keepdims=True)
         top = np.where(top > 0.0, top, 1.0)
@@ -169,9 +169,9 @@ class Weights:
                 scales[step] += self.log_scale(row)
 
     def log_scale(self, row: int) -> Array | float:
-        """The logarithm of the factor that the weights of a row, as numbers, lack; 0 if not soft.
+        """The logarithm of the divisor of soft weights, as numbers; 0 if not soft.
 
-        It is (runs or 1,), or a number where beliefs have no axis of runs.
+        The result is (runs or 1,), or one number where beliefs have no axis of runs.
         """
         if not self.soft:
             return 0.0
@@ -202,10 +202,10 @@ class Weights:
         return single[..., None] if self.batch else single
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:
-        """The function's columns p(z | parents) at a row, and the places of each run's own.
+        """The table p(z | parents) that the function gives at a row, and indices into it.
 
-        The columns are (runs or 1, observed parents..., child, *slice), and the places index all
-        axes before the child's.
+        The table is (runs or 1, observed parents..., child, *slice). The indices are a list of
+        arrays (runs or 1,), one for each axis before the child's: they select each run's entries.
         """
         tables = self.called.at(row)
         places = [self.reading.inputs[v][row, :, 0] for v in self.observed]
