@@ -26,9 +26,10 @@ def beliefs_of(
 ) -> TreeBeliefs | AllowedBeliefs:
     """Calibrate a graph without loops: the beliefs of all clusters given the evidence.
 
-    Where the evidence of some run has probability zero `ImpossibleEvidence` is raised; with
-    `allow`, such runs are calibrated without evidence and `AllowedBeliefs` returned. `room` limits
-    what is computed at once, and kept. Tables too large for memory raise `GraphError`.
+    If the evidence of some run has probability zero, `ImpossibleEvidence` is raised; with `allow`,
+    these runs are calibrated without evidence instead, and `AllowedBeliefs` are returned. `room`
+    limits how many table entries are computed at once, and how many are kept. Tables too large for
+    memory raise `GraphError`.
     """
     try:
         return TreeBeliefs.of(graph, evidence, room)
@@ -40,7 +41,7 @@ def beliefs_of(
 
 
 def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
-    """The evidence without that of `lost` runs, a mask (runs,).
+    """The evidence of a batch, with that of lost runs taken out; the mask `lost` is (runs,).
 
     The states of lost runs become −1, "not observed", and their soft weights one.
     """
@@ -55,8 +56,8 @@ def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
 class AllowedBeliefs:
     """The calibrated beliefs of a tree, where some runs have impossible evidence.
 
-    possible: The beliefs of all runs, of which those lost were calibrated without evidence.
-    evidence: As it was given, that of lost runs included.
+    possible: The beliefs of all runs; lost runs were calibrated without evidence.
+    evidence: The evidence as it was given, that of lost runs included.
     lost: (runs,): which runs have evidence of probability zero.
     """
 
@@ -66,19 +67,19 @@ class AllowedBeliefs:
 
     @property
     def storage(self) -> Storage:
-        """The layout of the flat tables that `read` hands to its reader."""
+        """The layout of the flat array of all clusters' tables, which `read` gives its `reader`."""
         return self.possible.storage
 
     def marginal(self, variable: Discrete) -> Array:
-        """The probabilities of a variable, (states, [runs]); NaN in lost runs."""
+        """The marginal of a variable given the evidence, (states, [runs]); NaN in lost runs."""
         return self._where_lost(np.nan, self.possible.marginal(variable))
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of a function of the calibrated tables, NaN in lost runs.
+        """The result of `reader`, a function of the calibrated tables, with NaN in lost runs.
 
-        `reader` takes flat tables in the layout of `storage`, (entries or more, [runs]), and
-        returns an array whose last axis is that of runs, if there is one; it may be called for some
-        of the runs at a time.
+        `reader` takes the tables of all clusters in one flat array, (entries or more, [runs]), in
+        the layout of `storage`, and returns an array (..., [runs]). It may be called for some of
+        the runs at a time.
         """
         return self._where_lost(np.nan, self.possible.read(reader))
 
@@ -87,9 +88,9 @@ class AllowedBeliefs:
         return self._where_lost(-np.inf, self.possible.log_evidence())
 
     def log_total(self, cluster: int) -> Array:
-        """The value ln p(evidence in a cluster's tree), ([runs]); −∞ in all lost runs.
+        """The value ln p(evidence in the tree that has a cluster), ([runs]); −∞ in all lost runs.
 
-        It is −∞ there even if the evidence in another tree alone is impossible.
+        A lost run has −∞ for each cluster, even if only the evidence in another tree is impossible.
         """
         return self._where_lost(-np.inf, self.possible.log_total(cluster))
 

@@ -21,7 +21,8 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
 def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: Semiring) -> None:
     """Multiply the evidence of each variable into its home's table, in place.
 
-    `tables` is the flat storage, (entries or more, [runs]), in the entries of the semiring.
+    `tables` is one flat array of all clusters' tables, (entries or more, [runs]), in the layout of
+    `storage` and in the entries of the semiring.
     """
     for variable, state in evidence.states.items():
         table = storage.by_state[variable].of(tables)
@@ -37,9 +38,10 @@ def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: S
 
 
 def _weigh(table: Array, weights: Array, semiring: Semiring) -> None:
-    """Multiply weights (states, [runs]) into a table (states, others..., [runs]), in place.
+    """Multiply weights (states, [runs]) of a variable into a table, in place.
 
-    Weights are numbers, the table has entries of the semiring.
+    The table, (states, sizes of other variables..., [runs]), has entries of the semiring; the
+    weights are plain numbers.
     """
     shape = (len(weights), *(1,) * (table.ndim - weights.ndim), *weights.shape[1:])
     semiring.times(table, semiring.entries(weights.reshape(shape)), table)
@@ -64,7 +66,8 @@ def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
 def entered(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
     """Logarithms of one cluster's potential times the evidence that enters it, (sizes..., runs).
 
-    It is the cluster's table of `enter_everywhere`, with an axis for each variable of its scope.
+    The array is the cluster's table in the result of `enter_everywhere`, with an axis for each
+    variable of its scope.
     """
     scope = storage.scopes[cluster]
     table = np.repeat(storage.table(storage.logs, cluster)[..., None], evidence.runs, axis=-1)
@@ -88,19 +91,20 @@ def one_hot(states: Integers, size: int) -> Array:
 
 
 def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
-    """The index into a table over `scope` that puts in states given once for all runs.
+    """The index into a table over `scope` that selects the states given once for all runs.
 
-    It drops the axes of the variables with such a state. The axes of all other variables are kept,
-    even of those for which the evidence has a state for each run.
+    The index has one element for each variable of the scope: the observed state, which drops the
+    axis, where the evidence is one state given for all runs; else a slice, which keeps the axis,
+    even if the evidence is an array of states, one for each run.
     """
     states = evidence.states
     return tuple(s if isinstance(s := states.get(v), int) else slice(None) for v in scope)
 
 
 def axes_left(evidence: BoundStates, scope: States) -> States:
-    """The variables of `scope`, in its order, but those with one state given for all runs.
+    """The variables of `scope`, in its order, except those observed in one state for all runs.
 
-    The tables of messages and beliefs have an axis for each variable that is returned; the axes of
-    those left out `put_in` drops.
+    The tables of messages and beliefs have an axis for each variable that is returned; `put_in`
+    drops the axes of the others.
     """
     return tuple(v for v in scope if not isinstance(evidence.states.get(v), int))

@@ -1,8 +1,8 @@
 """Beliefs of the first question that is asked of a graph, answered without a plan.
 
 A *question* is one inference with its evidence. A *plan* lays tables and messages out once for many
-questions; `first_question` answers the first one without. What its answer lacks is computed by a
-plan on request.
+questions; `first_question` answers the first question without a plan, by marginals and the
+log-evidence. Joints, messages and beliefs of clusters are computed with a plan, on request.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from pgm.variables import Discrete
 class FirstBeliefs:
     """Beliefs of one run, from a graph's first question.
 
-    Marginals and ln p(evidence) are there. Joints, messages and beliefs of clusters are read from
-    tables that a plan lays out and calibrates when the first of them is asked for.
+    Marginals and ln p(evidence) are computed at once. Joints, messages and beliefs of clusters are
+    read from tables that a plan lays out and calibrates when the first of these is asked for.
     """
 
     graph: ClusterGraph
@@ -40,10 +40,11 @@ class FirstBeliefs:
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> FirstBeliefs | None:
         """The beliefs of a graph without loops, if nothing was asked of it before; else None.
 
-        The evidence must have no axes of runs. None too if a number underflows, or if the evidence
-        is impossible: a plan then calibrates with logarithms, or finds out which evidence
-        contradicts which. `room` is for the plan that computes later what the answer lacks. Tables
-        that are too large raise `GraphError`.
+        The evidence must have no axes of runs. None is also returned if a number underflows or the
+        evidence has probability zero, so that the caller makes a plan, which calibrates with
+        logarithms or finds out which evidence contradicts itself. `room` limits the memory of the
+        plan that is made later if a joint, message or belief is asked for. Tables that are too
+        large raise `GraphError`.
         """
         if not _first(graph):
             return None
@@ -52,7 +53,7 @@ class FirstBeliefs:
         return None if found is None else cls(graph, evidence, room, found)
 
     def marginal(self, variable: Discrete) -> Array:
-        """The probabilities of a variable, (states,)."""
+        """The marginal of a variable given the evidence, (states,)."""
         return self._answer.marginals[variable]
 
     def log_evidence(self) -> Array:
@@ -66,15 +67,18 @@ class FirstBeliefs:
 
     @property
     def storage(self) -> Storage:
-        """The layout of the flat tables that `read` hands to its reader."""
+        """The layout of the flat array of all clusters' tables, which `read` gives its `reader`."""
         return self._planned.storage
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of `reader`, called with the calibrated flat tables, (entries or more,)."""
+        """The result of `reader`, called with the calibrated tables of all clusters.
+
+        The tables stand in one flat array, (entries or more,), in the layout of `storage`.
+        """
         return self._planned.read(reader)
 
     def log_total(self, cluster: int) -> Array:
-        """The value ln p(evidence in a cluster's tree), ()."""
+        """The value ln p(evidence in the tree that has a cluster), ()."""
         return self._planned.log_total(cluster)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
@@ -86,7 +90,7 @@ class FirstBeliefs:
 
 
 def _first(graph: ClusterGraph) -> bool:
-    """Whether nothing was asked of a graph and no plan was made of it; marks it as asked."""
+    """Whether a graph has had no question and no plan so far; it is marked as having had one."""
     if graph._derived:
         return False
     graph.derived(_asked)
@@ -94,5 +98,5 @@ def _first(graph: ClusterGraph) -> bool:
 
 
 def _asked(graph: ClusterGraph) -> bool:
-    """The mark that a graph was asked, True, for ``graph.derived`` to keep."""
+    """True, which ``graph.derived`` keeps as the mark that a question was asked of the graph."""
     return True

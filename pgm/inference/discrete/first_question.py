@@ -1,13 +1,15 @@
 """The first question of a graph without loops: one set of evidence, answered without a plan.
 
-A plan serves many sets of evidence, and making it takes as long as a dozen of them. The first one
-does without: each cluster's table is made when it is needed, from its CPDs and the messages to it.
-A graph that is asked again is worth a plan.
+A *plan* lays all tables and messages out once, for many sets of evidence; making it takes as long
+as a dozen inferences with it. For the first set of evidence none is made: each cluster's table is
+multiplied when it is needed, from its CPDs and the messages to it. From the second on, a plan pays.
 
-Variables are denoted by numbers, their places in the network. One that is observed keeps an axis of
+Variables are denoted by numbers, their places in the network. An observed variable keeps an axis of
 length one. All tables have their axes in one order, in which a cluster's *own* variables, those
-that it does not share with its parent, stand first. A table is thus a matrix (own, shared): the
-message to the root is the sum of its rows, and the message back multiplies each row by one vector.
+that it does not share with its parent, stand before the shared ones. A cluster's table is thus a
+matrix, with a row for each joint state of its own variables and a column for each joint state of
+the shared ones: the message to the parent is the sum of the rows, and the message back multiplies
+each row by one vector.
 """
 
 from __future__ import annotations
@@ -53,10 +55,10 @@ Factor = tuple[Sequence[int], Array]
 def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
     """The marginals and ln p(evidence) of one run, computed in plain numbers.
 
-    graph: Without loops.
-    evidence: Without axes of runs.
+    graph: A cluster graph without loops.
+    evidence: The evidence of one run, without axes of runs.
 
-    Returns: None where a number underflows, or the evidence has probability zero.
+    Returns: The answer; None if a number underflows, or the evidence has probability zero.
     """
     try:
         return _answer(graph, evidence)
@@ -73,16 +75,18 @@ def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
 class _Tree:
     """The two passes of messages over the trees of a graph, for one set of evidence.
 
-    order: The clusters, parents before children.
-    parent: Of each cluster; −1 of a root.
+    variables: The variables of the network; elsewhere each is denoted by its index here.
+    order: The numbers of the clusters, parents before children.
+    parent: Of each cluster, the number of its parent; −1 for a root.
     scopes: Of each cluster, its variables in the order of the axes of its table.
-    shared: Of each cluster, the last ones of its scope, which its parent has too.
-    rank: Of each variable, a number below zero; axes stand in the order of rank.
+    shared: Of each cluster, the variables that its parent has too, which stand last in its scope.
+    rank: Of each variable, a number below zero; the axes of all tables stand in ascending rank.
     shown: The state of each observed variable.
     sizes: Of each variable, its number of states; 1 if it is observed.
-    factors: Of each cluster, what its table is the product of: CPDs, soft evidence, and messages
-        from its children as they come.
-    columns: Of each cluster, its message to the parent, (entries of shared variables,).
+    factors: Of each cluster, the factors whose product is its table: its CPDs, its soft evidence,
+        and the messages from its children, appended when they are computed. A factor is a pair: its
+        variables in the order of its axes, and its values.
+    columns: Of each cluster, its message to the parent, (joint states of the shared variables,).
     """
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates) -> None:
@@ -112,10 +116,11 @@ class _Tree:
                 self.factors[homes[place]].append(self._of_weights(place, weights[0]))
 
     def _hang(self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]) -> None:
-        """Root each tree at its cluster of least number, and rank variables, the deepest first.
+        """Root each tree at its cluster of least number, and rank the variables.
 
-        `joined` are the neighbours of each cluster, by number, `members` its variables. Sets
-        `order`, `parent`, `scopes`, `shared` and `rank`.
+        The variables that a cluster does not share with its parent rank before all variables of the
+        clusters above it. `joined` has the neighbours of each cluster, by number, `members` its
+        variables. The attributes `order`, `parent`, `scopes`, `shared` and `rank` are set.
         """
         self.order = list[int]()
         self.parent = parent = [UNSEEN] * len(joined)
@@ -144,10 +149,10 @@ class _Tree:
                         waiting.append(other)
 
     def _of_cpd(self, family: Sequence[int], table: Array) -> Factor:
-        """A CPD as a factor, with its observed variables at their states, on axes of length one.
+        """A CPD as a factor, each observed variable at its state, on an axis of length one.
 
-        `family` is the child, then the parents; the table has the parents' axes in that order, then
-        the child's.
+        `family` are the numbers of the child, then of the parents; `table` has the parents' axes in
+        that order, then the child's. The axes of the factor stand in ascending rank.
         """
         given = [*family[1:], family[0]]
         if not self.shown.keys().isdisjoint(given):
@@ -189,10 +194,11 @@ class _Tree:
         """Send the messages to the roots; returns the clusters' tables, and ln p(evidence).
 
         The table of a cluster is the product of its factors, the messages from its children among
-        them, as a matrix (entries of own variables, entries of shared ones). The sum of its rows,
-        the message to the parent, is written to `columns`; ``shapes[k]`` are the sizes of the
-        shared variables of cluster k, the message's axes where it is a factor. A root's table keeps
-        an axis for each variable and is divided by its sum.
+        them, as a matrix (joint states of own variables, joint states of shared ones). The sum of
+        its rows, the message to the parent, is written to `columns`, and is appended to the
+        parent's factors with an axis for each shared variable; ``shapes[k]`` are the sizes of these
+        axes for cluster k. A root's table keeps an axis for each variable and is divided by its
+        sum.
         """
         tables: list[Array] = [NOTHING] * len(self.order)
         log_evidence = 0.0
@@ -212,7 +218,8 @@ class _Tree:
     def _product(self, scope: Sequence[int], factors: Iterable[Factor]) -> Array:
         """The product of some factors, with an axis for each variable of a scope, in its order.
 
-        Each factor is over some of these variables, in the same order. The product may be a view.
+        Each factor is over some of the scope's variables, in the scope's order. The result may be a
+        view of a factor's values, which must not be written to.
         """
         sizes = self.sizes
         table: Array | None = None
@@ -228,16 +235,18 @@ class _Tree:
     def _distribute(self, tables: list[Array]) -> dict[Discrete, Array]:
         """Send the messages back from the roots; returns the marginals of variables not observed.
 
-        `tables` are those that `_collect` returns. From the roots down, each is replaced by its
-        product with the parent's joint of the shared variables over the message that went up, and
-        so becomes the joint of its variables given the evidence. Each marginal is summed from the
-        smallest table, of a cluster or of shared variables, that has the variable.
+        `tables` are those that `_collect` returns. From the roots down, each table is multiplied by
+        the ratio of the parent's joint of the shared variables to the message that was sent to the
+        parent. The product, which replaces it, is the joint of the cluster's variables given the
+        evidence. Each marginal, (states,), is summed from the smallest table, of a cluster or of
+        shared variables, that has the variable.
         """
         sizes = self.sizes
         homes: list[Factor] = [((), NOTHING)] * len(sizes)
         least = [math.inf] * len(sizes)
 
         def offer(scope: Sequence[int], table: Array) -> None:
+            """Note a joint table for each variable of its scope, if smaller than all before it."""
             size = table.size
             for place in scope:
                 if size < least[place]:
@@ -257,7 +266,10 @@ class _Tree:
         return self._normalised(hidden, [_to((place,), *homes[place]) for place in hidden])
 
     def _normalised(self, hidden: Sequence[int], sums: Sequence[Array]) -> dict[Discrete, Array]:
-        """The marginals of hidden variables: `sums`, (states,) of each, divided by their totals."""
+        """The marginals of hidden variables, (states,) each: their `sums` divided by the totals.
+
+        `hidden` are the variables' numbers; `sums` has for each an array (states,).
+        """
         if not hidden:
             return {}
         widths = [self.sizes[place] for place in hidden]
@@ -278,7 +290,10 @@ NOTHING = np.empty(0)
 
 
 def _to(wanted: Sequence[int], scope: Sequence[int], table: Array) -> Array:
-    """A table over `scope` summed to the wanted variables, which keep the table's order."""
+    """A table over `scope` summed over all but the wanted variables.
+
+    The axes of the wanted variables keep the order that they have in `scope`.
+    """
     if len(wanted) == len(scope):
         return table
     axes = [axis for axis, place in enumerate(scope) if place not in wanted]

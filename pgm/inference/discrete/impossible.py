@@ -31,9 +31,8 @@ def require_possible(
     """Raise `ImpossibleEvidence` if the evidence has probability zero in some run.
 
     log_tops: (tops, [runs]): logarithms of the scales taken out of messages on the way to the
-        roots, of which one is −∞ where the evidence is impossible; see `tree_passes`.
-    of_runs: The end of the error's text, from its semicolon on, where the evidence has axes of
-        runs.
+        roots; in a run with impossible evidence at least one is −∞. See `tree_passes`.
+    of_runs: Text that is appended to the error's message if the evidence has axes of runs.
     """
     # One sum finds out, whatever is infinite.
     if math.isfinite(np.add.reduce(log_tops, None)):
@@ -63,8 +62,9 @@ def _contradiction(
     """The cluster of a tree at which evidence contradicts itself, and this evidence's variables.
 
     `evidence` is that of one run, `root` the tree's root. The cluster is the deepest whose message
-    to its parent is zero throughout, else the root. Of the variables in it and in all clusters
-    below it, those observed come first, then those whose soft evidence enters these clusters.
+    to its parent is zero throughout, or the root if no message is. The variables are those with
+    evidence in this cluster and in all clusters below it: first the observed ones, then those whose
+    soft evidence enters these clusters.
     """
     forest, scopes = plan.forest, plan.storage.scopes
     messages = TreeMessages(plan.storage, evidence)

@@ -1,7 +1,8 @@
 """Joint tables of variables of one cluster, or of several clusters of a tree.
 
 `tables` are the calibrated beliefs of all clusters in flat storage, (entries, [runs]), where [runs]
-is an axis that a single run lacks.
+is an axis that a single run lacks. A *factor* is a pair: its variables, and its values, with an
+axis for each variable, (sizes..., [runs]).
 """
 
 import math
@@ -24,7 +25,7 @@ Factor = tuple[States, Array]
 
 
 def holder(storage: Storage, wanted: States) -> int | None:
-    """The smallest cluster that holds all wanted variables; None if none does."""
+    """The number of the smallest cluster that holds all wanted variables; None if none does."""
     members: set[Discrete] = set(wanted)
     fits = [k for k, scope in enumerate(storage.scopes) if members.issubset(scope)]
     return min(fits, key=storage.graph.sizes.__getitem__, default=None)
@@ -33,10 +34,11 @@ def holder(storage: Storage, wanted: States) -> int | None:
 def joint(storage: Storage, tables: Array, scope: States) -> Array:
     """The joint probabilities of the variables of a scope, in its order, (sizes..., [runs]).
 
-    If no cluster holds them all, the graph must have no loops: each cluster's belief given its
-    sepset is multiplied into its parent's, along the smallest subtree that holds them, and other
-    variables are summed out as soon as may be. Joints of several trees are multiplied. A product
-    that would be too large raises `GraphError`.
+    If no single cluster holds all the variables, the graph must have no loops. Then, along the
+    smallest subtree whose clusters hold the variables, each cluster's belief, conditional on its
+    sepset with the parent, is multiplied into the parent's, and each other variable is summed out
+    once no later factor has it. The joints of several trees are multiplied. A product that would be
+    too large raises `GraphError`.
     """
     one = holder(storage, scope)
     if one is not None:
@@ -56,10 +58,15 @@ def _of_tree(
 ) -> Factor:
     """The joint of the variables `scope` of one tree, as a factor over them in any order.
 
-    `homes` are clusters of the tree that together hold these variables. On the part of the tree
-    that joins these clusters, each table is divided by its sepset with the parent, so that it is
-    conditional, and is multiplied into the parent, of which only the wanted variables and the
-    sepset with its own parent are kept: p(scope) = Σ p(top) Π p(cluster | sepset).
+    `homes` are clusters of the tree that together hold these variables. The smallest subtree that
+    joins the homes has as its top their lowest common ancestor, and
+
+        p(scope) = Σ p(top) Π p(cluster | sepset),
+
+    where the product is over the other clusters of the subtree, each given its sepset with its
+    parent, and the sum is over all variables not in `scope`. From the leaves up, each conditional
+    is multiplied into the parent's table, and then the variables are summed out that are neither in
+    `scope` nor in the parent's sepset with its own parent.
     """
     parent = forest.parent
     below: dict[int, int] = {}
@@ -85,9 +92,9 @@ def _of_tree(
 
 
 def _combined(factors: Sequence[Factor], keep: set[Discrete]) -> Factor:
-    """The product of some factors, summed over all variables but those to `keep`.
+    """The product of some factors, summed over all variables except those in `keep`.
 
-    Each variable is summed out as soon as no other factor has it.
+    Each variable is summed out as soon as no remaining factor has it.
     """
     result, *others = factors
     while True:
@@ -100,9 +107,10 @@ def _combined(factors: Sequence[Factor], keep: set[Discrete]) -> Factor:
 
 
 def _given(factor: Factor, sepset: States) -> Array:
-    """A belief divided by its sums over all variables but the sepset's: p(cluster | sepset).
+    """The values p(cluster | sepset) of a cluster's belief `factor`, (sizes..., [runs]).
 
-    It is zero where p(sepset) is zero.
+    The belief is divided by its sums over all variables outside the sepset; the result is zero
+    where p(sepset) is zero.
     """
     scope, values = factor
     axes = tuple(k for k, v in enumerate(scope) if v not in sepset)
@@ -112,7 +120,10 @@ def _given(factor: Factor, sepset: States) -> Array:
 
 
 def _product(a: Factor, b: Factor) -> Factor:
-    """The product of two factors over all variables of both; `GraphError` where it is too large."""
+    """The product of two factors, over all variables of both.
+
+    A product with more entries or axes than the limits allow raises `GraphError`.
+    """
     scope = a[0] + tuple(v for v in b[0] if v not in a[0])
     runs = a[1].shape[len(a[0]) :]
     entries = math.prod(sizes(scope)) * math.prod(runs)
@@ -127,14 +138,17 @@ def _product(a: Factor, b: Factor) -> Factor:
 
 
 def _arranged(factor: Factor, scope: States) -> Array:
-    """The values of a factor with an axis for each variable of a scope, of length one if new."""
+    """The values of a factor with an axis for each variable of a scope, in its order, [runs] last.
+
+    The axis of a variable that the factor does not have is of length one.
+    """
     own, values = factor
     # Turned round, so that runs lead as in tables.
     return spread(values.T, own[::-1], scope[::-1]).T
 
 
 def _sum(factor: Factor, keep: States) -> Array:
-    """A factor summed over all variables but those to `keep`, whose order its axes get."""
+    """A factor's values summed over all variables not in `keep`, (sizes of `keep`..., [runs])."""
     scope, values = factor
     total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
     return _arranged((tuple(v for v in scope if v in keep), total), keep)

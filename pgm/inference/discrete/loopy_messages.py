@@ -34,7 +34,7 @@ class TableMessages:
 
     potentials: (entries, runs): logarithms of potentials times evidence, in the order of `storage`.
     logs: (columns, runs): logarithms of the messages; `plan` says where each one stands.
-    damping: The share of the old message in a new one, from 0.
+    damping: The weight of the logarithm of the old message in the new one, in [0, 1); 0 for none.
     """
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates, damping: float) -> None:
@@ -52,17 +52,20 @@ class TableMessages:
 
     @property
     def bounded(self) -> bool:
-        """Whether no change can exceed one, for `loopy.Messages`: true of probabilities."""
+        """True: changes are of probabilities, of which none exceeds one; see `loopy.Messages`."""
         return True
 
     def round(self, messages: Sequence[int]) -> Sequence[Group]:
-        """Lay out the computation of messages, given by number, in groups of like clusters."""
+        """Lay out the computation of messages, given by number, as `loopy_plan` numbers them.
+
+        Returns groups of clusters that send them, each group of equal degree and table size.
+        """
         if messages == range(len(self.directed)):
             return self.plan.everything(self.runs)
         return self.plan.lay_out(messages, self.runs)
 
     def propose(self, round: Sequence[Group]) -> Array:
-        """Compute a round's messages from those kept, without keeping them; `accept` does.
+        """Compute a round's new messages from the current ones, which only `accept` replaces.
 
         Returns the largest change of a probability of each message, (messages, runs), in the order
         in which the round was laid out. A message that is zero throughout raises `EvidenceError`.
@@ -80,10 +83,11 @@ class TableMessages:
         return change
 
     def _products(self, group: Group) -> Array:
-        """Logarithms of the products of a group's potentials and all messages to them but one.
+        """Logarithms of a cluster's potential times all messages to it but one, for a group.
 
-        (neighbours · entries of the group, runs): the products of all entries without the message
-        of the first neighbour, then of all without that of the second, and so on.
+        The result is (neighbours · entries of the group, runs): first the products that leave out
+        the message of each cluster's first neighbour, at all entries of the group's tables; then
+        those that leave out the message of the second neighbour, and so on.
         """
         incoming = self.logs.take(group.incoming, 0)
         products = np.empty_like(incoming)
@@ -97,8 +101,8 @@ class TableMessages:
     def _normalised(self, messages: Array, outlet: Outlet) -> Array:
         """Messages of an outlet, each divided by its sum: logarithms, (messages, columns, runs).
 
-        The argument `messages` are such logarithms before the division. A message of sum zero is
-        refused with an `EvidenceError`, which names its sender.
+        The argument `messages` has the logarithms before the division, in the same shape. A message
+        of sum zero is refused with an `EvidenceError`, which names its sender.
         """
         total = log_sum(messages, 1)
         self._require_possible(total, outlet.senders)
@@ -106,10 +110,12 @@ class TableMessages:
         return normalised
 
     def _require_possible(self, totals: Array, clusters: Integers) -> None:
-        """Raise `EvidenceError` if a logarithm of a sum, (rows, runs), is −∞.
+        """Raise `EvidenceError` if a sum is zero, which tells that the evidence is impossible.
 
-        The evidence is then impossible. `clusters`, (rows,), are the numbers of the clusters that
-        the rows are of; the error names that of the first such row.
+        `totals`, (rows, runs), are the logarithms of the sums: of messages, of clusters' beliefs,
+        or of products of the two messages over a sepset, one a row. `clusters`, (rows,), has for
+        each row the number of the sender, or of the cluster whose belief it is. The error names the
+        cluster of the first row that is −∞ in the first run with such a row.
         """
         empty = totals == -np.inf
         if empty.any():
@@ -117,11 +123,13 @@ class TableMessages:
             raise contradicted(empty, found, self.evidence.lead)
 
     def accept(self, round: Sequence[Group], active: Mask, lost: Mask) -> None:
-        """Keep the messages of the last `propose`, in the runs that are active, (runs,).
+        """Replace messages by those of the last `propose`, in the runs that are active.
 
-        With damping d, a kept message is the new one to the power of 1 − d times the old one to the
-        power of d, normalised; if that is zero throughout an `EvidenceError` is raised. `lost`,
-        (runs,), marks runs whose messages have diverged; it is not used, as none is active.
+        `active`, (runs,), is the mask of these runs.
+        With damping d, the message that is kept is the new one to the power of 1 − d times the old
+        one to the power of d, normalised; if this product is zero throughout, an `EvidenceError` is
+        raised. `lost`, (runs,), marks runs whose messages have diverged; it is not used, as such
+        runs are not active.
         """
         for group in round:
             for outlet in group.outlets:
@@ -131,15 +139,16 @@ class TableMessages:
                 self.logs[outlet.columns] = np.where(active, new, old)
 
     def relinearise(self, active: Mask) -> None:
-        """Return None, for `loopy.Messages`: no CPD of a discrete network is nonlinear."""
+        """Return None, as `loopy.Messages` asks: no CPD of a discrete network is nonlinear."""
         return
 
     def beliefs(self) -> tuple[Array, Array]:
-        """The clusters' beliefs as probabilities, (entries, runs), and logarithms of their sums.
+        """The clusters' beliefs as probabilities, (entries, runs), and ln Z_cluster of each.
 
-        A belief is the potential times all messages to the cluster. Its sum, by which it is
-        divided, is Z_cluster; the logarithms are (clusters, runs). The beliefs stand as in the
-        storage. A belief that is zero throughout raises `EvidenceError`.
+        A belief is the cluster's potential times all messages to the cluster; Z_cluster is its sum,
+        by which it is divided. The logarithms ln Z_cluster are (clusters, runs). The entries of the
+        beliefs stand in the order of `storage`. A belief that is zero throughout raises
+        `EvidenceError`.
         """
         logs = self.potentials.copy()
         for group in self.plan.everything(self.runs):
@@ -152,8 +161,9 @@ class TableMessages:
     def log_evidence(self, totals: Array) -> Array:
         """The Bethe approximation of ln p(evidence), Σ ln Z_cluster − Σ ln Z_sepset, (runs,).
 
-        `totals` are ln Z_cluster, (clusters, runs), of `beliefs`. Z_sepset is the sum of the
-        product of the two messages over a sepset; if it is zero `EvidenceError` is raised.
+        `totals` are the values ln Z_cluster, (clusters, runs), that `beliefs` returns. Z_sepset is
+        the sum of the product of the two messages over a sepset; if it is zero `EvidenceError` is
+        raised.
         """
         value: Array = totals.sum(axis=0)
         widths = self.plan.widths
@@ -167,7 +177,7 @@ class TableMessages:
 
 
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
-    """Raise `GraphError` if tables and products of messages would not fit memory for all runs."""
+    """Raise `GraphError` if tables and products of messages, for all runs, exceed the limits."""
     # A cluster's table is multiplied by the messages of all neighbours but each in turn: where
     # these meet it is laid out for all clusters, the products are made for some at once.
     products = [size * max(1, len(graph.neighbours(k))) for k, size in enumerate(graph.sizes)]
@@ -194,7 +204,7 @@ class LoopyBeliefs:
     """The beliefs of a graph with loops after messages were sent, for a posterior to read.
 
     _tables: (entries, [runs]): the clusters' beliefs, of sum one; a single run has no axis.
-    _totals: (clusters, runs): the logarithms of their sums before they were normalised.
+    _totals: (clusters, runs): the logarithms of the beliefs' sums before normalisation.
     """
 
     messages: TableMessages
@@ -205,7 +215,7 @@ class LoopyBeliefs:
 
     @classmethod
     def of(cls, messages: TableMessages) -> LoopyBeliefs:
-        """The beliefs that the kept messages make: potentials times all messages to a cluster."""
+        """The beliefs of all clusters: the potential of each times all current messages to it."""
         tables, totals = messages.beliefs()
         if messages.runs == 1:
             tables = tables[:, 0]
@@ -217,14 +227,14 @@ class LoopyBeliefs:
         return self.storage.marginals.read(self._tables)
 
     def marginal(self, variable: Discrete) -> Array:
-        """The probabilities of a variable, (states, [runs])."""
+        """The marginal of a variable given the evidence, (states, [runs])."""
         return self._marginals[self.storage.marginals.where[variable]]
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of `reader`, called with the clusters' beliefs in flat storage.
+        """The result of `reader`, called with the clusters' beliefs in one flat array.
 
-        It takes them, (entries, [runs]), and returns an array whose last axis is that of runs, if
-        any.
+        `reader` takes the array, (entries, [runs]), in the layout of `storage`, where a single run
+        has no axis, and returns an array (..., [runs]).
         """
         return reader(self._tables)
 
@@ -240,7 +250,8 @@ class LoopyBeliefs:
     def message(self, source: int, target: int) -> tuple[Array, None]:
         """The message from one cluster to a neighbour, (sizes of the sepset..., runs), and None.
 
-        The message sums to one in each run. None stands for a log-scale, which it does not have.
+        The message sums to one in each run. None stands for a log-scale, which the message does
+        not have.
         """
         plan, graph = self.messages.plan, self.storage.graph
         edge = min(source, target), max(source, target)

@@ -1,8 +1,9 @@
 """The layout of rounds of messages on a graph of any shape, with like clusters in one call.
 
-Message 2e goes along sepset e, from the lower cluster to the higher, 2e + 1 back. A *round* is some
-messages that are computed together, from those kept. One array keeps all messages, in *columns*:
-one for each joint state of a message's sepset, in C order.
+Clusters are alike if they have equally many neighbours and table entries. Message 2e goes along
+sepset e, from the cluster of lower number to the other, message 2e + 1 back. A *round* is a set of
+messages that are computed together, all from the messages before it. One array has all messages, in
+*columns*: one for each joint state of a message's sepset, in C order.
 """
 
 from __future__ import annotations
@@ -29,11 +30,12 @@ Kept = tuple[bool, ...]
 class Outlet:
     """The outgoing messages of equal shape from a group of clusters.
 
-    index: (rows, messages · columns): the messages are the sums over the first axis of these rows
-        of `TableMessages._products`.
-    columns: (messages, columns): where the messages are kept.
-    order: (messages,): the place of each in the round, from 0.
-    senders: (messages,): the clusters that send them.
+    index: (rows, messages · columns): indices into the first axis of the products that
+        `TableMessages._products` returns; the sum of the indexed products over the rows has the
+        columns of the messages, one message after the other.
+    columns: (messages, columns): the indices of the messages' columns in the array of all messages.
+    order: (messages,): the place of each message in the round, from 0.
+    senders: (messages,): the numbers of the clusters that send the messages.
     """
 
     index: Integers
@@ -46,10 +48,11 @@ class Outlet:
 class Group:
     """Clusters with equally many neighbours and entries, computed in one batch, and their messages.
 
-    entries: (clusters · entries,): where the entries of their tables stand in the flat storage.
-    incoming: (neighbours, clusters · entries): of each entry, the column of each neighbour's
-        message that multiplies it.
-    outlets: The messages that they send in the round.
+    entries: (clusters · entries,): where the entries of the clusters' tables stand in the flat
+        storage.
+    incoming: (neighbours, clusters · entries): for each entry, the column of each neighbour's
+        message by which the entry is multiplied.
+    outlets: The messages that the clusters send in the round, those of equal shape together.
     """
 
     entries: Integers
@@ -60,8 +63,10 @@ class Group:
 class LoopyPlan:
     """The layout of a graph's messages and of its rounds.
 
-    sepsets: Of each message, the variables that it is over.
-    widths, first: (messages,): the number of its columns, and the first of them.
+    storage: The layout of the clusters' tables in one flat array.
+    directed: The source and the target of each message.
+    sepsets: Of each message, the variables of its sepset.
+    widths, first: (messages,): of each message, the number of its columns, and the first of them.
     """
 
     def __init__(self, graph: ClusterGraph) -> None:
@@ -75,16 +80,17 @@ class LoopyPlan:
         self._shapes: dict[tuple[tuple[int, ...], Kept], tuple[Integers, Integers]] = {}
 
     def everything(self, runs: int) -> list[Group]:
-        """The round of all messages, laid out once for a number of runs."""
+        """The groups of the round of all messages, laid out once while `runs` stays the same."""
         if self._all is None or self._all[0] != runs:
             self._all = runs, self.lay_out(range(len(self.directed)), runs)
         return self._all[1]
 
     def lay_out(self, messages: Sequence[int], runs: int) -> list[Group]:
-        """The groups of clusters that compute some messages, given by number.
+        """The groups of clusters that send some messages, which are given by number.
 
-        Their senders are grouped by their numbers of neighbours and of entries. A group has as many
-        clusters as keep its products, for so many `runs` together, within a limit, or one.
+        The clusters of a group have equally many neighbours and entries. Their number is the most
+        for which the products that a group computes, (neighbours · entries of the group, runs),
+        have at most `limits.BATCH` entries, and at least one.
         """
         asked: dict[int, list[tuple[int, int]]] = {}
         for order, message in enumerate(messages):
@@ -103,8 +109,8 @@ class LoopyPlan:
     def _group(self, clusters: list[int], asked: dict[int, list[tuple[int, int]]]) -> Group:
         """The group of some clusters with equally many entries and neighbours.
 
-        `asked` gives, of each cluster, pairs (place in the round, number) of messages that it is to
-        send.
+        `asked` has for each cluster the messages that it is to send, as pairs (place of the message
+        in the round, number of the message).
         """
         size = self.storage.graph.sizes[clusters[0]]
         total = size * len(clusters)
@@ -129,7 +135,11 @@ class LoopyPlan:
         return Group(np.concatenate(entries), np.concatenate(incoming, axis=1), outlets)
 
     def _incoming(self, cluster: int) -> Integers:
-        """The columns of messages to a cluster that multiply its entries, (messages, entries)."""
+        """For each message to a cluster, the column that multiplies each entry of its table.
+
+        The columns are (messages, entries), in the order of the senders among the cluster's
+        neighbours.
+        """
         return np.array(
             [
                 self.first[message ^ 1] + self._shape(cluster, message)[1]
@@ -138,12 +148,13 @@ class LoopyPlan:
         )
 
     def _shape(self, cluster: int, message: int) -> tuple[Integers, Integers]:
-        """How a cluster's entries are summed to a message, and which column meets each entry.
+        """How a cluster's table entries and the columns of a message over a sepset correspond.
 
-        The first is a matrix of the indices of the cluster's entries, from 0, (rows, columns); the
-        sum of these entries over the rows is the message. The second is the column of each entry,
-        (entries,), counted from the message's first. Both depend on shapes alone and are cached by
-        these.
+        Returns two arrays of indices. The first, (rows, columns), has in each column the entries,
+        counted from the table's first, that sum to this column of the message. The second,
+        (entries,), is for each entry the column, counted from the message's first, whose states
+        agree with it. Both depend on the shape of the table and on the axes of the sepset alone,
+        and are cached by these.
         """
         scope, sepset = self.storage.scopes[cluster], self.sepsets[message]
         kept = tuple(v in sepset for v in scope)

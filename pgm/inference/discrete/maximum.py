@@ -58,12 +58,12 @@ class MostProbable(Shown, Immutable):
     Attributes
     ----------
     assignment : mapping of Discrete
-        The name of each variable's state, those with evidence included; where the evidence has
-        axes of runs, the indices of the states, (...), whose names `states` has. Of a dynamic
-        network the indices of each hidden variable's states by step, (..., T+1), of a control
-        (..., T).
+        The name of each variable's state, also of variables with evidence. Where the evidence has
+        axes of runs, the indices of the states, (*runs), whose names `states` gives. For a dynamic
+        network of T steps, the indices of each hidden variable's states by step, (*runs, T+1), or
+        (*runs, T) for a control.
     log_probability : ndarray
-        (...): ln p(assignment, evidence), natural logarithms.
+        (*runs): ln p(assignment, evidence), natural logarithms.
 
     Examples
     --------
@@ -89,7 +89,7 @@ class MostProbable(Shown, Immutable):
         Returns
         -------
         str or ndarray of str
-            An array where `assignment` has indices, and of the same shape.
+            The name; an array of names where `assignment` has an array of indices, in its shape.
 
         Raises
         ------
@@ -157,11 +157,13 @@ def most_probable(
 
     .. math:: \arg\max_x p(x, \text{evidence})
 
-    For a dynamic network of tables it is the most probable path of the hidden variables through all
-    steps (Viterbi); measurements that were not taken are summed over.
+    Here x has a state for every variable. For a dynamic network of tables the assignment is the
+    most probable path of the hidden variables through all steps (Viterbi); measurements that were
+    not taken are summed over.
 
-    Maxima in place of sums go to the roots of the tree, and their places are traced back. Of
-    several equally probable assignments it is always the same one.
+    Messages with maxima in place of sums are sent to the roots of the tree, and the states of the
+    maxima are traced back from there. Of several equally probable assignments the same one is
+    always returned.
 
     Parameters
     ----------
@@ -170,9 +172,9 @@ def most_probable(
     evidence : mapping of Discrete
         As for `infer`. Weights of `soft` evidence count as factors of the probability.
     memory : number, optional
-        As for `infer`; of each worker, where there are several.
+        As for `infer`; where there are several workers, the memory of each.
     executor : concurrent.futures.Executor, optional
-        To whose workers parts of the sets of evidence are handed, as by `infer`.
+        Its workers are handed parts of the runs, as by `infer`.
     progress : bool or callable
         As for `infer`.
 
@@ -242,6 +244,7 @@ def most_probable(
 
 
 def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable:
+    """The most probable path of a dynamic network of tables through all steps (Viterbi)."""
     bound = bind_chain(graph.model, evidence, graph.steps)
     require_chain(graph, "tables")
     plan = SlicePlan(graph.layout)
@@ -259,8 +262,10 @@ def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable
 class _Search:
     """A search for the most probable assignment of some runs, in pieces that fit into memory.
 
-    runs: How many runs the whole search has, its other parts included: the plan depends on it.
-    batch: How many table entries, times runs, are computed at once.
+    evidence: The evidence of these runs.
+    runs: The number of runs of the whole call, of which other workers may search the rest. The plan
+        is chosen by this number, so that all workers have the same one.
+    batch: The limit on the table entries, times runs, that are computed at once.
     """
 
     graph: ClusterGraph
@@ -270,7 +275,11 @@ class _Search:
 
 
 def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
-    """The results of `_search` for consecutive parts of the runs, one for each worker."""
+    """The results of `_search` for consecutive parts of the runs, one part for each worker.
+
+    Each result is a pair of states, (variables, runs of the part), and logarithms of scales,
+    (tops, runs of the part).
+    """
     runs = search.runs
     edges = [runs * k // workers.count for k in range(workers.count + 1)]
     parts = [slice(*pair) for pair in pairwise(edges) if pair[0] < pair[1]]
@@ -284,8 +293,8 @@ def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
 def _search(search: _Search) -> tuple[Integers, Array]:
     """The most probable states, (variables, runs), and the logarithms of the scales, (tops, runs).
 
-    Variables are in the order of ``plan.storage.homes``, states in the smallest integers that hold
-    them. The logarithms of a run sum to ln p(assignment, evidence).
+    Variables are in the order of ``plan.storage.homes``; states are indices, in the smallest type
+    of integers that holds them all. The logarithms of a run sum to ln p(assignment, evidence).
     """
     plan = plan_for(search.graph, search.runs, search.batch)
     homes = plan.storage.homes
@@ -299,9 +308,11 @@ def _search(search: _Search) -> tuple[Integers, Array]:
 def _assignment(
     plan: TreePlan, evidence: BoundStates, states: Integers
 ) -> dict[Discrete, str | Integers]:
-    """States (variables, runs), in the order of homes, by variable in the network's order.
+    """The most probable states as a mapping, with the variables in the network's order.
 
-    A state is its name, or where the evidence has axes of runs an array of indices, (...).
+    `states` are indices, (variables, runs), with the variables in the order of
+    ``plan.storage.homes``. The mapping has for each variable the name of its state or, where the
+    evidence has axes of runs, the array of its indices, (*runs).
     """
     found: dict[Discrete, str | Integers] = {}
     place = {variable: k for k, variable in enumerate(plan.storage.homes)}
@@ -314,9 +325,11 @@ def _assignment(
 def _maximise(plan: TreePlan, evidence: BoundStates) -> tuple[Integers, Array]:
     """The most probable states of some runs, (variables, runs), and log-maxima, (tops, runs).
 
-    Maxima go to the roots. Then, parents before children, the states of the variables that a
-    cluster shares with its parent pick a column of its table, whose largest entry gives the other
-    states. The log-maxima are those of the roots' tables; those that are not of roots are 0.
+    Messages with maxima in place of sums go to the roots. Then, parents before children, the states
+    of the variables that a cluster shares with its parent pick a column of the cluster's table, and
+    the largest entry of the column gives the states of its other variables. A root's log-maximum is
+    the largest logarithm in its table; the other tops are 0. Variables are in the order of
+    ``plan.storage.homes``.
     """
     runs = evidence.runs
     start = enter(plan, evidence, MAX_PRODUCT)
@@ -341,8 +354,8 @@ def _maximise(plan: TreePlan, evidence: BoundStates) -> tuple[Integers, Array]:
 def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
     """The row of the largest entry in one column of each cluster's table, (clusters, runs).
 
-    It is the first of equals. `entries`, (entries, runs), are the stack's tables; `column`,
-    (clusters, runs), counts the columns of the stack's matrix.
+    Of equal entries the first one counts. `entries`, (entries, runs), are the stack's tables;
+    `column`, (clusters, runs), is the index of each cluster's column in the stack's matrix.
     """
     runs = entries.shape[1]
     matrix = entries.reshape(*stack.shape, runs)
@@ -352,10 +365,11 @@ def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
 
 
 def _decode(plan: TreePlan, entry: Integers) -> Integers:
-    """The states of all variables, (variables, runs), in the order of homes.
+    """The states of all variables, (variables, runs), in the order of ``plan.storage.homes``.
 
-    `entry`, (clusters, runs), is an entry of each cluster's table, counted in C order of the scope
-    of its place.
+    `entry`, (clusters, runs), is for each cluster the index of an entry of its table, counted in C
+    order of the scope in ``plan.storage.places``. Each variable's state is read from its
+    home's entry.
     """
     homes = plan.storage.homes
     scopes = {home: plan.storage.places[home].scope for home in homes.values()}

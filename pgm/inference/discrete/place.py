@@ -27,9 +27,11 @@ LARGE = 2**13
 class Place:
     """A table's place in flat storage: its first index, and the strides of its axes.
 
+    scope: The table's variables.
+    start: The index of the table's first entry.
     steps: Of each variable, the stride of its axis, in entries.
-    large: Whether the table is contiguous and is used where it stands; the entries of others are
-        gathered by their positions.
+    large: Whether the table is contiguous and is used where it stands; the entries of a table that
+        is not large are gathered by their positions.
     """
 
     scope: States
@@ -57,30 +59,31 @@ class Place:
 
     @property
     def stored(self) -> States:
-        """The variables of a contiguous table in the order of its axes, which are in C order."""
+        """The variables of a contiguous table by the strides of their axes, the largest first."""
         return tuple(sorted(self.scope, key=self.steps.__getitem__, reverse=True))
 
     def positions(self, scope: States) -> Integers:
         """The positions of the table's entries, with an axis for each variable of a scope.
 
-        They count entries of the flat storage, and repeat along the axis of a variable that the
-        table does not have.
+        The positions are indices into the flat storage. Along the axis of a variable that the table
+        does not have they are constant.
         """
         return positions(self.start, self.steps, scope)
 
     def view(self, scope: States) -> View:
         """The view of the table with an axis for each variable of `scope`, in that order.
 
-        The variables are the table's own, all of them.
+        `scope` has the same variables as the table, in any order.
         """
         entry = np.dtype(np.float64).itemsize
         strides = tuple(entry * self.steps[variable] for variable in scope)
         return View(sizes(scope), entry * self.start, strides)
 
     def merged(self, wanted: States) -> Merged:
-        """The table, a contiguous one, with neighbouring axes merged, if all are wanted or none is.
+        """The shape of this contiguous table with neighbouring axes merged.
 
-        `wanted` are some of the table's variables, in the order that arrays over them have.
+        Axes that follow one another are merged if their variables are all in `wanted`, or none is.
+        `wanted` are some of the table's variables, in the order of the axes of arrays over them.
         """
         stored = self.stored
         runs = [list(same) for _, same in groupby(stored, wanted.__contains__)]
@@ -97,7 +100,7 @@ class Place:
 class View:
     """A view of a table in flat storage, with its axes in some order.
 
-    shape: The numbers of states along these axes.
+    shape: The numbers of states along the axes, in that order.
     start: The offset of its first entry in bytes, in storage of a single run.
     strides: The strides of the axes in bytes, in storage of a single run.
     """
@@ -107,7 +110,7 @@ class View:
     strides: tuple[int, ...]
 
     def of(self, tables: Array) -> Array:
-        """The table as a view of flat storage, (entries, [runs]): these axes, then that of runs."""
+        """The table in the flat storage `tables`, (entries, [runs]), as a view (*shape, [runs])."""
         if tables.ndim == 1:
             return np.ndarray(self.shape, np.float64, tables, self.start, self.strides)
         runs = tables.shape[1]
@@ -121,7 +124,10 @@ def by_state(place: Place, variable: Discrete) -> View:
 
 
 def steps(scope: States, last: int) -> dict[Discrete, int]:
-    """The strides of axes in C order, in entries, given the stride of the last."""
+    """The stride of each variable's axis, in entries, for axes in C order of a scope.
+
+    `last` is the stride of the last axis.
+    """
     found: dict[Discrete, int] = {}
     for variable in reversed(scope):
         found[variable] = last
@@ -130,9 +136,9 @@ def steps(scope: States, last: int) -> dict[Discrete, int]:
 
 
 def positions(start: int, step: Mapping[Discrete, int], scope: States) -> Integers:
-    """The indices start + Σ step · state, with an axis for each variable of a scope.
+    """The indices start + Σ_v step[v] · (state of v), with an axis for each variable v of a scope.
 
-    A variable without a step has step 0.
+    A variable that `step` does not have counts with step 0.
     """
     found: Integers = np.array(start)
     for variable in scope:
@@ -142,9 +148,13 @@ def positions(start: int, step: Mapping[Discrete, int], scope: States) -> Intege
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """A contiguous table with neighbouring axes merged, where all are wanted or none is.
+    """The shape of a contiguous table, with axes merged for sums and products over few axes.
 
-    shape: Of the table with merged axes, without runs.
+    Some variables of the table are *wanted*: the table is summed to these variables, or multiplied
+    by a factor over them. Neighbouring axes are merged if their variables are all wanted, or none
+    is.
+
+    shape: The lengths of the merged axes, without that of runs.
     others: The merged axes that are not of wanted variables.
     sizes: The numbers of states of the wanted variables, in the order in which they are stored.
     order: Of each wanted variable, in the order asked for, its index in `sizes`.
@@ -156,17 +166,17 @@ class Merged:
     order: tuple[int, ...]
 
     def axes(self, tail: int) -> tuple[int, ...]:
-        """The permutation for `transpose` of an array (sizes..., [runs]) to the order asked for.
+        """The axes by which `transpose` brings an array (*sizes, [runs]) to the order asked for.
 
-        `tail` is its number of axes behind those of the wanted variables: one of runs, or none.
+        `tail` is the number of the array's axes of runs, 1 or 0.
         """
         return (*self.order, *range(len(self.order), len(self.order) + tail))
 
     def spread(self, values: Array) -> Array:
         """Values over the wanted variables, reshaped to broadcast with the table of merged axes.
 
-        They are (joint states in the order asked for, [runs]), and become (shape with 1 for
-        `others`..., [runs]).
+        `values` are (joint states in the order asked for, [runs]); the result is (*shape, [runs]),
+        with length 1 for the axes `others`.
         """
         tail = values.shape[1:]
         asked = [self.sizes[k] for k in self.order]

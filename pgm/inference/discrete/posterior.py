@@ -32,16 +32,17 @@ from pgm.variables import Discrete, Variable
 class DiscretePosterior(Posterior):
     """The beliefs of a discrete network; leading axes are runs.
 
-    ``posterior[v]`` and ``posterior.joint(v, w)`` are a `Table` of probabilities. Of a tree they
-    are exact, of a graph with loops approximate. A variable that is observed in only some runs has
-    in these probability one for its state.
+    ``posterior[v]`` and ``posterior.joint(v, w)`` are a `Table` of probabilities. On a tree the
+    probabilities are exact, on a graph with loops approximate. In a run that observes a variable
+    which other runs do not, the marginal gives the observed state probability one.
 
-    On a tree, runs of equal evidence are computed once, those that differ in pieces, or one by one
-    where less than 64 would fit. Half the ``memory`` given to `pgm.infer`, 128 MiB, is for a piece,
-    whose tables take a fourth of it; the other half for calibrated tables that are kept. Of larger
-    batches marginals and log-evidence alone are kept, and each joint, belief or message calibrates
-    the runs again: ask once for a joint of several variables. An answer of more than a gibibyte is
-    refused.
+    On a tree, runs of equal evidence are computed once. Runs that differ are computed in pieces
+    that fit into memory, or one by one if a piece would have fewer than 64 runs. Half the
+    ``memory`` given to `pgm.infer`, by default 128 MiB, is for computing a piece, whose tables take
+    a fourth of that half; the other half is for calibrated tables that the posterior keeps. Of
+    batches whose tables do not fit there, marginals and log-evidence alone are kept, and each call
+    of `joint`, `belief` or `message` computes the runs again: ask once for a joint of several
+    variables. An answer of more than a gibibyte is refused with a `GraphError`.
     """
 
     graph: ClusterGraph
@@ -49,12 +50,15 @@ class DiscretePosterior(Posterior):
     _beliefs: TreeBeliefs | AllowedBeliefs | FirstBeliefs | LoopyBeliefs
 
     def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
-        """The marginal of a variable that is not observed in all runs, (*runs, size)."""
+        """The marginal probabilities, (*runs, size), of a variable hidden in at least one run."""
         wanted = self._require_hidden(variable)
         return self._table((wanted,), self._beliefs.marginal(wanted))
 
     def _require_hidden(self, variable: Variable) -> Discrete:
-        """The variable itself; `EvidenceError` if it is unknown, or observed in all runs."""
+        """Return the variable if the network has it and at least one run leaves it hidden.
+
+        Otherwise raise `EvidenceError`.
+        """
         require_variable(variable)
         if variable not in self.graph.network._places or not isinstance(variable, Discrete):
             raise EvidenceError(
@@ -70,19 +74,22 @@ class DiscretePosterior(Posterior):
         return variable
 
     def _is_observed(self, variable: Variable) -> bool:
-        """Whether a variable is observed in all runs."""
+        """Whether a variable is observed in every run."""
         state = self._beliefs.evidence.states.get(discrete((variable,))[0])
         return state is not None and bool(np.min(state) >= 0)
 
     @property
     def _hidden(self) -> Scope:
+        """The variables that are hidden in at least one run, and so have marginals."""
         return tuple(v for v in self.graph.network.variables if not self._is_observed(v))
 
     def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
-        """The joint of variables that are not observed in all runs, in the order given.
+        """The joint of variables, each hidden in at least one run.
 
-        Probabilities (*runs, size of each variable...). Variables of several clusters are joined
-        along the tree between them, as far as the tables on the way are not too large.
+        The probabilities are (*runs, size of each variable...), in the order given. On a tree the
+        variables need not share a cluster: the clusters between them are then multiplied, and a
+        table too large on the way raises `GraphError`. On a graph with loops one cluster has to
+        hold all the variables.
         """
         scope: States = tuple(self._require_hidden(v) for v in as_scope(variables))
         if not scope:
@@ -97,7 +104,10 @@ class DiscretePosterior(Posterior):
         return self._table(scope, self._beliefs.read(lambda t: joint(storage, t, scope)))
 
     def _require_room(self, scope: States, what: str) -> None:
-        """Raise `GraphError` if a table over a scope is too large for all runs; `what` names it."""
+        """Raise `GraphError` if tables over a scope, one for each run, exceed the memory limit.
+
+        `what` names the tables in the error's text. A single run is not checked.
+        """
         runs = self._beliefs.evidence.runs
         if runs > 1:
             limits.require_runs(math.prod(sizes(scope)), runs, what)
@@ -105,9 +115,11 @@ class DiscretePosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> Table:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
-        A variable whose evidence is one state for all runs has no axis; one whose evidence is an
-        array of states, one for each run, keeps it. Of a tree the message's scale carries the
-        evidence that went into it; on a graph with loops messages sum to one.
+        The table has an axis for each variable of the sepset, except for variables observed in one
+        state given for all runs; a variable observed by an array of states, one for each run, has
+        an axis. After `Flooding`, `Sequential` or `Residual` a message sums to one. After exact
+        inference on a tree it is the sum over the sender's potential times the messages to the
+        sender from its other neighbours, and its log-scale keeps its magnitude.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         if j not in self.graph.neighbours(i):
@@ -125,8 +137,9 @@ class DiscretePosterior(Posterior):
     def belief(self, cluster: int | Cluster) -> Table:
         """The belief of a cluster, unnormalised: its potential times all messages to it.
 
-        Its axes are as of a message. Of a graph without loops its sum is p(the evidence of the
-        cluster's tree): p(evidence), where the graph is one tree.
+        The table has an axis for each variable of the cluster, except for variables observed in one
+        state given for all runs. After exact inference its sum is the probability of all evidence
+        in the cluster's tree: p(evidence), where the graph is one tree.
         """
         index = self.graph.index(cluster)
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
@@ -137,10 +150,11 @@ class DiscretePosterior(Posterior):
         return self._table(scope, values, self._beliefs.log_total(index))
 
     def potential(self, cluster: int | Cluster) -> Table:
-        """The potential of a cluster: the product of its CPDs, with the evidence put in.
+        """The potential of a cluster: the product of its CPDs and of the evidence that enters it.
 
-        Its axes are as of a message. A state that is observed enters all clusters that hold its
-        variable; soft evidence enters the smallest of them.
+        The table has an axis for each variable of the cluster, except for variables observed in one
+        state given for all runs. An observed state enters every cluster that holds its variable;
+        soft evidence enters the smallest of these clusters alone.
         """
         index = self.graph.index(cluster)
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
@@ -153,10 +167,10 @@ class DiscretePosterior(Posterior):
         return self._table(scope, exp(logs - top), top)
 
     def _table(self, scope: States, values: Array, log_scale: Array | None = None) -> Table:
-        """A table of values (sizes..., [runs]), with the user's axes of runs first.
+        """The `Table` over a scope with given values, its leading axes the user's axes of runs.
 
-        A single run may lack its axis. `log_scale`, ([runs]), is that of an unnormalised table;
-        None where it is zero.
+        values: (size of each variable..., runs); the axis of runs may be absent for a single run.
+        log_scale: (runs,), or () for a single run: that of an unnormalised table; None if zero.
         """
         lead = self._beliefs.evidence.lead
         if values.ndim > len(scope):
@@ -169,12 +183,15 @@ class DiscretePosterior(Posterior):
 
     @cached_property
     def log_evidence(self) -> Array:
-        """The value ln p(evidence), (...); see `log_evidence_kind`."""
+        """The value ln p(evidence), (*runs), exact or approximate: see `log_evidence_kind`."""
         return frozen(self._beliefs.log_evidence().reshape(self._beliefs.evidence.lead))
 
     @property
     def log_evidence_kind(self) -> str:
-        """``"exact"`` of a tree whose messages have settled, else ``"bethe"``."""
+        """``"exact"`` on a tree if messages converged in all runs, else ``"bethe"``.
+
+        ``"bethe"`` stands for the Bethe approximation of ln p(evidence).
+        """
         return "exact" if self.graph.is_tree and self.status.converged.all() else "bethe"
 
     @property

@@ -25,20 +25,22 @@ SHORT, WIDE = 8, 128
 
 @dataclass(frozen=True, eq=False)
 class GatheredProduct:
-    """Messages to the tables of a stack, where each entry looks its columns up.
+    """Messages to the tables of a stack, whose columns are looked up for each entry by an index.
 
-    children: (messages, clusters): the senders, for each cluster of the stack.
-    index: (messages, entries): of each entry of the stack, the column of each message.
+    children: (messages, clusters): for each cluster of the stack, the numbers of the senders.
+    index: (messages, entries): for each entry of the stack, the column of each message by which the
+        entry is multiplied.
     """
 
     children: Integers
     index: Integers
 
     def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
-        """Write entries times messages to `out`, which may be the entries' own array.
+        """Write the product of the stack's tables and their messages to `out`.
 
-        source: (entries of the stack, [runs or 1]).
+        source: (entries of the stack, [runs or 1]): the tables.
         messages: (columns, [runs]): all messages, in the entries of the semiring.
+        out: (entries of the stack, [runs]); it may be `source` itself.
         """
         if len(self.index) == 1:
             product = messages.take(self.index[0], 0)
@@ -49,22 +51,22 @@ class GatheredProduct:
     def columns(self, at: Integers) -> Integers:
         """The columns of the messages, (messages, clusters, runs), at an entry of each cluster.
 
-        `at`, (clusters, runs), counts the entries of the stack.
+        `at`, (clusters, runs), are the indices of these entries, counted from the stack's first.
         """
         return self.index.take(at, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class BlockProduct:
-    """One message to a large table, which is contiguous: it is broadcast, and nothing is looked up.
+    """One message to a large, contiguous table: the message is broadcast, and no index is needed.
 
-    children: (1, 1): the sender.
-    place: Of the table.
+    children: (1, 1): the number of the sender.
+    place: The table's place in flat storage.
     sepset: The variables of the message, in the order of its columns.
-    view: The table with neighbouring axes merged, if all are of the sepset or none.
+    view: The shape of the table with neighbouring axes merged, if all or none are of the sepset.
     source: The slice of the message's columns in an array of all messages.
-    wide: In a single run the message is copied out along the axes of `view` from this one on, so
-        that products have no short loops.
+    wide: The first axis of `view` along which the message is repeated in memory for a single run,
+        as it is along all later axes, so that NumPy's loops over the last axes are not short.
     """
 
     children: Integers
@@ -86,10 +88,11 @@ class BlockProduct:
         return cls(np.array([[child]]), place, sepset, view, source, wide)
 
     def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
-        """Write entries times the message to `out`, which may be the entries' own array.
+        """Write the product of the table and its message to `out`.
 
         source: (entries of the table, [runs or 1]).
         messages: (columns, [runs]): all messages, in the entries of the semiring.
+        out: (entries of the table, [runs]); it may be `source` itself.
         """
         table = source.reshape((*self.view.shape, *source.shape[1:]))
         message = self.view.spread(messages[self.source])

@@ -25,9 +25,11 @@ def run(
     memory: float | None = None,
     impossible: str = RAISE,
 ) -> DiscretePosterior:
-    """The posterior after a schedule of messages; the arguments are those of `pgm.infer`.
+    """The posterior of a discrete network after a schedule of messages on its cluster graph.
 
-    On graphs with loops `memory` and ``impossible="allow"`` are refused with a `GraphError`.
+    The arguments mean what they do in `pgm.infer`; any schedule but `Flooding`, `Sequential`
+    and `Residual`, and None too, is exact inference on a graph without loops. With these three,
+    `memory` and ``impossible="allow"`` are refused with a `GraphError`.
     """
     bound = bind_discrete(graph.network._places.keys(), evidence)
     allow = allows(impossible)
@@ -55,16 +57,21 @@ def run(
 def of_tree(
     graph: ClusterGraph, bound: BoundStates, room: Room, *, allow: bool = False
 ) -> DiscretePosterior:
-    """The posterior of a graph without loops, of evidence that `bind_discrete` has made.
+    """The exact posterior of a graph without loops, given evidence laid out by `bind_discrete`.
 
-    `room` and `allow`, and what is refused, are as of `beliefs_of`.
+    `room` limits how many table entries are computed at once and kept. Evidence of probability zero
+    in some run raises `ImpossibleEvidence`, or with `allow` gives that run beliefs of NaN; tables
+    too large for memory raise `GraphError`.
     """
     beliefs = beliefs_of(graph, bound, room, allow=allow)
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
 
 
 def _calibrated(lead: tuple[int, ...]) -> Status:
-    """The status of a tree: one pass there and back, converged in all runs."""
+    """The status of exact inference on a tree: one iteration, no residuals, all runs converged.
+
+    `lead` are the lengths of the user's axes of runs.
+    """
     return Status(1, np.zeros((0, *lead)), np.ones(lead, dtype=bool))
 
 

@@ -20,10 +20,10 @@ FEW = 64
 
 
 def at_once(entries: int, batch: int) -> int:
-    """How many runs of a tree are calibrated at once: as many as fit, or one if few would.
+    """How many runs of a tree are calibrated at once: as many as fit into a limit, or one.
 
-    `entries` is the number of those of its tables, `batch` the limit on entries times runs. Fewer
-    than `FEW` runs go one by one.
+    `entries` is the number of entries of the tree's tables in one run, `batch` the limit on entries
+    times runs. If fewer than `FEW` runs fit, the result is one.
     """
     size = batch // entries
     return size if size >= FEW else 1
@@ -32,22 +32,23 @@ def at_once(entries: int, batch: int) -> int:
 def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
     """The evidence in consecutive parts, each of as many runs as a tree calibrates at once.
 
-    `entries` and `batch` are as of `at_once`. A part of one run leaves out variables that are not
-    observed in it.
+    `entries` is the number of entries of the tree's tables in one run, `batch` the limit on entries
+    times runs; see `at_once`. A part of one run leaves out the variables that the run does not
+    observe.
     """
     for piece in pieces(evidence, at_once(entries, batch)):
         yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
 
 
 def _of_one(evidence: BoundStates) -> BoundStates:
-    """The evidence of one run, without variables that it does not observe."""
+    """The evidence of one run, without the variables whose state is −1, "not observed"."""
     known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
     observed = {v: state for v, state in known.items() if state >= 0}
     return BoundStates(evidence.lead, observed, evidence.weights)
 
 
 def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
-    """The evidence in consecutive parts of `size` runs or fewer; as it is, if one part will do."""
+    """The evidence in consecutive parts of `size` runs or fewer; unchanged if one part will do."""
     size = max(1, size)
     if evidence.runs <= size:
         yield evidence
@@ -57,7 +58,7 @@ def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
 
 
 def some_runs(evidence: BoundStates, which: slice | Integers) -> BoundStates:
-    """The evidence of some runs, chosen by a slice or by indices, with one axis of runs."""
+    """The evidence of the runs `which`, a slice or indices; the result has one axis of runs."""
     count = np.arange(evidence.runs)[which].size
     states = {
         v: s if isinstance(s, int) or s.size == 1 else s[which] for v, s in evidence.states.items()
@@ -72,11 +73,11 @@ CODES = 2**62
 
 @dataclass(frozen=True, eq=False)
 class Distinct:
-    """The different runs of some evidence, each once.
+    """The runs of a batch that differ in evidence, each once: runs of equal evidence share results.
 
-    evidence: That of the different runs.
-    which: (runs,): of each run, the place of its like in `evidence`; None if all are different, or
-        count as such.
+    evidence: The evidence of the different runs.
+    which: (runs,): for each run of the batch, the index of the run in `evidence` that equals it.
+        None if all runs are different, or are taken to be so without comparison.
     """
 
     evidence: BoundStates
@@ -84,7 +85,7 @@ class Distinct:
 
     @classmethod
     def of(cls, evidence: BoundStates) -> Distinct:
-        """Find the different runs; where soft evidence differs by run, all count as different."""
+        """Find the different runs; where soft evidence is given by run, all count as different."""
         if evidence.runs == 1 or any(len(weights) > 1 for weights in evidence.weights.values()):
             return cls(evidence, None)
         codes = np.zeros(evidence.runs, dtype=np.int64)

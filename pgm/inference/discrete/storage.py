@@ -28,7 +28,8 @@ from pgm.variables import Discrete
 class Storage:
     """Where the tables of a graph's clusters stand in one flat array.
 
-    places: Of each cluster, where its table stands.
+    graph: The cluster graph.
+    places: Of each cluster, the first index and the strides of its table in the flat array.
     """
 
     graph: ClusterGraph
@@ -36,12 +37,12 @@ class Storage:
 
     @cached_property
     def entries(self) -> int:
-        """The number of entries of all tables."""
+        """The number of entries of all tables together, in one run."""
         return sum(self.graph.sizes)
 
     @cached_property
     def scopes(self) -> tuple[States, ...]:
-        """The variables of each cluster, in its own order."""
+        """The variables of each cluster, in the order of ``cluster.scope``."""
         return tuple(discrete(cluster.scope) for cluster in self.graph.clusters)
 
     def table(self, entries: Array, cluster: int) -> Array:
@@ -53,7 +54,7 @@ class Storage:
 
     @cached_property
     def holders(self) -> dict[Discrete, list[int]]:
-        """The clusters that hold each variable."""
+        """For each variable, the numbers of the clusters that hold it."""
         found: dict[Discrete, list[int]] = {}
         for cluster, scope in enumerate(self.scopes):
             for variable in scope:
@@ -62,7 +63,7 @@ class Storage:
 
     @cached_property
     def homes(self) -> dict[Discrete, int]:
-        """The smallest cluster that holds each variable, the first of equals."""
+        """For each variable, the number of its home; of equally small clusters, the first."""
         sizes_of = self.graph.sizes
         return {v: min(found, key=sizes_of.__getitem__) for v, found in self.holders.items()}
 
@@ -85,7 +86,7 @@ class Storage:
     def potentials(self, semiring: Semiring, room: int = 0) -> Array:
         """The product of each cluster's CPDs, in entries of a semiring, (entries + room,).
 
-        The `room` behind them is filled with the semiring's one.
+        The last `room` entries are for the caller's use and are filled with the semiring's one.
 
         Raises
         ------
@@ -110,5 +111,5 @@ def contiguous(graph: ClusterGraph) -> Storage:
 
 
 def sepset_between(graph: ClusterGraph, i: int, j: int) -> States:
-    """The sepset of two neighbours; no variables, where one is −1, the parent of a root."""
+    """The sepset of two neighbours, given by number; empty if one is −1, the parent of a root."""
     return discrete(graph.sepsets[min(i, j), max(i, j)]) if min(i, j) >= 0 else ()

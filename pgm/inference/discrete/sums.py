@@ -25,11 +25,12 @@ SMALL = 2**12
 
 @dataclass(frozen=True, eq=False)
 class GatheredSum:
-    """Many sums of equally many entries, which stand anywhere, in one call.
+    """Many sums in one call, each of equally many entries, which stand anywhere in flat storage.
 
-    index: The positions of the entries, (rows, sums), or (sums, rows) where `axis` is 1.
-    axis: The axis of `index` that is summed.
-    target: Where the results go, (sums,).
+    index: The positions of the entries, (entries of a sum, sums), or (sums, entries of a sum) where
+        `axis` is 1.
+    axis: The axis of `index` along which entries are summed.
+    target: The slice of the output array that the results, (sums,), are written to.
     """
 
     index: Integers
@@ -55,7 +56,10 @@ class GatheredSum:
         return cls(index, axis, slice(start, start + columns))
 
     def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
-        """Sum entries of the storage into the target slice of `out`, and return that slice."""
+        """Sum entries of the storage into the target slice of `out`, and return that slice.
+
+        `storage` is (entries, [runs]), `out` (length, [runs]).
+        """
         into = out[self.target]
         if self.index.shape[self.axis] == 1:
             return storage.take(self.index.ravel(), 0, into, "clip")
@@ -66,10 +70,10 @@ class GatheredSum:
 class BlockSum:
     """The sum of a large table, which is contiguous, to some of its variables.
 
-    entries: Where the table stands.
-    view: The table with neighbouring axes merged, if all are wanted or none.
+    entries: The slice of flat storage that has the table.
+    view: The shape of the table with neighbouring axes merged, if all or none are wanted.
     sums: The sum over the axes of `view` that are not wanted.
-    target: Where the results go.
+    target: The slice of the output array that the results are written to.
     """
 
     entries: slice
@@ -85,7 +89,10 @@ class BlockSum:
         return cls(place.entries, view, AxisSums.of(view.shape, view.others), target)
 
     def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
-        """Sum the table in the storage into the target slice of `out`, and return that slice."""
+        """Sum the table in the storage into the target slice of `out`, and return that slice.
+
+        `storage` is (entries, [runs]), `out` (length, [runs]).
+        """
         tail = storage.shape[1:]
         table = storage[self.entries].reshape((*self.view.shape, *tail))
         total = self.sums.total(table, semiring)
@@ -101,9 +108,9 @@ Sum = GatheredSum | BlockSum
 def summed(sources: Sequence[tuple[Place, States]], start: int) -> Sum:
     """The sums of some tables to wanted variables, whose results are written from `start` on.
 
-    sources: Of each table, its place and the variables wanted of it; results stand in their order.
-        One large table, or one or more small ones that have equally many entries for each joint
-        state of the wanted variables.
+    sources: Of each table, its place and the variables wanted of it: one large table, or one or
+        more small ones that have equally many entries for each joint state of the wanted variables.
+        The results stand in the order of the tables.
     """
     place, wanted = sources[0]
     return BlockSum.of(place, wanted, start) if place.large else GatheredSum.of(sources, start)
@@ -115,12 +122,12 @@ class Marginals:
 
     The marginals stand one after the other in an array (count, [runs]).
 
-    sums: Together they write all marginals.
+    sums: The sums that together write all marginals.
     where: Of each variable, the slice of its marginal.
-    first, widths: (variables,): of each marginal, its first place and its number of states.
+    first, widths: (variables,): of each marginal, its first index and its number of states.
     count: The number of states of all variables together.
     matrix: (length of the storage, count): of zeros and ones, whose product with the tables is the
-        marginals; None where it would be large.
+        marginals; None where it would have more than `SMALL` entries.
     """
 
     sums: Sequence[Sum]
@@ -135,7 +142,8 @@ class Marginals:
         """Lay out the sums that make the marginals of all variables.
 
         sources: Of each variable, the place of the table from which its marginal is summed.
-        length: Of the flat storage, in entries, those of sepsets behind the clusters' included.
+        length: The number of entries of the flat storage, including the sepsets' tables, which
+            stand behind the clusters' if there are any.
         """
         # A large table is summed by itself, others with those of as many entries for each state.
         together: dict[Discrete | int, list[tuple[Place, States]]] = {}
@@ -162,7 +170,7 @@ class Marginals:
     def read(self, tables: Array) -> Array:
         """The marginals, (count, [runs]), of calibrated tables, (length of the storage, [runs]).
 
-        Each is divided by its sum.
+        Each marginal is divided by its sum.
         """
         out = np.empty((self.count, *tables.shape[1:]))
         if self.matrix is not None and tables.ndim == 1:
@@ -185,10 +193,11 @@ ENTRIES, SUMS = 128, 8
 class AxisSums:
     """A sum over some axes of a table.
 
-    shape: Of the table, without the axis of runs.
-    axes: Those that are summed, in ascending order.
-    last: A matrix of zeros and ones, (entries, sums), whose product with the table sums its last
-        axes; None where these have many entries.
+    shape: The shape of the table, without the axis of runs.
+    axes: The axes that are summed, in ascending order.
+    last: A matrix of zeros and ones, (entries of the last axes, sums): the product of the table
+        and this matrix sums over those of the last axes that are in `axes`. None where these axes
+        have more than `ENTRIES` entries or `SUMS` sums.
     front: The axes that are summed one by one before that product.
     """
 
@@ -212,8 +221,9 @@ class AxisSums:
     def total(self, table: Array, semiring: Semiring) -> Array:
         """The sums of a table (*shape, [runs]) over `axes`, in C order of the axes that are left.
 
-        Axes that are left may come back merged, so that the caller has to reshape the result; that
-        of runs, if there is one, stays last. Without `axes` it is the table itself.
+        The axes that are left may be merged in the result, so that the caller has to reshape it;
+        the axis of runs, if there is one, stays last. If `axes` is empty, the table itself is
+        returned.
         """
         tail = table.shape[len(self.shape) :]
         if not self.axes:
@@ -230,7 +240,7 @@ class AxisSums:
 
 
 def _one_by_one(table: Array, axes: Sequence[int], semiring: Semiring) -> Array:
-    """Sum a table over axes, which are in ascending order, one at a time: whole rows are added."""
+    """Sum a table over axes, given in ascending order, one at a time, which adds whole rows."""
     for gone, axis in enumerate(axes):
         table = semiring.total(table, axis - gone, None)
     return table

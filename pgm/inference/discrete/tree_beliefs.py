@@ -90,15 +90,15 @@ class TreeBeliefs:
         return given
 
     def marginal(self, variable: Discrete) -> Array:
-        """The probabilities of a variable, (states, [runs])."""
+        """The marginal of a variable given the evidence, (states, [runs])."""
         return self._distinct.spread(self._marginals[self.plan.marginals.where[variable]])
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
         """The result of a function of the calibrated tables, for all runs.
 
-        `reader` takes the tables of some runs, (entries + columns, [runs]), in the layout of
-        `storage`, with those of sepsets behind; it returns an array whose last axis is that of the
-        runs, if there is one.
+        `reader` takes the tables of some runs in one flat array, (entries of clusters + entries of
+        sepsets, [runs]): the clusters' in the layout of `storage`, then the sepsets'. It returns an
+        array (..., [runs]).
         """
         return self._distinct.spread(self._read(reader))
 
@@ -119,7 +119,7 @@ class TreeBeliefs:
         return self._distinct.spread(np.asarray(self._log_tops.sum(axis=0)))
 
     def log_total(self, cluster: int) -> Array:
-        """The value ln p(evidence in a cluster's tree), ([runs])."""
+        """The value ln p(evidence in the tree that has a cluster), ([runs])."""
         mine = self.plan.tree_of_top == self.plan.forest.roots[cluster]
         return self._distinct.spread(np.asarray(self._log_tops[mine].sum(axis=0)))
 
@@ -132,7 +132,7 @@ class TreeBeliefs:
         """The message from one cluster to a neighbour: its values, and their log-scale, (runs,).
 
         The message is the values, (sizes of the sepset..., runs), times exp(log-scale). The largest
-        value of a run is one; all are zero where the message is.
+        value of each run is one, or zero where the whole message is zero.
         """
         evidence, parts = self._distinct.evidence, []
         for piece in pieces(evidence, self._room.batch // self.storage.entries):
@@ -150,7 +150,7 @@ class TreeBeliefs:
 class _Gathered:
     """The results of consecutive parts of the runs, (..., [runs]), gathered in one array, `whole`.
 
-    runs: How many there are in all; `whole` is complete once so many are added.
+    runs: The number of runs in all; `whole` is complete once the results of so many were added.
     """
 
     whole: Array
@@ -160,7 +160,7 @@ class _Gathered:
         self.done = 0
 
     def add(self, values: Array, runs: int) -> None:
-        """Add the results of the next `runs` runs, (..., [runs])."""
+        """Add `values`, the results (..., [runs]) of the next `runs` runs."""
         if runs == self.runs:
             self.whole = values
             return

@@ -1,7 +1,8 @@
 """The messages of a tree of tables, computed from the potentials on request.
 
-The message from i to j is μ_ij = Σ ψ_i Π μ_ki: ψ_i is the potential of i times its evidence, k are
-the neighbours of i but j, and the sum is over the variables of i that j does not share.
+The message from cluster i to cluster j is μ_ij = Σ ψ_i Π_k μ_ki. Here ψ_i is the potential of i
+times the evidence that enters i, the product is over the neighbours k of i except j, and the sum is
+over the variables of i that j does not have.
 """
 
 from collections.abc import Iterable
@@ -22,7 +23,10 @@ class TreeMessages:
         self._messages: dict[tuple[int, int], Array] = {}
 
     def message(self, source: int, target: int) -> Array:
-        """The message from one cluster to a neighbour, kept, as are all that it is made from."""
+        """The message from one cluster to a neighbour, as logarithms.
+
+        It is computed at the first call, with all messages that enter into it, and kept.
+        """
         waiting = [] if (source, target) in self._messages else [(source, target)]
         while waiting:
             i, j = waiting[-1]
@@ -35,7 +39,11 @@ class TreeMessages:
         return self._messages[source, target]
 
     def _sent(self, i: int, j: int, inputs: Iterable[tuple[int, int]]) -> Array:
-        """The logarithm of the message from cluster i to j, made from those to i along `inputs`."""
+        """The logarithm of the message from cluster i to j, from the messages that enter into it.
+
+        `inputs` are the (sender, receiver) of these messages, which are computed already: (k, i)
+        for each neighbour k of i except j.
+        """
         scope, graph = self.storage.scopes[i], self.storage.graph
         total = self.storage.table(self.potentials, i)
         for edge in inputs:

@@ -6,9 +6,10 @@ is an entry of the message from a cluster to its parent, or of their sepset. In 
 axis that a single run lacks.
 
 Each message to a parent is divided by its largest entry, its *top*, lest products underflow. So is
-the table of a *hub*, a cluster of many children, after every few of their messages. A root's top is
-the sum of its table, so that the tops of a tree multiply to p(evidence). With logarithms nothing is
-divided, and all tops but the roots' are those of one. All arrays hold entries of the semiring.
+the table of a *hub*, a cluster of many children, whenever a few of the children's messages were
+multiplied into it. A root's top is the sum of its table, so that the product of all tops of a tree
+is p(evidence). With logarithms nothing is divided, and all tops are ln 1 = 0 except the roots'. All
+arrays hold entries of the semiring: numbers, or logarithms.
 """
 
 import math
@@ -28,13 +29,14 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp
 class Entry:
     """The tables with which the pass to the roots begins.
 
-    tables: (entries + columns, [runs]): of the clusters, and room for the sepsets behind them.
+    tables: (entries + columns, [runs]): the tables of the clusters, then room for the sepsets'.
     potentials: (entries, [1]): the clusters' potentials without evidence.
-    entered: The set of the stacks whose `tables` hold potentials times evidence. Those of others
-        are not filled yet: they have no evidence of their own, and begin with `potentials`.
-    active: The set of the stacks that send messages to the roots. The messages of others would be
-        one: there is no evidence below them, and their potentials are p(cluster | sepset to the
-        parent).
+    entered: The set of the stacks whose `tables` hold potentials times evidence. The tables of the
+        other stacks are not filled yet: no evidence enters them, and the pass to the roots takes
+        their entries from `potentials`.
+    active: The set of the stacks that send messages to the roots. The messages of the other stacks
+        would be one everywhere: there is no evidence in or below their clusters, whose potentials
+        are p(cluster | sepset with the parent).
     """
 
     tables: Array
@@ -47,8 +49,8 @@ class Entry:
 class Collected:
     """The messages of the pass to the roots, and the scales taken out of them.
 
-    messages: (columns, [runs]): each before it is divided by its top.
-    tops: (tops, [runs]): the scales; the product of those of a tree is p(evidence in it).
+    messages: (columns, [runs]): each message before it is divided by its top.
+    tops: (tops, [runs]): the scales; the product of a tree's tops is p(evidence in the tree).
     """
 
     messages: Array
@@ -56,9 +58,10 @@ class Collected:
 
 
 def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
-    """Send the messages to the roots: each sums a table times the messages of its children.
+    """Send the messages to the roots, from children to parents.
 
-    The tables of active stacks become these products, in place.
+    A message is the sum of the cluster's table times the messages of the cluster's children. The
+    tables of active stacks in ``entry.tables`` become these products, in place.
     """
     tables, potentials, active = entry.tables, entry.potentials, entry.active
     tail = tables.shape[1:]
@@ -101,9 +104,10 @@ def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
 def distribute(plan: TreePlan, entry: Entry, done: Collected, semiring: Semiring) -> None:
     """Send the messages back: tables and sepsets become probabilities given the evidence.
 
-    This is in place, in ``entry.tables``. From the roots down a sepset is the sum of its parent's
-    table; the table below is multiplied by the sepset over the message that went up, or, where none
-    did, is p(cluster | sepset) times the sepset. ``done.messages`` are overwritten.
+    ``entry.tables`` is changed in place, from the roots down. The table of a sepset is the sum of
+    the parent's table. The child's table is multiplied by the ratio of the sepset's table to the
+    message that the child sent to the parent; if the child is not active and sent none, its table
+    becomes p(cluster | sepset) times the sepset's table. ``done.messages`` are overwritten.
     """
     tables = entry.tables
     tail = tables.shape[1:]
@@ -136,9 +140,9 @@ HELD = 2**26
 def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
     """The potentials of all clusters, with the evidence of some runs entered, for `collect`.
 
-    With numbers, potentials are those of `conditionals`, and active are the stacks from the
-    evidence to the roots. With logarithms, or in the largest graphs, they are products of CPDs, and
-    all are active.
+    With numbers, potentials are those of `conditionals`, and only the stacks on the ways from the
+    evidence to the roots are active. With logarithms, or in graphs of more than `HELD` entries,
+    potentials are products of CPDs, and all stacks are active.
 
     Raises
     ------
@@ -172,11 +176,12 @@ def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
 
 
 def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
-    """The probabilities p(cluster | sepset to its parent) without evidence, (entries,).
+    """The probabilities p(cluster | sepset with its parent) without evidence, (entries,).
 
-    They serve as potentials, for their product is that of all CPDs; but their messages to the roots
-    are one where no evidence enters, so that none has to be sent there. The table of a root sums to
-    what the product of its tree's CPDs sums to. None if an entry underflows.
+    They serve as potentials, for their product is that of all CPDs. With these potentials the
+    message of a cluster to its parent is one everywhere if no evidence enters the cluster or those
+    below it, and need not be sent. The table of a root has the same sum as the product of all CPDs
+    in its tree. Returns None if an entry underflows.
     """
     try:
         with np.errstate(all="raise"):
@@ -202,11 +207,11 @@ class Calibrated:
     """The tables of all clusters and sepsets after both passes, and the scales taken out.
 
     tables: (entries + columns, [runs]): probabilities given the evidence, of the clusters, then of
-        the sepsets. If the evidence of any run is impossible they are no probabilities, in any run:
-        no messages were sent back.
+        the sepsets. If the evidence of any run is impossible the tables are not probabilities in
+        any run, for no messages were sent back.
     log_tops: (tops, [runs]): the logarithms of the scales taken out of the messages to the roots,
-        and of hubs' tables. Their sum over a tree is ln p(evidence in it), −∞ if that is
-        impossible.
+        and of hubs' tables. Their sum over a tree is ln p(evidence in the tree), −∞ if the
+        evidence is impossible.
     """
 
     tables: Array
@@ -216,7 +221,8 @@ class Calibrated:
 def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
     """Calibrate the tables with evidence, in numbers, or in logarithms if a number underflows.
 
-    A single run in a tiny network is summed from the joint of all variables instead.
+    For a single run without soft evidence in a tiny network, the tables are summed from the joint
+    of all variables instead; see `TreePlan.enumeration`.
     """
     if evidence.runs == 1 and not evidence.weights and plan.enumeration is not None:
         tables, total = plan.enumeration.given(evidence.states)
@@ -231,7 +237,7 @@ def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
 
 
 def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Calibrated:
-    """Both passes over a tree in one semiring.
+    """The calibrated tables after both passes of messages in one semiring.
 
     With logarithms, messages are not sent back if the evidence of any run is impossible.
     """

@@ -3,16 +3,17 @@
 The clusters of a tree hang at its centre, the root. A *column* is an entry of the message from a
 cluster to its parent: a joint state of their sepset; a root has one column, of an empty sepset. A
 table is a matrix of its columns, each with a *row* for each joint state of the other variables, and
-a message is the sum of the rows. Clusters of one depth that have as many rows, the same number of
-children and parents of like shape form a *stack*: their tables are the columns of one matrix, so
-that the messages of a stack are one sum. A set of stacks is an integer with a bit for each.
+a message is the sum of the rows. Clusters of equal depth, with equally many rows and children and
+with parents of like shape, form a *stack*: their tables are the columns of one matrix, so that the
+messages of a stack are one sum. A set of stacks is an integer with a bit for each.
 
 Flat storage holds the *entries* of all clusters' tables, then the columns of all sepsets. *Tops*
 are scales taken out of messages, and of the tables of *hubs*, clusters of more than `CHUNK`
-children. In shapes, [runs] is an axis that a single run lacks.
+children. The *home* of a variable is the smallest cluster that holds it; evidence for the variable
+is multiplied into the table of its home. In shapes, [runs] is an axis that a single run lacks.
 
-In a tiny network messages would be calls on a few numbers each: there every table is a sum of the
-joint of all variables, by one product with a matrix of zeros and ones.
+In a tiny network each message would take NumPy calls on a few numbers. There all tables are instead
+computed from the joint of all variables, by one product with a matrix of zeros and ones.
 """
 
 from __future__ import annotations
@@ -50,9 +51,10 @@ class Enumeration:
     A *cell* is a joint state of all variables.
 
     joint: (cells,): probabilities without evidence.
-    shown: Of each variable, (states, cells): one in the cells of a state, zero in the others.
-    tables: (cells, entries + columns): one where a cell is part of an entry of a cluster or a
-        sepset.
+    shown: Of each variable, (states, cells): one where the variable has this state in the cell,
+        else zero.
+    tables: (cells, entries + columns): one where the states of the cell agree with those of an
+        entry of a cluster's or a sepset's table, else zero.
     """
 
     joint: Array
@@ -63,9 +65,12 @@ class Enumeration:
     def of(
         cls, storage: Storage, forest: Forest, sepsets: Sequence[States], first: Integers
     ) -> Enumeration | None:
-        """The joint of a network; None if it is not tiny, has several trees, or underflows.
+        """The joint of a network's variables.
 
-        sepsets: Of each cluster, that with its parent.
+        None if the network is not tiny (`tables` would have more than `TINY` entries) or has
+        several trees, or if a probability underflows.
+
+        sepsets: Of each cluster, its sepset with its parent.
         first: (clusters,): the first column of each cluster's message to its parent.
         """
         scope = tuple(storage.homes)
@@ -93,7 +98,7 @@ class Enumeration:
     def given(self, states: Mapping[Discrete, int | Integers]) -> tuple[Array, float]:
         """The tables of a single run, (entries + columns,), each of sum one, and p(evidence).
 
-        Where that is zero, the tables are too. `states` are those observed.
+        `states` has the observed variables' states. If p(evidence) is zero, the tables are zero.
         """
         cells = self.joint
         for variable, state in states.items():
@@ -108,20 +113,21 @@ class Enumeration:
 class Stack:
     """Clusters of equal shape and depth, computed in one batch.
 
-    clusters: (clusters,): which they are.
+    clusters: (clusters,): the numbers of the clusters.
     bit: The one bit that stands for the stack in sets of stacks.
-    entries: The slice of flat storage that has their tables.
-    columns: The slice that has their messages, in an array of all messages.
-    tops: The slice that has their scales, in an array of all scales: one for each cluster's
-        message; of hubs, whose tables are rescaled as well, then one for each cluster and each
-        time.
-    shape: Of their tables as one matrix: (rows, columns), or (columns, rows) where `axis` is 1.
-    axis: The axis of rows, which messages sum.
-    first, widths: (clusters,): of each, its first column in the stack and the number of its
+    entries: The slice of flat storage that has the clusters' tables.
+    columns: The slice of an array of all messages that has the clusters' messages to their parents.
+    tops: The slice of an array of all scales that has those of the stack: one for each cluster's
+        message; for hubs, whose tables are rescaled as well, then one for each cluster and each
+        rescaling.
+    shape: The shape of all tables as one matrix: (rows, columns), or (columns, rows) where `axis`
+        is 1.
+    axis: The axis of `shape` that has the rows, over which messages sum.
+    first, widths: (clusters,): of each cluster, its first column in the stack and the number of its
         columns.
-    absorbed: The products of the messages from their children into their tables.
+    absorbed: The products of the tables and the messages from the clusters' children.
     senders: Of each of these products, the set of the stacks that send its messages.
-    down: The sum of the parents' tables to the sepsets of the stack; None of roots.
+    down: The sum of the parents' tables to the sepsets of the stack's clusters; None for roots.
     """
 
     clusters: Integers
@@ -165,14 +171,15 @@ class Stack:
         return np.maximum.reduceat(columns, self.first, 0)
 
     def by_column(self, each: Array) -> Array:
-        """The entry of `each`, (clusters, [runs]), of each column's cluster, (columns, [runs]).
+        """Numbers `each`, one a cluster, (clusters, [runs]), as one a column, (columns, [runs]).
 
-        A stack of one cluster keeps its one entry, (1, [runs]), which broadcasts.
+        A cluster's number is repeated for each of its columns. For a stack of one cluster the
+        result stays (1, [runs]), which broadcasts.
         """
         return each if self.single or self.narrow else each.repeat(self.widths, 0)
 
     def by_entry(self, columns: Array) -> Array:
-        """An array (columns, [runs]), shaped to broadcast with the matrix of tables."""
+        """An array (columns, [runs]), shaped to broadcast with the tables, (*shape, [runs])."""
         return columns[:, None] if self.axis else columns
 
 
@@ -180,8 +187,11 @@ class Stack:
 class TreePlan:
     """The stacks of a graph without loops.
 
-    stacks: The roots first, parents before children.
-    sepsets: Of each cluster and its parent, in the order of the message's columns.
+    storage: The layout of the clusters' tables in flat storage.
+    forest: The clusters as rooted trees.
+    stacks: All stacks, the roots' first, parents before children.
+    sepsets: Of each cluster, its sepset with its parent, the variables in the order in which the
+        message's columns count their states.
     columns, tops: How many columns and scales there are in all.
     first: (clusters,): the first column of each cluster's message to its parent.
     large: Tables of at least so many entries are contiguous, and worked on by themselves.
@@ -198,12 +208,15 @@ class TreePlan:
 
     @property
     def graph(self) -> ClusterGraph:
-        """The graph that this is the plan of."""
+        """The cluster graph whose computations the plan lays out."""
         return self.storage.graph
 
     @cached_property
     def enumeration(self) -> Enumeration | None:
-        """The joint of all variables; None if the network is not tiny, or not one tree."""
+        """The joint of all variables; None if the network is not tiny, or has several trees.
+
+        None also if a probability underflows.
+        """
         return Enumeration.of(self.storage, self.forest, self.sepsets, self.first)
 
     @cached_property
@@ -212,11 +225,14 @@ class TreePlan:
         return (1 << len(self.stacks)) - 1
 
     def homes_of(self, evidence: BoundStates) -> int:
-        """The set of the stacks whose tables evidence is multiplied into."""
+        """The set of the stacks that have the homes of variables with evidence."""
         return _union(self._ways[v][0] for v in (*evidence.states, *evidence.weights))
 
     def above(self, evidence: BoundStates) -> int:
-        """The set of all roots' stacks and of those on the ways from the evidence to them."""
+        """The set of all stacks from the homes of variables with evidence to the roots.
+
+        The stacks of all roots are in it, whether evidence is below them or not.
+        """
         ways = _union(self._ways[v][1] for v in (*evidence.states, *evidence.weights))
         return self._roots | ways
 
@@ -227,7 +243,11 @@ class TreePlan:
 
     @cached_property
     def _ways(self) -> dict[Discrete, tuple[int, int]]:
-        """Of each variable, the stack of its home, and the set of those from there to the root."""
+        """Of each variable, two sets of stacks: those that its evidence enters, and passes.
+
+        Evidence enters the stack of the variable's home alone, and passes all stacks from there to
+        the root.
+        """
         found = [(0, 0)] * len(self.graph)
         for stack in self.stacks:
             for k in stack.clusters.tolist():
@@ -265,9 +285,11 @@ SMALL = 2**12
 
 
 def plan_for(graph: ClusterGraph, runs: int, batch: int) -> TreePlan:
-    """The plan of a graph without loops, made once where runs go singly and once for batches.
+    """The plan of a graph without loops for evidence of some runs.
 
-    `batch` is the limit on table entries, times runs, that are computed at once.
+    A graph keeps two plans: one for runs that are computed one by one, and one for batches, in
+    which smaller tables count as large. `batch` is the limit on table entries, times runs, that are
+    computed at once.
     """
     if runs == 1 or at_once(sum(graph.sizes), batch) == 1:
         return graph.derived(make_plan, LARGE)
@@ -289,11 +311,12 @@ def _union(sets: Iterable[int]) -> int:
 
 
 class _Planner:
-    """The layout of the stacks of a graph without loops in the making.
+    """The layout of the stacks of a graph without loops, while a `TreePlan` is made.
 
     large: Tables of at least so many entries are contiguous, and worked on by themselves.
-    sepsets, width: Of each cluster, the sepset with its parent, and how many columns it makes.
-    places, first, bits: Of each cluster, where its table stands, its first column, and the bit of
+    sepsets, width: Of each cluster, the sepset with its parent, and its number of joint states,
+        which is that of the message's columns.
+    places, first, bits: Of each cluster, the place of its table, its first column, and the bit of
         its stack; filled by `plan`.
     """
 
@@ -326,15 +349,15 @@ class _Planner:
         return TreePlan(*made)
 
     def _rows(self, cluster: int) -> int:
-        """The rows of a cluster's table, whose columns are those of its message to the parent."""
+        """The number of rows of a cluster's table, whose columns are those of its message."""
         return self.graph.sizes[cluster] // self.width[cluster]
 
     def _kind(self, cluster: int) -> tuple[int, ...]:
-        """The depth and shape that the clusters of a stack share; a large one has a stack alone.
+        """The key by which clusters are grouped into stacks: clusters of equal keys share one.
 
-        In order: the depth, the rows, the children, and the entries of the parent's table for each
-        column (0 of a root), all as numbers; the cluster itself if its table or the parent's is
-        large, else −1.
+        In order: the depth, the number of rows, the number of children, the number of entries of
+        the parent's table for each column (0 for a root), and the cluster itself if its table or
+        the parent's is large, so that it has a stack alone, else −1.
         """
         parent = int(self.forest.parent[cluster])
         above = self.graph.sizes[parent] // self.width[cluster] if parent >= 0 else 0
@@ -364,8 +387,8 @@ class _Planner:
     def _place(self, clusters: list[int], start: int, column: int) -> tuple[int, int]:
         """Place the tables of a stack from entry `start` on, and its messages from `column` on.
 
-        The tables are columns of one matrix, which is stored by rows, or by columns if it has fewer
-        of these. Returns the entry and the column that come next.
+        The tables are columns of one matrix, which is stored row by row, or column by column if it
+        has fewer columns than rows. Returns the entry and the column that come next.
         """
         rows = self._rows(clusters[0])
         columns = sum(self.width[k] for k in clusters)
@@ -382,7 +405,7 @@ class _Planner:
         return start + rows * columns, column + columns
 
     def _stack(self, clusters: list[int], storage: Storage, tops: int) -> Stack:
-        """The stack of some clusters whose tables are placed; its scales begin at `tops`."""
+        """The stack of some clusters, whose tables have been placed; its scales start at `tops`."""
         rows = self._rows(clusters[0])
         widths = np.array([self.width[k] for k in clusters])
         columns = int(widths.sum())
@@ -409,10 +432,10 @@ class _Planner:
     def _absorbed(
         self, clusters: list[int], storage: Storage, start: int, entries: int
     ) -> list[Product]:
-        """The products of children's messages into tables: the column that meets each entry.
+        """The products of the tables of a stack and the messages from the clusters' children.
 
-        `start` is the first entry of the stack, `entries` their number. Messages are multiplied a
-        few in one call; a large table takes them one by one.
+        `start` is the index of the stack's first entry, `entries` the number of its entries. One
+        product multiplies a few messages into each table of the stack, or one into a large table.
         """
         only = storage.places[clusters[0]]
         if only.large:
@@ -434,7 +457,7 @@ class _Planner:
         return [GatheredProduct(senders[some], maps[some]) for some in chunks]
 
     def _down(self, clusters: list[int], storage: Storage) -> Sum | None:
-        """The sum of the parents' tables to the sepsets of a stack; None of roots."""
+        """The sum of the parents' tables to the sepsets of a stack's clusters; None for roots."""
         parent = int(self.forest.parent[clusters[0]])
         if parent < 0:
             return None
