@@ -1,7 +1,8 @@
-"""The associations of open sightings, under the probabilities of cells.
+"""The associations of open sightings, averaged over the beliefs of a grid.
 
-A sighting is open where a parent of its sensor is unknown: it is of one of k candidates, spurious,
-or of a new thing. Its associations are the k + 2 probabilities of these cases, in this order.
+A sighting is a measurement of some thing, a parent of its sensor. It is open where that parent is
+unknown: it is then of one of k candidates, spurious, or of a new thing. Its associations are the k
++ 2 probabilities of these cases, in this order.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _NEGLIGIBLE = 1e-12
 def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any]) -> Found:
     """The `Associations` of the open sightings of bound evidence, by sensor.
 
-    values: The beliefs under which they are found, (runs, T + 1, *cells), the runs flattened.
+    values: The beliefs over which they are averaged, (runs, T + 1, *cells), the runs flattened.
     """
     every, lead = ((reading, reading.cpd) for reading in bound.readings), bound.lead
     open_ = [(reading, cpd) for reading, cpd in every if isinstance(cpd, UnidentifiedCPD)]
@@ -63,9 +64,9 @@ def _responsible(
 ) -> Array:
     """The associations (k + 2,) of one sighting of a run, averaged over the belief (*cells).
 
-    They are Σ_c b(c) p(association | z, c), normalised, b being the belief at the sighting's step;
-    NaN where nothing was measured. The sighting is the `row` of the `reading`, whose sensor has the
-    CPD `cpd`.
+    They are Σ_c b(c) p(association | z, c), normalised, b(c) being the belief at the sighting's
+    step in the cell c, and z the sighting; NaN where nothing was measured. The sighting is the
+    `row` of the `reading`, whose sensor has the CPD `cpd`.
     """
 
     def of(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -60,9 +60,11 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         return closed(self._cov())
 
     def _mean(self) -> Array:
+        """Compute the means, (..., n), which `mean` keeps."""
         raise NotImplementedError
 
     def _cov(self) -> Array:
+        """Compute the covariances, (..., n, n), which `cov` keeps."""
         raise NotImplementedError
 
     @cached_property
@@ -71,9 +73,9 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         return closed(np.sqrt(np.einsum("...ii->...i", self.cov)))
 
     def gaussian(self) -> Gaussian:
-        """The normal density of the same mean and covariance, over the components' variables.
+        """The normal density with the belief's mean and covariance, over the components' variables.
 
-        It has the same leading axes, and steps.
+        It has the leading axes and the steps of the belief.
 
         Raises
         ------
@@ -89,7 +91,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         Parameters
         ----------
         *components : str
-            By name, in the order wanted.
+            The names of the components, in the order wanted.
 
         Raises
         ------
@@ -227,9 +229,9 @@ class GridBelief(PointMassBelief):
         return np.stack(each, axis=-1)
 
     def _cov(self) -> Array:
-        """The covariances (..., axes, axes), by marginals of one or two axes.
+        """The covariances (..., axes, axes), from the marginals of one and of two axes.
 
-        Centres count by their distance from the mean, of an angle the shorter way round.
+        Differences of an angle's centres from its mean are taken the shorter way round.
         """
         count = len(self._parts)
         found = np.empty((*self.lead, count, count))
@@ -257,7 +259,7 @@ class GridBelief(PointMassBelief):
         return np.stack(each, axis=-1).reshape(*flat.shape, -1)
 
     def _over(self, places: tuple[int, ...]) -> GridBelief:
-        """The belief over the axes at some places, in this order."""
+        """The belief over the axes that have the indices `places`, in this order."""
         axes = [self._parts[k] for k in places]
         return GridBelief(axes, self._marginal(places), self.steps)
 
@@ -299,7 +301,7 @@ class GridBelief(PointMassBelief):
         return Summary(self._title, [moments_of(self)])
 
     def _marginal(self, places: tuple[int, ...]) -> Array:
-        """The marginals over the axes at some places, in this order, (..., *their cells)."""
+        """The marginals (..., *their cells) over the axes with these indices, in this order."""
         if places not in self._marginals:
             count = len(self.lead)
             others = tuple(count + k for k in range(len(self._parts)) if k not in places)
@@ -310,7 +312,7 @@ class GridBelief(PointMassBelief):
 
     @cached_property
     def _marginals(self) -> dict[tuple[int, ...], Array]:
-        """The marginals found so far, by the places of their axes."""
+        """The marginals found so far, by the indices of their axes."""
         return {}
 
     @cached_property
@@ -319,8 +321,8 @@ class GridBelief(PointMassBelief):
 
         `about` (...) is the mean, of an angle the circular mean, counted from the axis' reference;
         `offsets` (..., cells) are the centres' differences from it, of an angle wrapped to [−π, π).
-        The mean (...) of the differences is then due to rounding, or to an angle's skew
-        probabilities.
+        `mean` (...) is the mean of these differences, zero but for rounding and, of an angle, for
+        probabilities that are not symmetric.
         """
         found = []
         for k, axis in enumerate(self._parts):

@@ -1,9 +1,9 @@
-"""Beliefs cut off by windows of active cells, and how much of a belief may be lost so.
+"""Beliefs cut off by windows of active cells, and how much of a belief may be lost thereby.
 
-A belief is carried in a window that leaves out, along each axis, cells of a share below 10⁻¹⁵, and
-the kernels that move it end at 8.5 standard deviations. What is beyond is lost, and no evidence
-brings it back, however much likelier it makes it there. The estimates here say when that may
-matter.
+A belief is carried in a window of cells, which leaves out, along each axis, a share of the
+probability below 10⁻¹⁵; and the kernels that move a belief end at 8.5 standard deviations.
+Probability beyond is lost, and no later measurement brings it back, however much likelier the
+states there have become. The estimates here say when that may matter.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _DOUBT = 20.0
 
 
 class Cut(NamedTuple):
-    """The belief, of all steps, of which the most may have been cut off.
+    """The belief, of all steps, of which the largest share may have been cut off.
 
-    share: The estimated share of it that was cut off.
+    share: The estimated share of the belief that was cut off.
     step: The step of the belief.
     """
 
@@ -38,14 +38,14 @@ class Cut(NamedTuple):
 
 
 class Tails:
-    """The estimate, kept up step by step, of the shares of a belief cut off at the ends of axes.
+    """A running estimate, for one run, of the shares of a belief cut off at the ends of the axes.
 
-    It is of one run, and is told of each step by `predicted`, then by `taken` if anything was
-    measured. The part cut off beyond an end is taken to become as much likelier, with each
-    measurement, as the last cells within. If the model is true these gains are a martingale: a
-    share of ε becomes one of 10⁻³ with a probability of 10³ε at the most (Ville's inequality). The
-    share that leaves the bounds at a step is followed likewise through the measurements of that
-    step alone, where these make the last cells 30 times likelier.
+    For each step `predicted` is called, then `taken` if anything was measured. The part cut off
+    beyond an end is assumed to become as much likelier, with each measurement, as the last cells
+    within. If the model is true these gains are a martingale: a share of ε becomes one of 10⁻³ with
+    a probability of 10³ε at the most (Ville's inequality). The share that leaves the bounds at a
+    step is followed likewise, but through the measurements of that step alone, and only where they
+    make the last cells more than 30 times likelier.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -60,7 +60,7 @@ class Tails:
     def predicted(self, marginals: list[Array], left: float) -> None:
         """Take in a step's predicted belief, by its marginals (cells,) along all axes.
 
-        `left` is the share of it that left the bounds.
+        `left` is the share of the belief that has left the bounds.
         """
         for k, (axis, marginal) in enumerate(zip(self.lattice.axes, marginals, strict=True)):
             (used,) = np.nonzero(marginal > TINY / axis.cells * marginal.sum())
@@ -83,8 +83,9 @@ class Tails:
     def taken(self, marginals: list[Array]) -> float:
         """Take in the measurements of the step predicted last: the largest share now missing.
 
-        It may be cut off, or beyond the bounds. `marginals` are those (cells,) of the belief given
-        the measurements, along all axes.
+        It is the largest, over the ends of all axes, of the shares of the belief that were cut off
+        there or have left the bounds. `marginals` are those (cells,) of the belief given the
+        measurements, along all axes.
         """
         self._taken = self._at(marginals)
         gain = self._taken / np.maximum(self._before, 1e-300)
@@ -105,8 +106,9 @@ class Tails:
 def doubtful(log_density: float, ceiling: float, components: int) -> bool:
     """Whether measurements are so unlikely that the part cut off might explain them better.
 
-    They are if ln p < ceiling − max(b/2 − √(2b), 0) − 20: of b numbers measured, true residuals
-    have the exponent b/2 ± √(b/2).
+    They are if `log_density` < `ceiling` − max(b/2 − √(2b), 0) − 20, b being the number of
+    `components`: if the model is true, half the sum of the squares of b whitened residuals is b/2 ±
+    √(b/2).
 
     log_density: ln p(measurements of a step | those before).
     ceiling: The logarithm of the density of residuals that are all zero.
@@ -117,9 +119,9 @@ def doubtful(log_density: float, ceiling: float, components: int) -> bool:
 
 
 def bound(log_density: float, best: float) -> float:
-    """The most of a belief, given measurements, that cells with 10⁻¹⁵ of it before can have.
+    """The largest share of a belief, given measurements, of cells that had a share of 10⁻¹⁵ before.
 
     log_density: ln p(measurements | those before), of the belief as it was carried.
-    best: Their largest log-density at any cell.
+    best: The largest log-density of the measurements at any cell.
     """
     return math.exp(min(math.log(TINY) + best - log_density, 0.0))

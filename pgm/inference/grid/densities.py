@@ -1,11 +1,11 @@
 """Moves by a density, from each cell to each, and how well sums over centres serve for integrals.
 
 The weight of a target centre is the transition density there times the volume of a cell. The sum of
-a source cell's weights approximates an integral that is one; how far it may be off is found by
-shifting the target centres by parts of a cell, as the sum's variation. Near the bounds the sum goes
-on beyond them. A sum that differs from one by no more than the variation explains is normalised
-away; what is missing besides has left the bounds and stays missing. A window is a span of cells
-along each axis.
+a source cell's weights approximates an integral that is one; the error is judged by how much the
+sum varies as the target centres are shifted by parts of a cell. Of source cells near the bounds the
+sum is taken over centres beyond the bounds as well. A sum that differs from one by no more than the
+variation explains is normalised away; probability that is missing besides has left the bounds and
+stays missing. A window is a span of cells along each axis.
 """
 
 import math
@@ -51,7 +51,7 @@ class Uneven(NamedTuple):
 
     share: The largest difference between such sums, each of which approximates one.
     variable: The child of the density; None if there is no density.
-    step: The step at which it is.
+    step: The step of the transition.
     """
 
     share: float
@@ -249,7 +249,8 @@ class _Maker:
     def _places(self, shift: float = 0.0, beyond: bool = False) -> list[Array]:
         """The centres along each moved axis, shifted by a fraction of a cell, one array an axis.
 
-        With `beyond`, those of an interval go on past either end by half as many cells as it has.
+        With `beyond`, the centres of an interval go on past either end by half as many cells as it
+        has.
         """
         found = []
         for k in self.group.axes:
@@ -313,10 +314,10 @@ class _Maker:
     def _normalise(self, weights: Array) -> None:
         """Divide weights (rows, targets), in place, by their sums over the targets.
 
-        The sum of a source cell near the bounds goes on beyond them. Sums vary by `share`, which is
-        found here, as centres shift: one from 1 − 2 `share` to 1 + 2 `share` is divided out. Below
-        that the rest has been lost to the bounds, and the weights stay; a sum above it, or a share
-        above ½, is refused by a ModelError.
+        The sum of a source cell near the bounds includes targets beyond them. The attribute
+        `share`, by how much sums vary as centres shift, is found here. A row whose sum is within 2
+        `share` of one is divided by the sum; a row with a smaller sum has lost the rest to the
+        bounds, and stays. A larger sum, or a share above ½, is refused by a ModelError.
         """
         sums = weights.sum(axis=1)
         near = self._near_bounds(weights) > _EDGE * sums
@@ -348,7 +349,7 @@ class _Maker:
 
     @property
     def _allowed(self) -> float:
-        """The most by which a sum may differ from one: twice its variation, plus rounding."""
+        """The most by which a sum of weights may differ from one: twice `share`, plus rounding."""
         return 2.0 * self.share + _ROUNDING
 
     def _error(self, found: str, reason: str) -> ModelError:
@@ -380,9 +381,9 @@ class _Maker:
         return found
 
     def _sums(self, rows: Integers, shift: float, beyond: bool) -> Array:
-        """The sums (rows,) of some rows' weights over centres shifted by a fraction of a cell.
+        """The sums (rows,) of weights over centres shifted by a fraction of a cell, for some rows.
 
-        With `beyond` they go on past the bounds.
+        `rows` are flat indices of source cells. With `beyond` the sums go on past the bounds.
         """
         places = self._places(shift, beyond)
         length = max(_KEPT // 16 // math.prod(len(each) for each in places), 1)
@@ -392,6 +393,7 @@ class _Maker:
     def _shift(self, rows: Integers, whole: Array, near: Array, parts: Array) -> None:
         """Raise `self.share` to how much some rows' sums vary as centres shift by parts of a cell.
 
+        rows: The rows, flat indices of source cells.
         whole: The sums over centres that are not shifted, by row.
         near: The mask of rows with weights at the bounds, whose sums go on beyond these.
         parts: The shifts, as fractions of a cell.

@@ -1,4 +1,4 @@
-"""Sensors by their density, which is asked for at the centres of a window, some at a time.
+"""Sensors given by their density, which is evaluated at the centres of a window, some at a time.
 
 A measurement z is a row of the sensor's `Reading`, in a run; its density at a centre x is p(z | x).
 A window is a span of cells along each axis.
@@ -34,11 +34,12 @@ class DensitySensor(MeasuredSensor):
     """A sensor of any density, such as a mixture or a scan, weighed by ln p(z | x) at centres."""
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The log-densities of one measurement at a window's centres, and the highest.
+        """The log-densities of one measurement at a window's centres, and the highest found.
 
-        The first is a `Level`, in a list. The highest is that found so far: in the window, at some
-        4096 cells of all the lattice, and of earlier measurements of as many components; 0 if all
-        are −∞. Of a measurement without any component the list is empty and the value 0.
+        The log-densities are a `Level`, in a list. The highest is the largest found so far: in the
+        window, at some 4096 cells spread over all the lattice, and of earlier measurements of as
+        many components; 0 if all are −∞. If no component was measured, the list is empty and the
+        value 0.
         """
         count = int(self.taken(row, run).sum())
         if not count:
@@ -68,11 +69,11 @@ class DensitySensor(MeasuredSensor):
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
         """How sharp the density is about a cell, measured as `MeasuredSensor.sharpness` is.
 
-        It is the largest √(2 l(c) − l(c + e) − l(c − e)) along an axis, l being the log-density and
-        e one cell: for a normal density that is how far the expected measurement moves by a cell,
-        in standard deviations of the noise. It is infinite where both neighbours are impossible.
-        Where the mean of a Gaussian part moves by more, that counts: the part may be so narrow that
-        no centre meets it.
+        It is the largest √(2 l(c) − l(c + e) − l(c − e)) along an axis, l being the log-density, c
+        the `cell` (axes,) and e one cell: for a normal density that is how far the expected
+        measurement moves by a cell, in standard deviations of the noise. It is infinite where both
+        neighbours are impossible. If the mean of a Gaussian part of a mixture moves further, its
+        move is returned: the part may be so narrow that no centre meets it.
         """
         bound, cells = self._bound(row, run), self.around(cell)
         found = self._apart(bound[0], cells, bound[2], row, run)
@@ -85,12 +86,12 @@ class DensitySensor(MeasuredSensor):
         return found
 
     def _apart(self, cpd: CPD, cells: Integers, known: Known, row: int, run: int) -> float:
-        """How far the mean of a Gaussian part moves from the first of some cells to the others.
+        """The furthest that the mean of a Gaussian part moves from the first of some cells.
 
-        It is max ‖R^(−1/2) (h(c) − h(c_0))‖ over the Gaussian parts of the CPD and the `cells` c,
-        (n, axes), c_0 being the first: in standard deviations of the part's noise. Of an
-        unidentified sensor it is the least over its candidates; 0 of a CPD without Gaussian parts.
-        `known` are the observed parents.
+        It is max ‖R^(−1/2) (h(c) − h(c_0))‖ over the Gaussian parts of the CPD and the other
+        `cells` c, (n, axes), c_0 being the first, h the mean of a part and R its noise covariance.
+        Of an unidentified sensor it is the least over its candidates; 0 of a CPD without Gaussian
+        parts. `known` are the observed parents.
         """
         if isinstance(cpd, UnidentifiedCPD):
             each = ({**known, cpd.parent: candidate} for candidate in cpd.candidates)
@@ -114,9 +115,9 @@ class DensitySensor(MeasuredSensor):
     def _bound(self, row: int, run: int) -> tuple[CPD, Array, Known]:
         """The CPD at a measurement's step, the measurement (d,), and the observed parents.
 
-        The CPD is `settled`; components of the measurement that are missing are NaN. Missing ones
-        that the density cannot leave out are refused by an EvidenceError, and singular noise of a
-        Gaussian part by a ModelError.
+        The CPD has its noise evaluated (`settled`); components of the measurement that are missing
+        are NaN. Missing ones that the density cannot leave out are refused by an EvidenceError, and
+        singular noise of a Gaussian part by a ModelError.
         """
         step, known, cpd = int(self.reading.step[row]), self.known(row, run), self.reading.cpd
         taken = self.taken(row, run)

@@ -82,7 +82,7 @@ class Reduced:
         self.values = np.concatenate(found)
 
     def at(self, cells: Integers) -> Array:
-        """The values (n, ...) at cells (n, axes) of the lattice; (1, ...) if it depends on none."""
+        """The values (n, ...) at cells (n, axes); (1, ...) if the function depends on no axis."""
         if not self.axes:
             return self.values[:1]
         flat = np.ravel_multi_index(tuple(cells[:, self.axes].T), self.shape)
@@ -94,8 +94,8 @@ class Reduced:
 class Dependence:
     """The record of the axes on which each of m values of a function depends, as far as tested.
 
-    The function is tested at the centres of a lattice. Axes are only added: what was found at one
-    step is taken to hold at all, and every step is probed.
+    The function is tested at the centres of a lattice. Axes are only added: a dependence found at
+    one step is taken to hold at all steps, and the function is probed anew at every step.
 
     before: The axes of the step before, a set for each value; empty before the first `look`.
     after: The axes of its own step, likewise.
@@ -114,15 +114,17 @@ class Dependence:
         seed: int,
         some: Integers | None = None,
     ) -> None:
-        """Probe a function at a step, and add the axes that are found.
+        """Probe a function at a step, and add the axes on which its values are found to depend.
 
-        It is probed at random cells; where these show a new axis, and the first time, it is tested
-        at every centre. Where two searches of all centres leave differences, such as small ones
-        that add up, each value is taken to depend on all axes.
+        It is probed at random cells; it is tested at every centre the first time, where the probe
+        finds a new axis, and where the known dependence fails at the cells `some`. If two searches
+        of all centres for more axes leave differences, such as small ones that add up, each value
+        is taken to depend on all axes.
 
         values: The function, from points (n, axes) of the step before and of its own to values (n,
             ..., m).
-        differ: From two results of it to a mask, (n, ..., m), of those that are not equal.
+        differ: A function of two results of `values`, to the mask (n, ..., m) of entries that
+            differ.
         later: The axes of its own step on which it may depend at all.
         seed: The seed of the cells that are drawn.
         some: Cells (n, axes) of the belief, at which the known dependence is tested too; None for
@@ -156,11 +158,11 @@ class Dependence:
         seed: int,
         everywhere: bool = False,
     ) -> bool:
-        """Whether an axis is found on which a value was not known to depend; it is added then.
+        """Whether an axis is found on which a value was not known to depend; such axes are added.
 
         At random cells, or at all of them (`everywhere`), each axis of the step before, and each of
         its own step that may be depended on (`later`), is moved to another cell; a value that
-        differs depends on it. The arguments are those of `look`.
+        differs depends on that axis. The arguments are those of `look`.
         """
         lattice, grown = self.lattice, False
         sets = blocks(lattice) if everywhere else iter([places(lattice, PROBES, seed)])
@@ -199,10 +201,10 @@ class Dependence:
         seed: int,
         cells: Integers | None = None,
     ) -> bool:
-        """Whether values stay as they are when all axes not known to matter move to the middle.
+        """Whether each value stays the same without the axes on which it is not known to depend.
 
-        It is tested at `cells` (n, axes), or, if they are None, at every centre. The other
-        arguments are those of `look`.
+        Cells are moved to the middle of the lattice along these axes. This is tested at `cells` (n,
+        axes), or, if they are None, at every centre. The other arguments are those of `look`.
         """
         lattice = self.lattice
         kinds = {(frozenset(a), frozenset(b)) for a, b in zip(self.before, self.after, strict=True)}

@@ -34,9 +34,10 @@ def groups(
 
     A hidden control whose CPD is not Gaussian, or has robust noise, is refused by a ModelError.
 
-    cpds: Those of the states and of the hidden controls.
+    cpds: The CPDs of the states and of the hidden controls.
     known: For each CPD, by parent the values (rows, runs or 1, d) of its observed parents.
-    kept: Weights by density between all cells, to be shared with other groups of the model.
+    kept: By a group's key, weights from every cell to every cell, of groups that are moved by
+        densities; groups add to it and share it.
     prior: Whether the CPDs are a prior's.
     first: The step before the first row of the known values.
     """
@@ -79,8 +80,8 @@ def groups(
 def joined(some: Sequence[Members], kept: Kept) -> Members:
     """Several groups as one: moved by displacements if all are Gaussian, otherwise by density.
 
-    One alone is returned as it is. `kept` are the weights by density between all cells, by a
-    group's key, to be shared and added to.
+    One group alone is returned as it is. `kept` has, by a group's key, the weights from every cell
+    to every cell of groups that are moved by density; groups add to it and share it.
     """
     one = some[0]
     if len(some) == 1:

@@ -1,8 +1,9 @@
 """Groups of states that move together, their displacements, and the noise of displacements.
 
-A displacement is how far a state moves, in cells along each of its axes: to its mean, and by the
-noise that it shares. That noise is given by white noise: independent standard normal numbers, of
-which a group has `Spread.size`.
+A displacement is how far a state moves, in cells along each of its axes: to the mean of its CPD,
+and by the noise that several displacements share, because of a hidden control or of correlations.
+The shared noise is linear in white noise: independent standard normal numbers, of which a group has
+`Spread.size`.
 """
 
 from collections.abc import Mapping
@@ -25,10 +26,11 @@ class Spread(NamedTuple):
     """The noise of a group's displacements at a step.
 
     variance: The variance of the noise that each axis of the group has by itself, in squared cells,
-        (axes of the group,); infinite where nothing is known of the place along it.
-    roots: By variable, for each hidden control and each state whose noise is correlated: the root
-        L (d, r) in L w, which is added to the variable, in its units. w are r numbers of the white
-        noise, which no other variable has; they come in the order of the mapping.
+        (axes of the group,); infinite where nothing is known of the place along the axis.
+    roots: By variable, for each hidden control and each state whose noise is correlated, a matrix L
+        (d, r): L w is the shared noise of the variable, in its units. w are r numbers of the white
+        noise that enter no other variable; variables take their numbers in the order of the
+        mapping.
     size: How many numbers the white noise has.
     """
 
@@ -41,12 +43,13 @@ class Spread(NamedTuple):
 class Members:
     """A group of states that move together, with the hidden controls that they share; a base class.
 
-    controls: The CPDs of these controls.
+    controls: The CPDs of the hidden controls.
     states: The CPDs of the states.
     known: By child and then parent, the values (rows, runs or 1, d) of observed parents.
-    prior: Whether this is step 0: displacements are counted from the first cell then.
+    prior: Whether the CPDs are a prior's, at step 0: displacements then count from the first cell.
     first: The step before the first row of the known values.
-    place: Of a part of a mixture, its index there; of a mixture in a mixture, one index a level.
+    place: Of a part of a mixture, its index there; of a mixture in a mixture, one index a level;
+        empty otherwise.
     """
 
     lattice: Lattice
@@ -75,7 +78,7 @@ class Members:
 
     @property
     def widths(self) -> Array:
-        """The widths of the cells along the axes that are moved."""
+        """The widths of the cells along the axes that are moved, (axes of the group,)."""
         return np.array([self.lattice.axes[k].width for k in self.axes])
 
     def inputs(self, child: Variable, step: int, run: int) -> Known:
@@ -88,7 +91,7 @@ class Members:
 
 @dataclass(frozen=True, eq=False)
 class Group(Members):
-    """A group of states whose CPDs are Gaussian, moved by displacements and by noise of axes."""
+    """A group of states whose CPDs are Gaussian, moved by displacements and blurred by noise."""
 
     states: tuple[ConditionalGaussian, ...]
 
@@ -141,7 +144,7 @@ class Group(Members):
         return self.wrapped(cells)
 
     def wrapped(self, cells: Array) -> Array:
-        """The same displacements (..., axes of the group), in cells, wrapped in place along angles.
+        """Displacements (..., axes of the group), in cells, wrapped in place along angles.
 
         They are then half a circle at the most.
         """

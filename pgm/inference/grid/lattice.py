@@ -1,9 +1,10 @@
 """The lattice of a grid: its axes, matched with the components of a model's states.
 
-An axis is a component of a state. Its cells are numbered from 0; a cell's number is its place along
-the axis, and its centre the value of the component there. A cell of the lattice has a place along
-each axis. A window is the part of the lattice that is in use, a `Span` of cells along each axis; on
-a circle a span may go on from the last cell to cell 0.
+An axis is a component of a state; the axis of an angle is a full circle. The cells of an axis are
+numbered from 0: a cell's number is its place along the axis, and its centre the value of the
+component there. A cell of the lattice has a place along each axis. A window is the part of the
+lattice that is in use: along each axis a `Span`, a first cell and a number of cells, which on a
+circle may go on from the last cell to cell 0.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ class Axis:
     """One axis of the grid, a component of a state.
 
     component: The index of the component in its variable.
-    label: The component's name; where states share it "x.east", x being the variable.
-    low: The lower end of the first cell; of a circle its centre, which is at −π.
+    label: The component's name; "x.east", x being the variable, where several states have a
+        component of this name.
+    low: The lower end of the first cell; on a circle, which begins at −π, the centre of the first
+        cell.
     width: The width of each of the `cells`, in units of the component.
     angle: Whether the axis is a full circle.
     """
@@ -45,13 +48,16 @@ class Axis:
 
     @cached_property
     def offsets(self) -> Array:
-        """The centres less the reference, (cells,): exact however large coordinates are."""
+        """The cells' centres less `reference`, (cells,): exact however large coordinates are."""
         half = self.cells // 2 if self.angle else 0.5 * (self.cells - 1)
         return np.asarray((np.arange(self.cells) - half) * self.width, dtype=np.float64)
 
     @cached_property
     def reference(self) -> float:
-        """The middle of the axis, from which offsets count; of a circle within half a cell of 0."""
+        """The middle of the axis, from which `offsets` count; on a circle a centre close to 0.
+
+        On a circle it is the centre of the middle cell, which lies within half a cell of 0.
+        """
         half = self.cells // 2 if self.angle else 0.5 * self.cells
         return self.low + half * self.width
 
@@ -65,7 +71,8 @@ class Axis:
     def within(self, span: Span) -> slice | Integers:
         """The index that takes the cells of a span from an array along this axis.
 
-        It is a slice, or their places (length,) where the span goes past the last cell of a circle.
+        It is a slice, or the cells' places (length,) where the span goes past the last cell of a
+        circle.
         """
         if span.first + span.length <= self.cells:
             return slice(span.first, span.first + span.length)
@@ -78,7 +85,7 @@ Window = tuple[Span, ...]
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The lattice of a grid: an axis for each component of some states, those of angles first."""
+    """The lattice of a grid: an axis for each component of its states, the axes of angles first."""
 
     states: Scope
     axes: tuple[Axis, ...]
@@ -154,8 +161,8 @@ class Lattice:
 def spanned(used: Mask, periodic: bool) -> Span:
     """The shortest span that contains all cells of an axis marked in `used`, (cells,).
 
-    It is all cells where none is marked. On a circle (`periodic`) it is what the widest gap between
-    marked cells leaves.
+    If no cell is marked, the span is the whole axis. On a circle (`periodic`) it is the circle
+    without the widest gap between marked cells.
     """
     cells = len(used)
     places: Integers = np.flatnonzero(used)
@@ -239,10 +246,11 @@ def _component(
 
 
 def _axis(variable: Variable, place: int, label: str, extent: Extent) -> Axis:
-    """A component's axis with cells of equal width; an angle's covers the circle.
+    """The axis of a component, in cells of equal width; of an angle it is the full circle.
 
-    `place` is the index of the component in its variable. The extent is to be a number of cells of
-    an angle, and (lo, hi, cells) of other components; a ModelError says which is due.
+    `place` is the index of the component in its variable. The `extent` of an angle has to be a
+    number of cells, that of any other component (lo, hi, cells); one of the wrong kind is refused
+    by a ModelError.
     """
     angle = variable.components[place] in variable.angles
     if angle != isinstance(extent, int):

@@ -26,7 +26,7 @@ Known = Mapping[Variable, Array]
 
 
 class Sharpness(NamedTuple):
-    """The sensor that is sharpest for the cells, of those read so far, and the step where it is.
+    """The sensor that is the sharpest for the cells so far, and the step of its measurement.
 
     cells: How far the expected measurement moves from a cell to the next, in standard deviations of
         the noise, at the likeliest cell of the measurements; see `MeasuredSensor.sharpness`.
@@ -40,15 +40,15 @@ class Sharpness(NamedTuple):
 
 @dataclass(eq=False)
 class Shape:
-    """The shape of a sensor's function h as tests have found it, so that it is called less often.
+    """The shape of a sensor's function h as tests have found it, so that h is called less often.
 
     depended: The axes on which each component of h depends.
     turning: The indices of the circles for which h is a sum, h(x) = f(other axes) + g(circles);
         empty if h is no such sum. None before h is first called; until `tested`, all circles on
         which h depends.
     tested: Whether it has been tested at every centre that h is such a sum.
-    highest: Of a sensor by its density: by the number of components taken, the largest log-density
-        found at a centre.
+    highest: Of a sensor given by its density: by the number of components measured, the largest
+        log-density found so far at a centre.
     """
 
     depended: Dependence
@@ -62,7 +62,7 @@ class MeasuredSensor:
     """A sensor on a lattice, with its measurements; base of sensors by their kind of noise.
 
     reading: The measurements.
-    shape: What is known of the shape of its function; it is added to.
+    shape: What tests have found of the sensor's function; later tests add to it.
     """
 
     lattice: Lattice
@@ -114,8 +114,9 @@ class MeasuredSensor:
         """One measurement over a window, as residuals and a constant.
 
         ln p(z | x) is the constant less the sum of the residuals' `squared`, which broadcast to the
-        window. The constant is the log-density at zero residual, or, of a density, its highest
-        value. Without any component measured there are no residuals, and the constant is 0.
+        window. The constant is the log-density at zero residual or, of a sensor given by its
+        density, the largest log-density found. If no component was measured there are no residuals,
+        and the constant is 0.
         """
         raise NotImplementedError
 

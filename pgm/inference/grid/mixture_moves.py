@@ -1,6 +1,6 @@
-"""Moves of mixtures: the weighted sum of what a mixture's parts do to the same states.
+"""Moves of mixtures: the sum of the moves of a mixture's parts, weighted by their probabilities.
 
-A window is a span of cells along each axis; arrays are over the cells of one.
+A window is a span of cells along each axis; arrays are over the cells of a window.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Step:
     def uneven(self) -> Uneven:
         """The transition density whose sums over centres vary the most; `EVEN` if there is none.
 
-        The share by which they vary counts times the probability of the mixture's part that has the
-        density.
+        The share by which the sums vary is multiplied by the probability of the mixture's part that
+        has the density.
         """
         each = [
             operator.uneven._replace(share=weight * operator.uneven.share)
@@ -47,9 +47,10 @@ class Step:
         return max(each, key=lambda found: found.share, default=EVEN)
 
     def leaves(self) -> Iterator[tuple[float, Operator]]:
-        """Each operator with the probability of its part; 1 of those that are of no mixture.
+        """All operators, mixtures taken apart, each as a pair (probability, operator).
 
-        Mixtures within mixtures are taken apart.
+        The probability is that of the mixture's part that the operator moves; 1 of an operator of
+        no mixture. Of a mixture within a mixture the probabilities of both are multiplied.
         """
         for operator in self.operators:
             if isinstance(operator, Mixed):
@@ -116,7 +117,7 @@ class Mixed:
         return total
 
     def _of(self, step: Step) -> tuple[Integers, ...]:
-        """The index of one step's target window within that of the sum."""
+        """The index that takes one step's target window from an array over the sum's `target`."""
         each = [
             (np.arange(own.length) + own.first - span.first) % axis.cells
             for own, span, axis in zip(step.target, self.target, self.lattice.axes, strict=True)
@@ -139,7 +140,7 @@ class MixedGroup(Members):
         """The sum of the parts' steps, weighted by the parts' probabilities.
 
         `steps` has one for each part, in the order of `parts`, all from the same source window. The
-        sum's target is the smallest window that contains all of theirs.
+        sum's target is the smallest window that contains the targets of all steps.
         """
         target = []
         for k, axis in enumerate(self.lattice.axes):

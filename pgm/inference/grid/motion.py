@@ -4,10 +4,10 @@ States move in groups (`groups`), one group after another. The displacement alon
 at the centres, and with it the axes on which it depends. Where these axes can be put in an order,
 each axis being moved before those on which it depends, a step is products of matrices along one
 axis after another: of one matrix, where the displacement is the same everywhere; of one matrix for
-each heading, where it depends on the heading alone. Otherwise every cell is split on its own
-neighbours, and blurred by what is left of the variance. Noise that enters through hidden controls,
-and correlated noise, is summed over the nodes of a quadrature. A window is a span of cells along
-each axis.
+each heading, where it depends on the heading alone. Otherwise each cell is split on the cells
+nearest to its target, and the result is blurred by the rest of the variance. Noise that enters
+through hidden controls, and correlated noise, is summed over the nodes of a quadrature. A window is
+a span of cells along each axis.
 """
 
 import math
@@ -55,7 +55,10 @@ class Motion:
     kept: Kept = field(default_factory=dict)
 
     def at(self, step: int, run: int, source: Window) -> Step:
-        """The transition to a step of a run, from the window in which the belief before stands."""
+        """The transition to a step of a run, or the prior at step 0, as operators in order.
+
+        `source` is the window of the belief at the step before; of a prior it is the first cell.
+        """
         window, operators = source, list[Operator | Mixed]()
         for group in self._ordered(step, run, source):
             made = self._step(group, step, run, source, window)
@@ -85,7 +88,10 @@ class Motion:
     def _depends(
         self, group: Members, step: int, run: int, source: Window
     ) -> tuple[set[int], set[int]]:
-        """The axes that a group's move depends on, of the step before, and of its own step."""
+        """The axes that a group's move depends on: (those of the step before, those of its own).
+
+        `source` is the window of the belief at the step before, in which the dependence is tested.
+        """
         if isinstance(group, DensityGroup):
             return group.depends()
         before, after = set[int](), set[int]()
@@ -101,7 +107,8 @@ class Motion:
     ) -> Dependence:
         """The axes on which a group's displacements depend, tested anew at this step.
 
-        They are tested without noise and, if displacements share any, with two draws of it.
+        They are tested without noise and, if displacements share any, with two draws of it; at
+        cells of `source`, the window of the belief at the step before, among others.
         """
         found = self.known.setdefault(group.key, Dependence(self.lattice))
         drawn = np.random.default_rng(step).standard_normal((2, spread.size))
@@ -122,7 +129,7 @@ class Motion:
         slack = _slack(self.lattice, group)
 
         def differ(one: Array, other: Array) -> Mask:
-            """Whether displacements differ by more than rounding, angles the shorter way round."""
+            """The mask of displacements that differ by more than rounding, angles wrapped."""
             different: Mask = np.abs(group.wrapped(one - other)) > slack
             return different
 
@@ -161,7 +168,7 @@ class Motion:
 
 
 def _slack(lattice: Lattice, group: Group) -> Array:
-    """The differences of displacements that count as rounding, in cells, by axis of the group."""
+    """The differences of displacements that count as rounding, in cells, (axes of the group,)."""
     largest = [
         max(abs(lattice.axes[k].low), lattice.axes[k].width * lattice.axes[k].cells)
         for k in group.axes
@@ -193,9 +200,9 @@ class _Maker:
         self.noise, self.nodes = quadrature(group, self.spread, step, run)
 
     def operators(self, window: Window) -> tuple[Window, list[Operator]]:
-        """The window that the group's move reaches from another, and the operators between.
+        """The window that the group's move reaches from `window`, and the operators leading there.
 
-        `window` is that which the groups moved before it have reached. Where nothing moves it is
+        `window` is that which the groups moved before have reached. Where nothing moves, it is
         returned as it is, without operators.
         """
         order = self._order()
@@ -210,10 +217,11 @@ class _Maker:
         return tuple(spans), [Sweep(moves, self.nodes)] if moves else []
 
     def _within(self, spread: Spread) -> Spread:
-        """The noise, with an infinite variance along angles where it is wider than three circles.
+        """The `spread` with an infinite variance, which is flat, along angles with very wide noise.
 
-        That is flat. A standard deviation above three circles counts as such; one of more than
-        twenty times the bounds of an interval, but finite, is refused by a ModelError.
+        That is noise with a standard deviation of more than three circles. Along an interval a
+        standard deviation of more than twenty times its length, but finite, is refused by a
+        ModelError.
         """
         variance = spread.variance.copy()
         for k, axis in enumerate(self.lattice.axes[a] for a in self.group.axes):
@@ -237,9 +245,9 @@ class _Maker:
         """The order in which the group's axes are moved one at a time; None where cells are split.
 
         Axes are given by their indices among the group's. Cells are split where the axes have no
-        such order, or matrices or kernels would be too large. They cannot be where an axis depends
-        on another of the group at the same step: a ModelError then refuses axes without an order,
-        matrices that are too large, and kernels that memory would not hold.
+        such order, or matrices or kernels would be too large. Where an axis depends on another of
+        the group at the same step, cells cannot be split: a ModelError then refuses axes without an
+        order, matrices that are too large, and kernels that memory would not hold.
         """
         import networkx as nx  # here, since it is slow to import
 
@@ -325,7 +333,7 @@ class _Maker:
         return _along(lattice.axes[axis], axis, by, shift.reshape(shape), variance, source)
 
     def _split(self, window: Window) -> tuple[Window, list[Operator]]:
-        """Split each cell on its neighbours, then blur by the variance that this leaves over.
+        """Split each cell on those nearest to its target, then blur by the rest of the variance.
 
         Returned are the target window and the operators that lead there.
         """
@@ -336,7 +344,7 @@ class _Maker:
         noise = self.noise
 
         def place(node: int) -> Array:
-            """The targets of all cells at a node, (axes of the group, cells), not rounded."""
+            """The targets of all cells at a node, not rounded, (axes of the group, cells)."""
             base = lattice.points(cells)
             white = np.broadcast_to(noise[node], (len(base), noise.shape[1]))
             shift = group.displacement(base, base, white, self.spread, self.step, self.run)

@@ -1,12 +1,12 @@
 """Operators that move probabilities on a lattice, and their exact transposes.
 
-They take an array of the probabilities at the cells of a source window to one at those of a target
-window; what leaves an interval is lost. A window is a span of cells along each axis. Displacements
-are in cells, variances in squared cells. A kernel is the distribution of a displacement over whole
-numbers of cells, its weights are the taps. A displacement of variance s² whose fractional part is f
-spreads over f(1 − f) at least: where s² is less, the lattice adds f(1 − f) − s². Noise that several
-displacements share is summed over the nodes of a quadrature, each with a weight; the weights sum to
-one.
+An operator turns an array of the probabilities at the cells of a source window into one at those of
+a target window; probability that leaves an interval is lost. A window is a span of cells along each
+axis. Displacements are in cells, variances in squared cells. A kernel is the distribution of a
+displacement over whole numbers of cells; its weights are called taps. On a lattice a displacement
+whose fractional part is f has at least the variance f(1 − f): where its own variance s² is less,
+the lattice adds f(1 − f) − s². Noise that several displacements share is summed over the nodes of a
+quadrature, each with a weight; the weights sum to one.
 """
 
 import itertools
@@ -79,7 +79,7 @@ class Move:
 
     @cached_property
     def _only(self) -> Array:
-        """The matrices where all nodes have the same."""
+        """The matrices (G, target cells, source cells) of a move that is the same at all nodes."""
         return self._at(0)
 
     def _at(self, node: int) -> Array:
@@ -173,12 +173,12 @@ class Sweep:
 
 
 class Split:
-    """An operator that splits each source cell, by a shift of its own, on three cells an axis.
+    """An operator that moves each source cell by a shift of its own, onto three cells an axis.
 
-    These are the cell nearest to its target and that cell's two neighbours. With the target at μ
-    from the nearest, −½ ≤ μ ≤ ½, the three points have exactly that mean, and the variance max(s²,
-    |μ|(1 − |μ|)), s² ≤ ¼. Of a larger variance the rest is a blur that is the same everywhere, left
-    to a `Sweep` afterwards.
+    The three are the cell nearest to the target of the shift and that cell's two neighbours. With
+    the target at μ from the nearest, −½ ≤ μ ≤ ½, the three points have exactly that mean, and the
+    variance max(s², |μ|(1 − |μ|)), s² ≤ ¼. Of a larger variance the rest is a blur that is the same
+    everywhere, left to a `Sweep` afterwards.
 
     axes: The axes that are moved.
     place: A function of a node: the targets of all source cells, (axes moved, source cells), in
@@ -205,7 +205,11 @@ class Split:
 
     @cached_property
     def _rest(self) -> Integers:
-        """The part of each source cell's flat target index from axes at rest, (source cells,)."""
+        """The part of each cell's flat target index that axes at rest give, (source cells,).
+
+        The flat index numbers the cells of the target window; axes at rest are those that are not
+        moved.
+        """
         counts = [span.length for span in self.target]
         strides = [int(np.prod(counts[k + 1 :])) for k in range(len(counts))]
         total = np.zeros((1,) * len(counts), dtype=np.intp)
@@ -219,9 +223,10 @@ class Split:
     def _taps(self, node: int) -> list[list[tuple[Integers, Array]]]:
         """The three points that each cell is split on along each moved axis, at a node.
 
-        For each axis there are three pairs: of the cell before the nearest one, of the nearest, and
-        of the cell after it. A pair is what the point adds to the flat target index, and its
-        weight, both (source cells,). The weight is zero outside of the target window.
+        For each axis there are three pairs (index, weight), both (source cells,): of the cell
+        before the nearest one, of the nearest, and of the cell after it. The index is the
+        contribution of the point's place along the axis to its flat index in the target window. The
+        weight is zero outside of the window.
         """
         counts = [span.length for span in self.target]
         found = []

@@ -59,7 +59,7 @@ class OnlineGridBelief(Shown, NoArray):
     _lattice: Lattice
     _model: DynamicBayesianNetwork
     _values: npt.NDArray[Any]
-    # A window of steps behind it, which a grid has none of.
+    # Online beliefs with a lag hold past steps here; beliefs on a grid hold none.
     behind: ClassVar[None] = None
 
     def __post_init__(self) -> None:
@@ -71,7 +71,7 @@ class OnlineGridBelief(Shown, NoArray):
         return self.log_evidence.shape
 
     def __getitem__(self, variable: Variable) -> GridBelief:
-        """The marginal of a state at the belief's step, of leading axes of runs.
+        """The marginal of a state at the belief's step, with leading axes of runs.
 
         Raises
         ------
@@ -121,12 +121,12 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         return f"OnlineFilter(over {list(self.model.states)}, belief={self.belief!r})"
 
     def predict(self, belief: Belief, inputs: Mapping[Variable, Any] | None = None) -> Belief:
-        """The belief one step later, as of `OnlineFilter.predict`.
+        """The belief one step later, as by `OnlineFilter.predict`.
 
         Raises
         ------
         EvidenceError, ModelError
-            For the same reasons as there.
+            For the reasons of `OnlineFilter.predict`.
         LinearisationError, NumericalError
             If a function has no value at a point mass, or all probability has left the bounds.
         """
@@ -135,7 +135,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         return self._predicted(belief, step_evidence.inputs(self.model, belief, given))
 
     def update(self, belief: Belief, readings: Mapping[Variable, Any]) -> Belief:
-        """The belief given measurements of its step, as of `OnlineFilter.update`.
+        """The belief given measurements of its step, as by `OnlineFilter.update`.
 
         Raises
         ------
@@ -239,6 +239,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         left = np.broadcast_to(lost, bound.lead).reshape(bound.runs)
 
         def taken(slices: GridSlices, values: Array) -> tuple[Array, float]:
+            """The belief (*cells) times the weights of the measurements, and their log-scale."""
             slices.begin(step, values, float(left[slices.run]))
             weights, scale = slices.likelihood(step)
             joint = values if weights is None else values * weights
@@ -258,16 +259,16 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         work: Callable[[GridSlices, Array], tuple[Array, float]],
     ) -> list[tuple[GridSlices, Array, float]]:
-        """Do some work in each run; of each (its slices, its belief after it, a log-density).
+        """Do some work in each run: a list of (its slices, its belief after it, a log-density).
 
-        first: The step at which the work is done; of a prediction the one before.
+        first: The step at which the work is done; of a prediction the step before.
         before: The belief to go on from, whose runs broadcast to the evidence's; None for the
             prior.
         work: A function of a run's slices and its belief (*cells), which is empty without `before`.
             It returns probabilities (*cells) that need not sum to one, and a log-scale.
 
-        The belief returned, (*cells), is normalised; the log-density is the logarithm of what its
-        probabilities summed to, plus the scale. A sum of zero is refused by an EvidenceError.
+        The belief in the list is these probabilities (*cells), normalised; the log-density is the
+        logarithm of their sum, plus the log-scale. A sum of zero is refused by an EvidenceError.
         """
         model = GridModel(self._lattice, self.model, bound, self._tested, first)
         shape = self._lattice.shape
@@ -295,7 +296,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         found: list[tuple[GridSlices, Array, float]],
     ) -> OnlineGridBelief:
-        """The user's belief from what `_each` has found, with a status of all steps so far.
+        """The user's belief from `found`, results of `_each`, with a status of all steps so far.
 
         before: The belief that it continues; None for the prior.
         """

@@ -78,10 +78,11 @@ class GridPosterior(PointPosterior[GridBelief]):
     kind : Kind
         Filtered, fixed-lag or smoothed.
     log_evidence : ndarray
-        (*runs): ln p(measurements), of the point masses; what has left the bounds is missing.
+        (*runs): ln p(measurements), of the point masses; the probability that has left the bounds
+        is missing.
     status : GridStatus
     filtered : GridPosterior
-        The beliefs of the forward sweep; itself, of a filter.
+        The posterior with the beliefs of the forward sweep; of a filter, the posterior itself.
 
     Examples
     --------
@@ -115,18 +116,18 @@ class GridPosterior(PointPosterior[GridBelief]):
 
     @property
     def log_evidence_kind(self) -> str:
-        """``grid``: neither exact nor linearised."""
+        """The kind of the log-evidence, ``grid``: it is neither exact nor linearised."""
         return "grid"
 
     @cached_property
     def associations(self) -> Found:
-        """The `Associations` by sensor, of sightings whose parent was `unknown`."""
+        """By sensor, the `Associations` of its measurements of a parent given as `unknown`."""
         values = self._values.reshape(-1, *self._values.shape[self.log_evidence.ndim :])
         return associations(self._lattice, self._bound, values)
 
     @property
     def filtered(self) -> GridPosterior:
-        """The filtered beliefs, those of the forward sweep; itself, of a filter."""
+        """The posterior with the filtered beliefs; of a filter, the posterior itself."""
         if self._filtered is None:
             return self
         return replace(self, kind=FILTERED, _values=self._filtered, _filtered=None)

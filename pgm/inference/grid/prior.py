@@ -15,11 +15,13 @@ from pgm.kernels.lattice import Span
 
 
 def start(lattice: Lattice, groups: Sequence[Members], run: int) -> tuple[Array, Array, Uneven]:
-    """The probabilities of all cells at step 0, (*cells); their sum lacks the prior's mass outside.
+    """Put the prior of a run, at step 0, on a lattice: (probabilities, added, uneven).
 
-    Second comes the variance that the lattice has added along each axis, in squared cells, (axes,);
-    third the prior's density whose sums over centres vary the most, `EVEN` if it has none. `groups`
-    are those of the prior.
+    The probabilities (*cells) are those of all cells, whose sum lacks the prior's mass outside the
+    bounds. `added` (axes,) is the variance that the lattice has added along each axis, in squared
+    cells. `uneven` says of which of the prior's densities the sum over centres varies the most as
+    the centres shift; it is `EVEN` if the prior is Gaussian. `groups` are the sets of states of the
+    prior that are put on the lattice together.
     """
     nowhere = (Span(0, 1),) * len(lattice.axes)
     made = Motion(lattice, list(groups)).at(0, run, nowhere)

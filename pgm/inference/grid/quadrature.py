@@ -1,4 +1,9 @@
-"""The nodes of a quadrature over the white noise that several displacements share."""
+"""The nodes of a quadrature over the white noise that several displacements share.
+
+A displacement is how far a state moves, in cells along each axis. White noise is independent
+standard normal numbers, through which hidden controls, and the correlated noise of states, add to
+the displacements of a group of states.
+"""
 
 import math
 
@@ -25,9 +30,10 @@ _SHARES = (1.0, 0.1, 1e-2, 1e-3)
 def quadrature(group: Group, spread: Spread, step: int, run: int) -> tuple[Array, Array]:
     """The nodes of the white noise of a group, (nodes, spread.size), and their weights, (nodes,).
 
-    Each number of the noise has nodes of its own, the more the further it moves displacements;
-    those of all numbers are combined in all ways. Weights sum to one; more than 4096 combinations
-    are refused by a ModelError. Without shared noise there is one node, of no numbers.
+    Each number of the noise has nodes of its own, the more of them the further it moves
+    displacements; the nodes of the noise are all combinations of these. Weights sum to one; more
+    than 4096 combinations are refused by a ModelError. Without shared noise there is one node, of
+    no numbers.
     """
     size = spread.size
     if not size:
@@ -64,10 +70,11 @@ def quadrature(group: Group, spread: Spread, step: int, run: int) -> tuple[Array
 
 
 def _nodes(extent: float) -> tuple[Array, Array]:
-    """Nodes and weights of a standard normal that moves a displacement by so many cells a unit.
+    """Nodes (n,) and weights (n,) for a standard normal number that moves states.
 
-    Up to one cell they are of five Gauss–Hermite nodes; wider noise has nodes a cell apart, so that
-    no cell is left out, with the weights of a lattice kernel of that variance. Noise that moves
+    A change of the number by one moves a displacement by `extent` cells. Up to one cell there are
+    five Gauss–Hermite nodes; above, the nodes are one cell of displacement apart, so that no cell
+    is left out, with the weights of a lattice kernel of variance `extent`². A number that moves
     nothing has one node, 0.
     """
     if extent < 1e-9:

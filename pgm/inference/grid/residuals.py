@@ -1,8 +1,10 @@
 """Residuals of measurements over a window of cells, and the exponents that they add up to.
 
-A term's `squared` is half the square of its whitened residual, ½ (z − h)ᵀ R⁻¹ (z − h), at the cells
-in a slice, `first`, of the window's first axis; arrays broadcast to the window. The exponent of the
-measurements' density is minus the sum of all terms'.
+z is a measurement, h the expected measurement at a cell, and R the covariance of the noise. A term
+(`Term`, `Joint` or `Level`) gives by `squared` half the square of the whitened residual, ½ (z − h)ᵀ
+R⁻¹ (z − h), or, of a `Level`, how far the log-density lies below its highest. These are the values
+at the cells in a slice, `first`, of the window's first axis; arrays broadcast to the window. The
+exponent of the measurements' density is minus the sum of `squared` over all terms.
 """
 
 from __future__ import annotations
@@ -20,11 +22,11 @@ BLOCK = 1 << 15
 
 
 class Term(NamedTuple):
-    """The residual of a component with noise of its own, (one − other) / σ, an angle's wrapped.
+    """The residual of a component with independent noise, (one − other) / σ, an angle's wrapped.
 
-    one: The measured value z less the expected one, or less the part f of it where that is a sum f
-        + g; it broadcasts to the window.
-    other: The part g of the expected value, of circles; None where there is none.
+    one: The measured value z less the expected one; or, where the expected value is a sum f + g
+        with g a function of angles alone, z less f. It broadcasts to the window.
+    other: g; None where the expected value is no such sum.
     scale: 1/σ, σ being the standard deviation of the noise.
     angle: Whether the component is an angle.
     """
@@ -35,7 +37,7 @@ class Term(NamedTuple):
     angle: bool
 
     def squared(self, first: slice) -> Array:
-        """Half the squares of the whitened residuals, at places along the window's first axis."""
+        """Half the squares of the whitened residuals, at the cells in a slice of the first axis."""
         found = _some(self.one, first)
         if self.other is not None:
             found = found - _some(self.other, first)
@@ -57,7 +59,7 @@ class Joint(NamedTuple):
     whiten: Array
 
     def squared(self, first: slice) -> Array:
-        """Half the squares of the whitened residuals, at places along the window's first axis."""
+        """Half the squares of the whitened residuals, at the cells in a slice of the first axis."""
         white = _some(self.residual, first) @ self.whiten.T
         found: Array = 0.5 * np.einsum("...i,...i->...", white, white)
         return found
@@ -74,7 +76,7 @@ class Level(NamedTuple):
     highest: float
 
     def squared(self, first: slice) -> Array:
-        """How far the log-density lies below the highest, at places along the first axis."""
+        """How far the log-density lies below `highest`, at cells in a slice of the first axis."""
         return self.highest - _some(self.values, first)
 
 
@@ -82,7 +84,7 @@ Residuals = Term | Joint | Level
 
 
 def _some(array: Array, first: slice) -> Array:
-    """The entries at places along the first axis; all, of an array that broadcasts along it."""
+    """The entries in a slice of the first axis; all, of an array that broadcasts along it."""
     return array if len(array) == 1 else array[first]
 
 

@@ -1,23 +1,23 @@
-"""Whether the cells resolve what measurements leave of a belief: the error of sums over centres.
+"""Whether the cells resolve a belief given measurements: the error of sums over centres.
 
-With the predicted density b and the density l of a step's measurements, its evidence is the
-integral of b l, of which a grid has the sum over centres. Had the centres stood elsewhere, by a
-share δ of a cell along each axis, it would be
+With the predicted density b and the density l of a step's measurements, the evidence of the step is
+the integral of b l, for which a grid takes the sum over centres. If all centres were shifted by a
+share δ of a cell along each axis, the sums of b l and of b alone would be
 
     I(δ) = Σ_i b(c_i + δ h) l(c_i + δ h),        B(δ) = Σ_i b(c_i + δ h),
 
 c_i being the centres and h the widths of the cells; the mean of I over δ is the integral. Of a
 normal density with a standard deviation of s cells ln I varies by ±2e^(−2π²s²). The variance of
-ln I over some shifts, less that of ln B, which earlier measurements have left, is the expected
-square of a step's error; errors of steps add up as independent ones, those of a belief that only
-narrows as one.
+ln I over some shifts, less that of ln B, which is due to earlier measurements, is the expected
+square of a step's error; errors of steps add up as independent ones, but those of a belief that
+only narrows count once in all.
 
-l is evaluated where it is asked for; b is interpolated through the logarithms of its cells, by
-parabolas along each axis. Axes along which b itself is a point or two are not shifted. A peak of a
-mixture that may lie between all shifted centres counts as an error of one nat. A step whose peak is
-wide is not looked at: a curvature of c, the second difference of logarithms from cell to cell, is a
-standard deviation of 1/√c cells (Sloan & Joe, Lattice Methods for Multiple Integration, 1994, of
-shifted rules; McKay, Beckman & Conover, 1979, of Latin hypercubes).
+l is evaluated at the shifted centres; b is interpolated through the logarithms of its cells, by
+parabolas along each axis. Axes along which b itself fills only a cell or two are not shifted. A
+peak of a mixture that may lie between all shifted centres counts as an error of one nat. The error
+of a step whose peak is wide counts as zero: a curvature of c, the second difference of logarithms
+from cell to cell, is a standard deviation of 1/√c cells (Sloan & Joe, Lattice Methods for Multiple
+Integration, 1994, of shifted rules; McKay, Beckman & Conover, 1979, of Latin hypercubes).
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ def error(
 ) -> float:
     """The expected square of the error, in nats, of the log-evidence of a step's measurements.
 
-    predicted: The predicted probabilities of the window's cells.
+    predicted: The predicted probabilities of the window's cells, an axis of the array for each axis
+        of the lattice.
     found: The weights of the step's measurements in this window.
     window: The cells in use, a span along each axis.
 
@@ -97,7 +98,9 @@ def error(
 def _is_missed(sensors: Sequence[MeasuredSensor], found: Weights) -> bool:
     """Whether a density that is not normal may have a peak between all shifted centres.
 
-    A normal density that is missed shows by its slope at the centres.
+    It may if the sensor that is sharpest for the cells is given by its density, and its sharpness
+    is above 15. (A normal density that is missed shows by its slope at the centres.) `found` are
+    the weights of the step's measurements.
     """
     sharp = found.sharpest
     return sharp.cells > _BETWEEN and any(
@@ -114,8 +117,9 @@ def _log(value: float) -> float:
 def _shifts(axes: int) -> Array:
     """Shifts of the centres, (SHIFTS, axes), in shares of a cell from −½ to ½: a Latin hypercube.
 
-    The first one is zero. The seed was chosen among many: waves of a cell's length, along up to
-    four axes and across them, have a mean of .56 at the most over these shifts.
+    The first one is zero. The seed of their draws was chosen among many: the mean over the shifts δ
+    of exp(2πi k·δ), k being 0, 1 or −1 along each of up to four axes, and not 0 along all, is of
+    size .56 at the most.
     """
     rng = np.random.default_rng(_CHOSEN)
     each = [[0, *(1 + rng.permutation(SHIFTS - 1))] for _ in range(axes)]
@@ -138,8 +142,8 @@ def _curvatures(level: Array, turns: Mask) -> Array:
     level: The logarithms of the probabilities of a window's cells.
     turns: The mask of axes that go round a whole circle.
 
-    At an end of the window the difference to the neighbour inside counts twice. It is infinite
-    where a neighbour within has probability zero.
+    At an end of the window the difference to the neighbour inside counts twice. The curvature is
+    infinite where a neighbour within the window has probability zero.
     """
     place = np.array(np.unravel_index(int(level.argmax()), level.shape), dtype=np.intp)
     here, found = float(level[tuple(place)]), np.full(level.ndim, np.inf)
@@ -185,9 +189,9 @@ def _drawn(level: Array, shift: Array, turns: Mask) -> Array:
     shift: The shares, (axes,).
     turns: The mask of axes that go round a whole circle.
 
-    Between two cells it is the straight line, bent as the flatter of the two parabolas about them,
-    or not at all if these bend opposite ways; at an edge, and beside a cell of probability zero, it
-    is what the cell itself has.
+    Between two cells the logarithm is the straight line, bent as the flatter of the two parabolas
+    about the cells, or not at all if these bend opposite ways. At an edge, and beside a cell of
+    probability zero, a cell keeps its own logarithm.
     """
     for axis, share in enumerate(shift):
         if not share:
@@ -208,7 +212,10 @@ def _drawn(level: Array, shift: Array, turns: Mask) -> Array:
 
 
 def _rolled(level: Array, step: int, turns: bool) -> Array:
-    """The values of the cells `step` further along the first axis; −∞ beyond an end."""
+    """The values of the cells `step` further along the first axis; −∞ beyond an end.
+
+    With `turns` the axis goes round a whole circle and has no end.
+    """
     found = np.roll(level, -step, axis=0)
     if not turns:
         found[slice(-step, None) if step > 0 else slice(None, -step)] = -np.inf

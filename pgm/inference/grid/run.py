@@ -34,7 +34,7 @@ def run(
 ) -> GridPosterior:
     """The posterior of bound evidence on a grid, for a schedule, by default a smoother's.
 
-    Warnings say what the status has found at fault.
+    A `GridWarning` is given for each fault that the status shows.
     """
     require_chain(graph, "beliefs on a grid")
     kind = kind_of(schedule, "beliefs on a grid")
@@ -100,7 +100,10 @@ def _figure(grid: Grid, found: GridPosterior) -> Array:
 
 
 def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
-    """The posterior on a grid's own lattice, run by run: filtered and, if asked, smoothed."""
+    """The posterior on the lattice of a grid, without refinement.
+
+    Runs are filtered one after another, and smoothed if `kind` is smoothed or of a fixed lag.
+    """
     lattice = resolve(grid, graph.model.states)
     smoothing = kind.lag > 0
     require_room(lattice, grid, bound.steps + 1, bound.runs, 3 if smoothing else 1)

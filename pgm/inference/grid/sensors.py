@@ -1,7 +1,9 @@
 """Sensors of Gaussian noise: densities of their measurements at the centres of a grid.
 
-A sensor's function is called with as few centres as tell all its values: one stands for all along
-axes on which it does not depend. Where it is a sum h(x) = f(other axes) + g(circles), as a bearing
+A measurement is given by its row in the sensor's `Reading` and by its run; `known` are the values
+(d,) of the sensor's observed parents there, by variable. A sensor's function h, the expected
+measurement, is called with as few centres as its values need: along axes on which it does not
+depend one centre stands for all. Where it is a sum h(x) = f(other axes) + g(circles), as a bearing
 less a heading is, it is called for f and for g; whether it is such a sum is tested at every centre
 once, and at some of them with each measurement. A window is a span of cells along each axis.
 """
@@ -39,7 +41,8 @@ class Weights(NamedTuple):
         and all 0 where no cell explains the measurements.
     log_scale: The logarithm of the largest density of the measurements at a cell of the window.
     sharpest: The sensor that is sharpest for the cells, at the cell of the largest weight.
-    ceiling: The logarithm of the density where all residuals are zero, or a density is highest.
+    ceiling: The logarithm of the density if all residuals were zero; a sensor given by its density
+        counts with the largest density found.
     components: How many numbers were measured.
     """
 
@@ -56,7 +59,7 @@ class GridSensor(MeasuredSensor):
 
     @property
     def cpd(self) -> ConditionalGaussian:
-        """The sensor's CPD."""
+        """The sensor's CPD, which is a conditional Gaussian."""
         cpd = self.reading.cpd
         assert isinstance(cpd, ConditionalGaussian)
         return cpd
@@ -128,7 +131,7 @@ class GridSensor(MeasuredSensor):
     def _on(self, axes: set[int], window: Window, known: Known, step: int, run: int) -> Array:
         """The function h over some axes of a window, with the others at the lattice's middle.
 
-        It is (*lengths, d), with length 1 along the other axes.
+        Its values are (*lengths of the window, d), with length 1 along the other axes.
         """
         indices = self.lattice.indices(window)
         middle = np.array(self.lattice.shape) // 2
@@ -144,9 +147,9 @@ class GridSensor(MeasuredSensor):
         return self.lattice.points([np.array([cells // 2]) for cells in self.lattice.shape])
 
     def _depended(self, some: Integers, known: Known, step: int, run: int) -> set[int]:
-        """The axes on which a component of h depends, tested at some cells (n, axes).
+        """The axes on which any component of h depends, tested at some cells (n, axes).
 
-        It is tested at random cells as well; see `Dependence.look`.
+        h is tested at random cells as well; see `Dependence.look`.
         """
 
         def values(before: Array, after: Array) -> Array:
@@ -156,7 +159,10 @@ class GridSensor(MeasuredSensor):
         return set().union(*self.shape.depended.before)
 
     def _differ(self, one: Array, other: Array) -> Mask:
-        """The mask of values (n, d) that differ by more than rounding, angles wrapped."""
+        """The mask (n, d) of values, `one` and `other` (n, d), that differ by more than rounding.
+
+        Differences of angles are taken the shorter way round.
+        """
         gap = one - other
         for k in np.flatnonzero(self.angles):
             gap[:, k] = wrap(gap[:, k])
@@ -169,7 +175,7 @@ class GridSensor(MeasuredSensor):
     ) -> frozenset[int]:
         """The circles on which h depends by a sum, h(x) = f(other axes) + g(circles).
 
-        None are returned if h is no such sum, or depends on no axis but circles. That it is a sum
+        The result is empty if h is no such sum, or depends on no axis but circles. That it is a sum
         is tested at every centre the first time, then at the cells `some` (n, axes). `depended` are
         all axes on which h depends.
         """
@@ -194,7 +200,7 @@ class GridSensor(MeasuredSensor):
         """Whether h(o, t) = h(o, ·) + h(·, t) − h(·, ·) at every centre, to rounding.
 
         t are the places along the circles `turning`, o those along the other axes, and dots the
-        middle of the lattice. `values` are those of h at points (n, axes).
+        middle of the lattice. `values` is the function h, from points (n, axes) to values (n, d).
         """
         others = set(range(len(self.lattice.axes))) - turning
         one, other = (Reduced(self.lattice, axes, values) for axes in (others, turning))
@@ -209,7 +215,11 @@ class GridSensor(MeasuredSensor):
     def _adds(
         self, cells: Integers, turning: frozenset[int], values: Callable[[Array], Array]
     ) -> bool:
-        """Whether the sum of `_adds_everywhere` holds at some cells (n, axes)."""
+        """Whether h(o, t) = h(o, ·) + h(·, t) − h(·, ·) at some cells (n, axes), to rounding.
+
+        The symbols, and `values`, are those of `_adds_everywhere`: h as a function of places o and
+        t along the other axes and along the circles `turning`.
+        """
         middle = np.array(self.lattice.shape) // 2
         turned = np.array([k in turning for k in range(len(middle))])
         each = [cells, np.where(turned, middle, cells), np.where(turned, cells, middle)]
@@ -220,7 +230,10 @@ class GridSensor(MeasuredSensor):
         return not self._differ(whole - one, other - found[-1]).any()
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """How far h moves by one cell, in standard deviations of noise; see `MeasuredSensor`."""
+        """The furthest that h moves from a `cell` (axes,) to the next along an axis.
+
+        It is counted in standard deviations of the noise; see `MeasuredSensor.sharpness`.
+        """
         step, known = int(self.reading.step[row]), self.known(row, run)
         found = self.values(centres(self.lattice, self.around(cell)), known, step, run)
         gaps = found[1 : 1 + len(cell)] - found[0]

@@ -1,7 +1,8 @@
-"""The slices of one run on a grid, in the form that a chain of finitely many states takes.
+"""The time slices of one run on a grid, in the form that `StateChain` works on.
 
-A belief is an array (*cells) of the probabilities of all cells. It is worked on in a window, the
-cells in use. Steps and runs are numbered from 0.
+The joint states of a slice, the states of one step, are the cells of the lattice. A belief is an
+array (*cells) of the probabilities of all cells. Computations are confined to a window, a span of
+cells along each axis, outside of which a belief is negligible. Steps and runs are counted from 0.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ from pgm.variables import Variable
 
 
 class Narrowness(NamedTuple):
-    """The marginal of one component that is the narrowest for the cells, of all steps.
+    """The marginal with the smallest standard deviation in cells, of one component at one step.
 
-    cells: Its standard deviation in cells; infinite if no belief has been looked at.
-    component: The label of its axis; empty if no belief has been looked at.
+    cells: Its standard deviation in cells; infinite before the first belief.
+    component: The label of its axis; empty before the first belief.
     step: The step of the belief.
     """
 
@@ -51,7 +52,13 @@ class Narrowness(NamedTuple):
 
 
 class Worst(NamedTuple):
-    """The sensor, beliefs and density that the cells serve the least; see `GridStatus`."""
+    """The worst figures of how well the cells of a grid serve its model; see `GridStatus`.
+
+    sharpest: The sensor that is sharpest for the cells.
+    narrowest: The marginal of a belief that is narrowest for the cells.
+    cut: The belief of which the largest share may have been cut off.
+    uneven: The transition density whose sum over centres varies the most as the centres shift.
+    """
 
     sharpest: Sharpness = Sharpness(0.0, None, 0)
     narrowest: Narrowness = Narrowness(math.inf, "", 0)
@@ -59,7 +66,11 @@ class Worst(NamedTuple):
     uneven: Uneven = EVEN
 
     def of(self, other: Worst) -> Worst:
-        """The worse of each of the four, by its first field; where these are equal, one's own."""
+        """Of each of the four figures the worse one of this record and another, as a new record.
+
+        They are compared by their first fields; where these are equal, this record's figure is
+        taken.
+        """
         first = itemgetter(0)
         return Worst(
             max(self.sharpest, other.sharpest, key=first),
@@ -76,9 +87,12 @@ _NONE = 1e-150
 class Tested(NamedTuple):
     """Properties of a model's functions on a lattice, tested once and kept from call to call.
 
+    A group is a set of states that move together, and is identified by its key, `Members.key`.
+
     motion: By a group's key, the axes on which its displacements depend.
     sensors: By sensor, the shape of its function.
-    kept: By a group's key, the weights of densities between all cells, if the same at all steps.
+    kept: By a group's key, the transition weights from every cell to every cell, of a group that is
+        moved by densities which are the same at all steps.
     """
 
     motion: dict[tuple[object, ...], Dependence]
@@ -87,16 +101,21 @@ class Tested(NamedTuple):
 
     @classmethod
     def nothing(cls) -> Tested:
-        """The record before any test."""
+        """An empty record, of a model of which nothing has been tested yet."""
         return cls({}, {}, {})
 
 
 class GridModel:
     """A model with its evidence on a lattice: the groups of its prior and motion, and its sensors.
 
-    tested: What was found of the same model and lattice before, and is added to; None for nothing.
+    A group is a set of states that move together.
+
+    tested: The record of earlier tests of the same model and lattice, to which new ones are added;
+        None begins an empty one.
     first: As an argument, the step before the first row of the transition's inputs; as an
         attribute, the groups of the prior.
+    motion: The transition, as groups that are moved one after another.
+    sensors: The sensors that have measurements.
 
     A CPD without a density, or a parent that the grid does not cover, is refused by a ModelError.
     """
@@ -137,16 +156,16 @@ class GridModel:
 class GridSlices:
     """The `Slices` of a `StateChain`, of one run on a grid; a belief is an array (*cells).
 
-    keep: The type, float64 or float32, of the weights that are kept for the way back; None where
-        there is no way back.
+    keep: The type, float64 or float32, in which the weights of measurements are kept for the
+        backward sweep; None for a filter, which has no such sweep.
 
     outside: By step, the probability that left the bounds, or that the window of active cells has
         cut off.
     added: The variance that the lattice has added in all steps, in squared cells, (axes,).
     split: The indices of the axes that were moved cell by cell.
-    worst: The sensor, beliefs and density that the cells have served the least so far.
-    unresolved: The expected square of the error of the log-evidence, in nats, since centres stand
-        where they do; see `resolution`.
+    worst: The worst figures so far of how well the cells serve the model.
+    unresolved: The expected square of the error of the log-evidence, in nats, that comes of taking
+        sums over centres for integrals; see `resolution`.
     """
 
     lead: tuple[int, ...] = ()
@@ -169,9 +188,10 @@ class GridSlices:
         self._awaiting: tuple[int, Window, Array] | None = None
 
     def prior(self) -> Array:
-        """The prior's probabilities of the cells at step 0, whose sum lacks what is outside.
+        """The prior's probabilities of the cells at step 0, (*cells).
 
-        A ModelError is raised if less than half of the prior is inside the bounds.
+        Their sum lacks the probability outside the bounds. A ModelError is raised if less than half
+        of the prior is inside.
         """
         found, added, uneven = start(self.lattice, self.model.first, self.run)
         self.added += added
@@ -187,9 +207,10 @@ class GridSlices:
         return found
 
     def begin(self, step: int, predicted: Array, left: float) -> None:
-        """Go on from a belief predicted elsewhere, of which the share `left` has left the bounds.
+        """Go on from a `predicted` belief (*cells), of which the share `left` has left the bounds.
 
-        Its window becomes that of the step, and it awaits the measurements.
+        The window that holds this belief becomes that of the step, and the belief is held until the
+        measurements of the step are taken in by `likelihood`.
         """
         each = marginals(predicted)
         window = active(self.lattice, each)[0]
@@ -198,9 +219,10 @@ class GridSlices:
         self._tails.predicted(each, left)
 
     def look(self, step: int, belief: Array) -> Window:
-        """The smallest window of a step's belief, given its measurements.
+        """The smallest window that holds a step's belief (*cells) given its measurements.
 
-        The belief's standard deviations, and what may have been cut off, are noted for the status.
+        The belief's standard deviations, and the share of it that may have been cut off, are noted
+        for the status.
         """
         each = marginals(belief)
         window, deviations = active(self.lattice, each)
@@ -213,7 +235,9 @@ class GridSlices:
     def surprised(self, step: int, log_density: float) -> None:
         """Note for the status how much of a belief may be cut off, if its evidence is doubtful.
 
-        That is bounded by the density of the measurements at the best of all cells.
+        The evidence is doubtful where the step's measurements are far less likely than usual
+        residuals are. The share is bounded by means of the largest density that the measurements
+        have at any cell.
 
         log_density: ln p(measurements of the step | those before).
         """
@@ -222,14 +246,14 @@ class GridSlices:
             self._note(cut=Cut(bound(log_density, best), step))
 
     def _note(self, **found: Any) -> None:
-        """Keep figures of the status, by the fields of `Worst`, that are worse than before."""
+        """Keep each figure of `found`, by its field in `Worst`, that is worse than in `worst`."""
         self.worst = self.worst.of(Worst(**found))
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The predicted belief at a step, from the belief, of sum one, at the step before.
+        """The predicted belief (*cells) at a step, from the belief, of sum one, at the step before.
 
-        It is not normalised: what has left the bounds is missing. A NumericalError is raised if all
-        of it has.
+        It is not normalised: the probability that has left the bounds is missing. A NumericalError
+        is raised if all probability has left.
         """
         source = self.look(step - 1, belief)
         made = self.model.motion.at(step, self.run, source)
@@ -261,9 +285,11 @@ class GridSlices:
         return self.lattice.put(part, made.target)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The backward message (*cells) to the slice before a step, from that to the step's own.
+        """The sum Σ_x p(x | x') message(x) over the cells x of a step, (*cells), one for each x'.
 
-        The step has to have been predicted, by `forward`, before.
+        x' are the cells of the step before; `message` (*cells) is the product of the backward
+        message to the step and of its measurements' weights. `forward` must have been called for
+        this step already.
         """
         source, _ = self.windows[step]
         made = self.model.motion.at(step, self.run, source)
@@ -271,11 +297,12 @@ class GridSlices:
         return self.lattice.put(part, source)
 
     def likelihood(self, step: int) -> tuple[Array | None, float]:
-        """The weights (*cells) of a step's measurements, and the logarithm of their scale.
+        """The weights (*cells) of a step's measurements, and the logarithm s of their scale.
 
-        The density of the measurements is the weights, 1 at the most and zero outside of the
-        belief's window, times the exponential of the scale. The weights are None if nothing was
-        measured. The step's belief has to have been predicted before, or begun with.
+        The density of the measurements at a cell is its weight times e^s. Weights are 1 at the
+        most, and zero outside of the belief's window; if nothing was measured, None stands for
+        them. The belief of the step must already have been predicted by `forward`, or given to
+        `begin`.
         """
         target = self.windows[step][1]
         if step in self._weights:
@@ -297,8 +324,8 @@ class GridSlices:
     def _resolve(self, step: int, found: Weights, window: Window) -> None:
         """Add to `unresolved` the expected square of the error of a step's log-evidence.
 
-        It is added once, on the way forward. `found` are the weights of the step's measurements in
-        the window.
+        It is added once for each step, when the forward sweep takes in the measurements. `found`
+        are their weights in the window.
         """
         waiting, self._awaiting = self._awaiting, None
         if waiting is None or self.unresolved >= resolution.ENOUGH**2:
@@ -311,7 +338,8 @@ class GridSlices:
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
         """Raise an EvidenceError for measurements of probability zero under a predicted belief.
 
-        It names the run of these slices; `belief` and `run`, which other slices need, are not used.
+        The error names the run of this object; the arguments `belief` and `run` are not used, since
+        only chains of several runs need them.
         """
         read = [s.reading.cpd.child for s in self.model.sensors if len(s.rows(step))]
         raise EvidenceError(
@@ -341,19 +369,19 @@ def marginals(belief: Array) -> list[Array]:
 
 
 def spread(marginal: Array, span: Span, cells: int) -> Array:
-    """A marginal over the cells of a span as one over all `cells` of the axis, zero elsewhere."""
+    """Extend a marginal (length,) over a span's cells by zeros to the whole axis, (cells,)."""
     found = np.zeros(cells)
     found[np.arange(span.first, span.first + span.length) % cells] = marginal
     return found
 
 
 def active(lattice: Lattice, each: list[Array]) -> tuple[Window, list[float]]:
-    """The smallest window that holds a belief, up to a share of 10⁻¹⁵ along each axis.
+    """The smallest window that holds a belief, but for a share of 10⁻¹⁵ along each axis.
 
     each: The belief's marginals (cells,) along the axes.
 
-    With the window comes the standard deviation along each axis, in cells; infinite where the
-    window is all of a circle.
+    Returned are the window, and a list of the belief's standard deviations along the axes, in
+    cells; infinite where the window has all cells of a circle.
     """
     window, deviations = [], []
     for axis, marginal in zip(lattice.axes, each, strict=True):

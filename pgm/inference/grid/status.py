@@ -1,4 +1,4 @@
-"""The status of a grid: what its bounds, its cells and its sensors take from the answer."""
+"""The status of a posterior on a grid: errors due to its bounds, its cells and its sensors."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ NARROW = 0.7
 class Refinement(NamedTuple):
     """One resolution of a grid that is refined: its cells along each axis, and the figure there.
 
-    figure: The log-evidence, or what the user's function of the posterior has returned.
+    figure: The log-evidence, or the value of the user's function of the posterior.
     change: The figure's largest change from the resolution before; NaN of the first.
     seconds: How long inference took on these cells.
     """
@@ -59,16 +59,16 @@ class Refinement(NamedTuple):
 
 
 class GridStatus(Shown, Immutable):
-    """The status of a grid's answer.
+    """The figures by which to judge a posterior on a grid: losses at bounds, cells too wide.
 
     Attributes
     ----------
     outside : ndarray
         (*runs): the probability that has left the bounds in all steps together, which the evidence
-        lacks; what the window of active cells cuts off, below 10⁻¹⁴ a step, is counted too. Above
-        10⁻³ a `GridWarning` has said so.
+        lacks; the probability that the window of active cells cuts off, below 10⁻¹⁴ a step, is
+        counted too. Above 10⁻³ a `GridWarning` has been given.
     outside_by_step : ndarray
-        (*runs, T+1): the share of each step's belief that has left.
+        (*runs, T+1): the share of each step's belief that has left the bounds.
     added : mapping of str to ndarray
         By component, (*runs): the variance that the lattice has added in all steps together, in
         squared units of the component. It adds where a displacement has a variance of less than
@@ -76,8 +76,8 @@ class GridStatus(Shown, Immutable):
     unresolved : ndarray
         (*runs): the expected error of the log-evidence, in nats, for want of narrower cells: sums
         over centres change by so much as the centres shift within a cell. Once it is above ten no
-        more is added. Above .25 a `GridWarning` has said so; beliefs are then no better than a
-        cell.
+        more is added. Above .25 a `GridWarning` has been given; beliefs are then no more accurate
+        than a cell.
     sharpest : Sharpness
         The sensor whose expected measurement moves the furthest from a cell to the next, at the
         likeliest cell, in standard deviations of its noise: the figure, the sensor and the step.
@@ -90,23 +90,25 @@ class GridStatus(Shown, Immutable):
     cut : Cut
         The belief of which the most may have been cut off: the share, and its step. Cells of a
         share below 10⁻¹⁵ along an axis are left out, and motion ends at 8.5 standard deviations of
-        its noise; a state further from the belief is not found again, whatever the evidence; nor is
-        one beyond the bounds, which counts where the last cells have become 30 times likelier at
-        once. Above 10⁻³ beliefs and log-evidence are those of the wrong places, and a `GridWarning`
-        has said so. It is an estimate, without second places that were given up at 10⁻¹⁵ and would
-        be made likelier little by little.
+        its noise; a state further from the belief is not found again, whatever the evidence, nor is
+        a state beyond the bounds. Probability beyond the bounds counts at steps whose measurements
+        make the last cells more than 30 times likelier. Above 10⁻³ beliefs and log-evidence may be
+        those of the wrong places, and a `GridWarning` has been given. The share is an estimate,
+        which leaves out separate modes of a belief that were dropped at 10⁻¹⁵ and that further
+        measurements would have made likelier little by little.
     split : tuple of str
         The components that were moved cell by cell, since each depends on another of them, as in a
         rotation, so that none could be moved first. Means and variances are exact all the same,
         densities are not: with noise of a standard deviation of two cells the log-evidence may be
-        off by 10⁻⁴ a step, of four cells by 10⁻⁵; `refine` tells.
+        off by 10⁻⁴ a step, of four cells by 10⁻⁵; ``Grid(..., refine="log_evidence")`` shows by how
+        much.
     uneven : Uneven
         The density that is not Gaussian whose sum over centres, due to be one, varies the most as
-        the centres shift within a cell: by how much, times its weight in a mixture, its variable
-        and its step. It is normalised, but has another shape on the cells: above a tenth a
-        `GridWarning` has said so. Of a normal density with a standard deviation of s cells it is
-        4e^(−2π²s²), of Laplace's with a scale of b cells 1/(8b²), of a uniform one over n cells
-        1/n.
+        the centres shift within a cell: the variation (times the density's weight, in a mixture),
+        the variable and the step. The density is normalised, but has another shape on the cells:
+        above a tenth a `GridWarning` has been given. Of a normal density with a standard deviation
+        of s cells the variation is 4e^(−2π²s²), of Laplace's with a scale of b cells 1/(8b²), of a
+        uniform one over n cells 1/n.
     refinements : tuple of Refinement
         One entry a resolution, coarsest first; empty if no refinement was asked for.
     converged : ndarray of bool
@@ -183,6 +185,7 @@ class GridStatus(Shown, Immutable):
 
     @property
     def _worst(self) -> Worst:
+        """The worst figures of how well the cells serve the model, as one record."""
         return Worst(self.sharpest, self.narrowest, self.cut, self.uneven)
 
     @property
@@ -201,14 +204,15 @@ class GridStatus(Shown, Immutable):
         Parameters
         ----------
         before : GridStatus, optional
-            The status of the step before, of which the user has been told: what was at fault there
-            is not warned of again. None if nothing has been told.
+            The status of the step before, whose warnings the user has had: they are not given
+            again. None if there was none.
 
         Warns
         -----
         GridWarning
-            If more than 10⁻³ has left in a run, or may have been cut off, a density is narrow for
-            the cells, measurements are too sharp for them, or refining has not converged.
+            If more than 10⁻³ of the probability has left the bounds in a run, or may have been cut
+            off, a density is narrow for the cells, measurements are too sharp for them, or refining
+            has not converged.
         """
         told = before or GridStatus(np.zeros((1, 1)), {}, np.zeros(1), Worst())
         if self.rough and not told.rough:
@@ -250,7 +254,7 @@ class GridStatus(Shown, Immutable):
 
     @property
     def _sharpness(self) -> str:
-        """What is sharpest for the cells, in words: a sensor, or else the narrowest belief."""
+        """Words for a warning of wide cells: the sensor that is sharp, or the narrowest belief."""
         if self.sharp is None:
             near = self.narrowest
             return f"{near.component} at step {near.step} is known to {near.cells:.2g} cells"
@@ -271,7 +275,7 @@ class GridStatus(Shown, Immutable):
 
     @property
     def _parts(self) -> list[str]:
-        """What the title says, phrase by phrase, the probability that has left first."""
+        """The phrases of the title, of which the first is the probability that left the bounds."""
         parts = [f"outside {float(self.outside.max(initial=0.0)):.2g}"]
         parts += [
             f"variance added to {name} {float(value.max()):.2g}"

@@ -30,11 +30,11 @@ class Grid(InCode, Immutable):
 
     - c_k: the centres of cells: point masses stand there, and sensors are asked for the density
       of their measurements there;
-    - p_k: their probabilities. Those of Gaussian CPDs are moved by kernels on the lattice, which
-      have the mean and variance of the transition exactly where the variance is f(1 − f)h² or more:
-      h is the width of a cell, f the part by which a displacement goes past a whole number of
-      cells. Where it is less, ``status.added`` tells what the lattice adds to it. The density of
-      other CPDs is asked for from each centre to each, and normalised; a mixture is moved part by
+    - p_k: their probabilities. Gaussian CPDs move them by kernels on the lattice, which have the
+      mean and variance of the transition exactly where the variance is f(1 − f)h² or more: h is the
+      width of a cell, f the part by which a displacement goes past a whole number of cells. Where
+      the variance is less, ``status.added`` has the variance that the lattice adds. The density of
+      other CPDs is evaluated from each centre to each, and normalised; a mixture is moved part by
       part.
 
     Costs grow with the number of cells: three components, such as a pose in the plane, are
@@ -63,7 +63,7 @@ class Grid(InCode, Immutable):
     Raises
     ------
     ModelError
-        If an extent is no such interval or number, or another argument is none of what it may be.
+        If an extent is no such interval or number, or another argument has no allowed value.
 
     References
     ----------

@@ -81,9 +81,10 @@ def mean_at(
 
 
 def covariance_of(cpd: ConditionalGaussian, known: Known, step: int, run: int) -> Array:
-    """The noise covariance (d, d) of a CPD in a run; a function for it is evaluated at `known`.
+    """The noise covariance (d, d) of a CPD in a run.
 
-    Its value is checked: one that is no covariance is refused by a ModelError.
+    A covariance that is a function of observed parents is evaluated at `known`; a value that is no
+    covariance is refused by a ModelError.
     """
     if isinstance(cpd.cov, Noise):
         given = {parent: known[parent][None] for parent in cpd.cov.given}
@@ -98,8 +99,8 @@ def covariance_of(cpd: ConditionalGaussian, known: Known, step: int, run: int) -
 def root_of(cpd: ConditionalGaussian, cov: Array, step: int) -> Array:
     """The lower triangular root L (d, d) of a CPD's noise covariance, cov = L Lᵀ.
 
-    The column of a component that those before it determine is zero. A covariance that is not
-    finite and positive semidefinite is refused by a NumericalError.
+    The column of a component whose noise is determined by the noise of those before it is zero. A
+    covariance that is not finite and positive semidefinite is refused by a NumericalError.
     """
     lower = roots.root(cov)
     if not roots.is_proper(lower):
@@ -131,9 +132,9 @@ def require_noise(cpd: ConditionalGaussian, lower: Array, step: int) -> None:
 def settled(cpd: CPD, known: Known, step: int, run: int) -> CPD:
     """A CPD with its noise evaluated for a step and a run, ready to be asked for many densities.
 
-    A covariance that is a function of observed parents is replaced by its value at `known`, a
-    `GaussianCPD` with axes of runs by the one of the run, and the parts of a mixture likewise.
-    Other CPDs are returned as they are.
+    A covariance that is a function of observed parents is replaced by its value at `known`. A
+    `GaussianCPD` with axes of runs is replaced by that of the run. The parts of a mixture are
+    treated likewise. Other CPDs are returned as they are.
     """
     if isinstance(cpd, MixtureCPD):
         return cpd._with(tuple(settled(part, known, step, run) for part in cpd.parts))

@@ -1,7 +1,7 @@
-"""The correlated density of a prior at the centres, where it is wide for the cells.
+"""A correlated normal prior on a lattice, by its density at the centres, where it is wide.
 
-A kernel along one axis after another has no correlations; a normal density that is wide for the
-cells is right by its values at the centres.
+A kernel along each axis by itself would have no correlations. The values at the centres of a normal
+density that is wide for the cells have its correlations, and its sum and moments up to rounding.
 """
 
 import itertools
@@ -26,12 +26,12 @@ _WIDE = 1.3
 
 
 def wide(group: Group, run: int, window: Window) -> Dense | None:
-    """The move of a prior by its normal density at the centres, where it is wide; otherwise None.
+    """The operator that puts a wide prior on the lattice by its normal density; else None.
 
-    Its weights are (1, 1, cells of the group's axes); `window`, the source, has one cell along
-    these axes. A prior is wide if it is a single `GaussianCPD` of a finite, regular and correlated
-    covariance, each of whose components has a standard deviation, given its others, of 1.3 cells
-    or more.
+    Its weights are the probabilities (1, 1, cells of the group's axes); `window`, the source, has
+    one cell along these axes. A prior is wide if it is a single `GaussianCPD` of a finite, regular
+    and correlated covariance, each of whose components has a standard deviation, given the other
+    components, of 1.3 cells or more.
     """
     cpd, lattice = group.states[0], group.lattice
     if len(group.states) > 1 or not isinstance(cpd, GaussianCPD):

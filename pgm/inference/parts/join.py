@@ -30,7 +30,7 @@ def joined(
     status: Status,
     found: Sequence[ChainPosterior],
 ) -> ChainPosterior:
-    """The posterior of all runs from `found`, those of its parts, in the order of the runs.
+    """The posterior of all runs from the posteriors of its parts, `found`, in their order.
 
     It equals that of one call for all runs. `graph`, `bound` and `status` are of all runs.
     """
@@ -58,7 +58,7 @@ def swept_once(
     """The posterior of a filter or smoother that linearised once, from its beliefs of all runs.
 
     `beliefs` are the filtered mean, covariance and log-density of each step, (T+1, runs, ...), then
-    of a smoother its mean and covariance. What else is asked of the posterior is found by another
+    of a smoother its mean and covariance. The posterior finds anything else, when asked, by another
     sweep.
     """
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
@@ -106,14 +106,20 @@ def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
 
 
 def _digits(status: Status) -> Array:
-    """The digits of runs, (runs,); where they were not measured all that float64 has, 15.7."""
+    """The decimal digits of each run that rounding leaves, (runs,); 15.7 where not measured.
+
+    That is as many as float64 has.
+    """
     if status.digits is None:
         return np.full(status.converged.size, -np.log10(np.finfo(np.float64).eps))
     return status.digits.reshape(-1)
 
 
 def _family(whole: Family, parts: list[Family]) -> None:
-    """Concatenate the parts' linearisations F, b and Q of one CPD along the runs, in `whole`."""
+    """Concatenate the parts' linearisations of one CPD along the runs, in `whole`.
+
+    A linearisation is a matrix F, an offset b and a noise covariance Q.
+    """
     if not whole.exact:
         whole.matrix = np.concatenate([part.matrix for part in parts], axis=1)
         whole.offset = np.concatenate([part.offset for part in parts], axis=1)
@@ -126,7 +132,7 @@ def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
     """Concatenate the parts' records of one sensor along the runs, in `whole`.
 
     They are its measurements with angles moved, weights of robust noise, gate decisions, and the
-    covariances between errors of sightings linearised together (`cross`).
+    covariances (`cross`) between the errors of measurements that are linearised together.
     """
     whole.moved = np.concatenate([part.moved for part in parts], axis=1)
     if whole.robust:
@@ -144,7 +150,8 @@ def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
         def cross(part: Sensor, step: int = step, some: Array = some) -> Array:
             """A part's cross-covariances of one step, (runs, D, D); zeros if it has none there.
 
-            `some` is any part's array of this step, from which zeros have their shape.
+            D is the number of components of all measurements of the step. `some` is any part's
+            array of this step, from which zeros have their shape.
             """
             return part.cross.get(step, np.zeros((part.moved.shape[1], *some.shape[1:])))
 

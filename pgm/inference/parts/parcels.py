@@ -1,9 +1,10 @@
 """Values on their way to other processes: pickles, from which large arrays travel apart.
 
-A pipe moves numbers more slowly than a filter makes them. A *parcel* is one or more pickles and the
-large arrays of all of them, which it puts in one block of memory: as they lie in memory, runs
-fastest, and what is broadcast once. In the pickle there is only the *place* of such an array. An
-array in a block that both processes see (`shared_memory`) stays there.
+A pipe moves numbers more slowly than a filter computes them. A *parcel* is one or more pickles and
+the large arrays of all of them, which are copied to one block of memory: in the order in which they
+lie in memory, and broadcast axes once. In place of each such array the pickle has its *place*:
+where its numbers lie, and how they are read. An array in a block that both processes see
+(`shared_memory`) is not copied.
 """
 
 from __future__ import annotations
@@ -61,10 +62,10 @@ class Pickle(NamedTuple):
 class Parcel:
     """Pickles whose large arrays travel apart from them, in one block of memory.
 
-    With `apart` such a block is to be made, of `size` bytes, which grow with each pickle; without,
-    all arrays stay in the pickles. With `shared` several processes read the block, so that
-    writeable arrays stay in the pickles. An array that already lies in the block of the `room`, if
-    there is one, is pickled as its place.
+    With `apart` the large arrays are meant for a block that the caller makes, of `size` bytes,
+    which grow with each pickle; without, all arrays stay in the pickles. With `shared` several
+    processes read the block, so that writeable arrays stay in the pickles. An array that already
+    lies in the block of the `room`, if there is one, is pickled as its place.
     """
 
     def __init__(self, *, apart: bool, shared: bool = False, room: Room | None = None) -> None:
@@ -82,12 +83,13 @@ class Parcel:
         return Pickle(file.getvalue(), list(itertools.islice(self._put.values(), before, None)))
 
     def place(self, array: AnyArray) -> _Place | None:
-        """The place of an array; None if it is to be pickled as usual.
+        """The place of an array, to be pickled in its stead; None if it is to be pickled as usual.
 
-        An array in the room keeps its place there. Arrays of objects and of subclasses are pickled
-        as usual. A large one is put in the parcel's block, if there is one, once however often it
-        is pickled. Any other that is not contiguous in C order has its numbers in the place itself,
-        in the order in which they lie in memory. The rest are pickled as usual.
+        An array in the room has its place there. Any other array of objects or of a subclass is
+        pickled as usual. A large array is put in the parcel's block, if there is one, once however
+        often it is pickled. An array that is neither put there nor contiguous in C order has its
+        numbers in the place itself, in the order in which they lie in memory. All other arrays are
+        pickled as usual.
         """
         seen = (array.dtype, array.strides, array.shape, array.flags.writeable)
         if self.room is not None and (offset := self.room.offset(array)) is not None:

@@ -1,6 +1,8 @@
 """Running a schedule on a chain: all runs at once, or in parts, of which little may be kept.
 
-The words part, job, share and room are those of `pgm.inference.parts`.
+A part is a slice of the runs with its evidence; a job is the work on it; its share is the portion
+of its posterior that comes back. The room is a list of arrays for all runs, (steps, runs, ...),
+into which the parts' results go; it is empty if posteriors come back whole.
 """
 
 from __future__ import annotations
@@ -55,9 +57,10 @@ def run(
 ) -> ChainPosterior | KeptPosterior:
     """The posterior of a schedule on a chain with Gaussian beliefs, for the arguments of `infer`.
 
-    With `keep` or an `executor` runs are worked through in parts; with `keep` nothing is held but
-    the marginals of its variables, which bounds memory. Sightings of unknown identity are
-    associated first. Of lost digits a call warns once, for all runs together.
+    With `keep` or an `executor` runs are worked through in parts; with `keep` only the log-evidence
+    and the marginals of the variables named are held, which bounds memory. Measurements of unknown
+    things are first associated with candidates. If digits are lost, one warning is given for all
+    runs together.
     """
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
@@ -103,7 +106,7 @@ def run(
 
 
 def _told(posterior: ChainPosterior) -> ChainPosterior:
-    """The posterior of all runs, after a `PrecisionWarning` where digits are few."""
+    """Return the posterior of all runs, after a `PrecisionWarning` if its digits are few."""
     posterior.status._warn()
     return posterior
 
@@ -115,11 +118,12 @@ def _with_places(
     parts: Sequence[Part],
     results: Sequence[Result],
 ) -> Status:
-    """The status of all runs, with the digits that last places cost in parts that measured none.
+    """The status of all runs, with digits lost to last places in parts that measured none.
 
-    In `status`, by `one_status`, such parts have all digits if others have measured theirs. Last
-    places are those of the means that a part has sent, in the `room` or as a posterior. Where no
-    part or every part has measured digits, the status stays as it is.
+    The last place of a mean in float64 costs digits where it is coarse beside the standard
+    deviation. The means are those that a part has sent, in the `room` or as a posterior. In
+    `status`, by `one_status`, such parts have all digits if others have measured theirs. If no part
+    or every part has measured digits, the status stays as it is.
     """
     if status.digits is None or all(result.status.digits is not None for result in results):
         return status
@@ -143,8 +147,9 @@ def _results(
 ) -> list[Result]:
     """The results of all parts, in order; their arrays have been written to the `room`.
 
-    They end with a part that needed twice the digits, unless the share is of kept variables. After
-    a `PgmError` of a job this process solves again, and raises its own error (`_fail_alone`).
+    The list ends with the first part that needed twice the digits, unless the share is of kept
+    variables. After a `PgmError` of a job this process solves again, and raises its own error
+    (`_fail_alone`).
     """
     jobs = [
         Job(part, schedule, lineariser, share, _of(room, part) if workers.shares else None)
@@ -168,11 +173,11 @@ def _results(
 def _fail_alone(
     whole: Part, failed: Part, schedule: Schedule | None, lineariser: Lineariser, share: Share
 ) -> None:
-    """Solve again, in this process, what a worker has failed at, so that the error is raised here.
+    """Solve again, in this process, where a worker has failed, so that the error is raised here.
 
     All runs are solved; or, if variables are kept, those parts, cut as for one worker, that have
-    runs in common with the `failed` one. The first error may be of other runs than the worker's. It
-    returns if there is none.
+    runs in common with the `failed` one. The first error may be of other runs than the worker's. If
+    none is raised, the function returns.
     """
     for part in [whole] if share.kept is None else split(whole, lineariser, 1):
         if part.runs.stop > failed.runs.start and part.runs.start < failed.runs.stop:
@@ -180,7 +185,7 @@ def _fail_alone(
 
 
 def _of(room: Sequence[Array], part: Part) -> list[Array]:
-    """Views of a part's runs in arrays (steps, runs, ...)."""
+    """The part's runs of each array (steps, runs, ...) of the room, as views."""
     return [array[:, part.runs] for array in room]
 
 
@@ -237,10 +242,10 @@ def _gaussians(
 
 @dataclass(frozen=True)
 class Share:
-    """What a worker sends back of its part's posterior.
+    """The portion of a part's posterior that a worker sends back.
 
-    If `kept` is not None it is the marginals of these variables, and the log-evidence. Otherwise
-    it is with `beliefs` the filtered moments and log-densities of all steps, with `smoothed` the
+    If `kept` is not None it is the marginals of these variables, and the log-evidence. Otherwise it
+    is with `beliefs` the filtered moments and log-densities of all steps, with `smoothed` the
     smoothed moments, too; and without `beliefs` the posterior itself.
     """
 
@@ -256,8 +261,8 @@ class Share:
 
         Marginals are sent if there are `kept` variables. Beliefs suffice if every CPD was
         linearised once, along the filter: the schedule has one iteration and is no fixed lag, there
-        is no start, no balanced tree and no gate. Another sweep then finds all else. A posterior of
-        any other call is sent whole.
+        is no start, no balanced tree and no gate. Another sweep then finds everything else. A
+        posterior of any other call is sent whole.
         """
         once = schedule is None or (
             isinstance(schedule, Filtering | Calibration) and schedule.iterations == 1
@@ -291,7 +296,8 @@ class Share:
     ) -> Iterable[tuple[Array, Array]]:
         """Pairs of a mean and a covariance, (steps, runs, ...), that a part has sent.
 
-        They are of its posterior `found`, if that was sent whole; if that is None, in its `arrays`.
+        They are those of its posterior `found`, if it was sent whole, and otherwise those in its
+        `arrays`.
         """
         if found is not None:
             every = [found._swept, found._smoothed]
@@ -303,8 +309,8 @@ class Share:
     def arrays(self, found: ChainPosterior, runs: int) -> list[Array]:
         """The arrays of a part's posterior that are sent back, in the order of `shapes`.
 
-        They are of kept marginals or of beliefs: of a posterior that is sent whole none are asked.
-        `runs` is the number of the part's runs.
+        They are of kept marginals or of beliefs; this is not called where the posterior is sent
+        whole. `runs` is the number of the part's runs.
         """
         if self.kept is None:
             swept, smoothed = found._swept, found._smoothed
@@ -324,8 +330,8 @@ class Share:
 class Job:
     """The work on a part of the runs.
 
-    The arrays of its share go into `room`, the part's views of the arrays of all runs, or, if that
-    is None, into the result.
+    The arrays of its share go into `room`, the part's views of the arrays of all runs; if `room` is
+    None, they go into the result.
     """
 
     part: Part
@@ -338,9 +344,9 @@ class Job:
 class Result(NamedTuple):
     """The result of a part of the runs.
 
-    It is `careful` if it took twice the digits; then, unless variables are kept, it has nothing
-    else, since all runs are to be solved again together. `arrays` are those that have not been
-    written to a room, `found` is a posterior sent whole.
+    `careful` says that it was computed in twice the digits; then, unless variables are kept, it has
+    neither arrays nor a posterior, since all runs are to be solved again together. `arrays` are
+    those that have not been written to a room, `found` is a posterior sent whole.
     """
 
     status: Status

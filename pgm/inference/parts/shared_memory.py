@@ -1,8 +1,8 @@
 """Shared memory between processes of one machine, where the system has it (Linux).
 
-A *block* is a file without a name or a disk, gone when no process has it any more; since the first
-use of fresh memory costs as much as a filter, blocks are kept for the next call with the same
-executor. A *room* is a block with arrays for the results of workers.
+A *block* is a file in memory, without a name, which is gone when no process has it open any more.
+Since the first use of fresh memory costs as much as a filter, blocks are kept for the next call
+with the same executor. A *room* is a block with arrays for the results of workers.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Name(NamedTuple):
     size: int
 
     def open(self, size: int | None = None) -> mmap.mmap:
-        """Map the block; with a `size` it is first made so large, in bytes."""
+        """Map the block into this process; with a `size` it is first made so large, in bytes."""
         file = os.open(f"/proc/{self.process}/fd/{self.file}", os.O_RDWR)
         try:
             if size is not None:
@@ -63,12 +63,19 @@ class Name(NamedTuple):
 
 @lru_cache(_SEEN)
 def seen(name: Name) -> mmap.mmap:
-    """A block of this name mapped in a worker, and kept so: pages used once cost nothing again."""
+    """The block of a name, mapped in a worker; the last four mappings are kept for further calls.
+
+    Memory that a mapping has used once costs nothing to use again.
+    """
     return name.open()
 
 
 class Block:
-    """A growable block of shared memory."""
+    """A growable block of shared memory.
+
+    `file` is its descriptor in this process, which has made it; `number` is its own among the
+    blocks of the process, and `size` is in bytes.
+    """
 
     def __init__(self) -> None:
         self.file = os.memfd_create("pgm")
@@ -101,8 +108,9 @@ class Block:
 class Room:
     """Uninitialised arrays in one shared block, which workers fill in.
 
-    `arrays` has one of float64 for each of `shapes`, a pair of leading axes, the last of them runs,
-    and own axes; in memory runs are fastest. The block is taken from the list `idle`, or new.
+    `arrays` has one of float64 for each of `shapes`: a pair of the lengths of leading axes, the
+    last of which is of runs, and those of own axes. In memory the axis of runs varies fastest. The
+    block is taken from the list `idle`, or new.
     """
 
     def __init__(self, idle: list[Block], shapes: Sequence[Shape]) -> None:

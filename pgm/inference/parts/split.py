@@ -1,6 +1,6 @@
-"""Parts of many runs, cut out with their share of the evidence.
+"""Many runs cut into parts, slices of the runs with their evidence.
 
-`lead` are the user's axes of runs, which are flattened to one.
+`lead` is the shape of the user's axes of runs, which are flattened to one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ MOST = 5000
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A slice of the runs, with a graph, evidence and start that have these runs alone."""
+    """A slice of the runs, with a graph and evidence that have these runs alone.
+
+    `start` has the means at which CPDs are linearised first in these runs; None without such means.
+    """
 
     runs: slice
     graph: DynamicGraph
@@ -42,8 +45,8 @@ class Part:
 def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
     """The parts of all runs, in order: equal in size but for the last, as many for each worker.
 
-    Rounding sizes up may leave a worker a part less. Parts are as large as memory allows, with at
-    most 5,000 runs.
+    `whole` is the part of all runs. Rounding sizes up may leave a worker a part less. Parts are as
+    large as memory allows, with at most 5,000 runs.
     """
     graph, bound, start = whole.graph, whole.bound, whole.start
     size = _size(graph, bound, lineariser, workers)
@@ -63,8 +66,8 @@ def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, wor
     """The number of runs in a part, rounded up: one part a worker, or more where memory bounds it.
 
     A step needs about 5 (n + s) (n + 1) floats for a slice of n components, s of them states; a
-    measurement of d components 5 d (d + 1). It is all runs where a lineariser draws its points
-    afresh for each run.
+    measurement of d components 5 d (d + 1). If a lineariser draws its points afresh for each run,
+    the part is all runs.
     """
     model = graph.model
     rules = [lineariser]
@@ -116,7 +119,7 @@ def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> Condit
 
 
 def _evidence(bound: BoundEvidence, runs: slice) -> BoundEvidence:
-    """The evidence of a part of the runs, with the number of its first as `first_run`."""
+    """The evidence of a part of the runs, with the number of the first of them as `first_run`."""
 
     def inputs(values: Mapping[Any, Array]) -> dict[Any, Array]:
         """The values of inputs in the part's runs, by variable."""

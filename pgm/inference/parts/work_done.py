@@ -1,4 +1,4 @@
-"""What a worker sends back: a result or an error, with the warnings that it gave."""
+"""The answer of a worker: a result or an error, with the warnings that it gave."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class RemoteTraceback(Exception):
 class Done(NamedTuple):
     """The answer of a worker: a value, or an error with its traceback as text.
 
-    `warned` has the warnings that were given there: message, category, file and line.
+    `warned` has the warnings that were given in the worker: message, category, file and line.
     """
 
     value: Any
@@ -35,7 +35,7 @@ class Done(NamedTuple):
     warned: Sequence[tuple[str, type[Warning], str, int]] = ()
 
     def result(self) -> Any:
-        """The value; an error is raised. The worker's warnings are given again first."""
+        """Give the worker's warnings again, then return its value or raise its error."""
         for message, category, file, line in self.warned:
             registry = _REGISTRIES.setdefault(file, {})  # so that a filter may show it once
             warnings.warn_explicit(message, category, file, line, registry=registry)
@@ -46,7 +46,7 @@ class Done(NamedTuple):
 
 
 def here(work: Callable[[Any], Any], job: Any) -> Done:
-    """Do some work in this process, perhaps in a thread; an exception is returned, not raised."""
+    """The `Done` of work(job), called in this process; an exception is in it, and not raised."""
     try:
         return Done(work(job))
     except Exception as error:
@@ -54,11 +54,11 @@ def here(work: Callable[[Any], Any], job: Any) -> Done:
 
 
 def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
-    """Do some work in another process: the `Done` pickled, and the bytes of its large arrays.
+    """Do a job in this worker process: the `Done` pickled, and the size of its large arrays.
 
-    `data` is the pickle of a function and its argument; `own` names the block of its parcel, None
-    if it has none. Large arrays of the `Done` go to the block named `answer`; if that is None they
-    stay in the pickle, and the bytes are zero.
+    `data` is the pickle of a function and its argument, the job; `own` names the block of the
+    pickle's parcel, None if it has none. Large arrays of the `Done` go to the block named `answer`,
+    and their size is in bytes; if `answer` is None they stay in the pickle, and the size is zero.
     """
     try:
         work, job = loads(data, None if own is None else seen(own))
@@ -78,7 +78,7 @@ def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, in
 
 
 def _watched(work: Callable[[Any], Any], job: Any) -> Done:
-    """Do some work and record its warnings, which the caller's process gives again."""
+    """The `Done` of work(job) with its warnings, which the caller's process gives again."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         done = here(work, job)
@@ -87,7 +87,10 @@ def _watched(work: Callable[[Any], Any], job: Any) -> Done:
 
 
 def _packed(done: Done, answer: Name | None) -> tuple[bytes, int]:
-    """A `Done` pickled, and the bytes of its large arrays in the block named `answer`, or zero."""
+    """A `Done` pickled, and the size in bytes of its large arrays in the block named `answer`.
+
+    If `answer` is None, they stay in the pickle, and the size is zero.
+    """
     parcel = Parcel(apart=answer is not None)
     pickle = parcel.dumps(done)
     if answer is not None and parcel.size:

@@ -1,4 +1,4 @@
-"""The workers of an executor: what goes to them, and what comes back."""
+"""The workers of an executor: jobs go to them, and answers come back."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ Job = TypeVar("Job")
 class Task:
     """The work on some runs that an executor has been given.
 
-    `future` is of a `Done`, or, from another process, of its pickle and the bytes of its large
-    arrays in the block `answer`.
+    The result of `future` is a `Done`; or, from another process, the pickled `Done` and the size in
+    bytes of its large arrays in the block `answer`.
     """
 
     runs: slice
@@ -64,10 +64,11 @@ class Task:
 
 
 class Workers:
-    """The workers of an executor, `count` of them; with None for one the caller alone.
+    """The workers of an executor, `count` of them; without an executor (None), the caller alone.
 
-    `shares` says whether they see the memory of the caller's `room`: threads do, and processes that
-    can map a shared block. A ModelError refuses what is no executor of `concurrent.futures`.
+    `shares` says whether they see the memory of the arrays that `room` makes: threads do, and
+    processes that can map a shared block. An object that is no executor of `concurrent.futures` is
+    refused by a ModelError.
     """
 
     def __init__(self, executor: Any) -> None:
@@ -89,8 +90,8 @@ class Workers:
     def room(self, shapes: Sequence[Shape]) -> list[Array]:
         """Arrays for the results of all runs, uninitialised; in a shared block if there is one.
 
-        A shape has the lengths of leading axes, the last of them runs, and of own axes; in memory
-        runs are fastest.
+        A shape is a pair: the lengths of the leading axes, the last of which is of runs, and those
+        of the array's own axes. In memory the axis of runs varies fastest.
         """
         if self._idle is None:
             return [vacant(*shape) for shape in shapes]
@@ -109,9 +110,10 @@ class Workers:
         """The answers of all jobs, in their order, as they come.
 
         `work` is a function of one job, to be found in a module by name; `runs` has each job's
-        runs, for errors. With `large` the large arrays of answers travel in shared blocks, if there
-        can be any. Without an executor a job's error is raised; with one the answer has it. If jobs
-        cannot be pickled, a `ModelError` says which of the `named` objects is why.
+        runs, for errors. With `large` the large arrays of answers travel in shared blocks, if
+        processes can share memory and there are at most 100 jobs. Without an executor a job's error
+        is raised; with one the answer has it. If jobs cannot be pickled, a `ModelError` says which
+        of the `named` objects is why.
         """
         if self._executor is None:
             yield from (Done(work(job)) for job in jobs)
@@ -177,7 +179,7 @@ class Workers:
     def _lost(self, runs: Sequence[slice], error: Exception) -> ExecutorError:
         """The error for parts of the runs whose worker has died, adjacent parts as one range.
 
-        `error` is what the executor has raised.
+        `error` is the exception that the executor has raised.
         """
         rows: list[tuple[int, int]] = []
         for part in runs:
