@@ -17,7 +17,8 @@ from pgm.inference.audit.mixture import Mixture, weigh
 from pgm.kernels.arrays import quiet
 from pgm.progress import counted
 
-# Floats drawn at once: of what is made at a time (to stay in cache), and of whole draws.
+# The floats of a batch at the most: of the part of its draws that is made at a time, which is to
+# stay in cache, and of its whole draws.
 BATCH, ROOM = 2**18, 2**24
 
 
@@ -36,7 +37,10 @@ class Drawing(Protocol):
         """Make `count` draws for each run, of d if `defensive`, else of q."""
 
     def sums(self) -> list[Sums]:
-        """Empty sums for moments: of each hidden variable, and of each cluster of several."""
+        """Sums for the moments of draws, still empty, one for each scope that is compared.
+
+        The scopes are each hidden variable, and each cluster of several variables.
+        """
 
 
 def estimate(
@@ -45,8 +49,8 @@ def estimate(
     """Make S = `samples` draws from q and S from d for each run, and the estimates from them.
 
     `runs` is the number of runs. Returns the estimates of the evidence and of divergences, and for
-    each of the drawing's sums the exact moments beside the Gaussian's. Runs in which no draw has a
-    density are a NumericalError.
+    each of the drawing's sums the exact moments beside the Gaussian's. A NumericalError is raised
+    if in some run all draws, or all from q, have density zero.
     """
     size = max(
         1, min(BATCH // max(drawing.width, 1), ROOM // max(drawing.length, 1)) // max(runs, 1)
@@ -73,9 +77,9 @@ def estimate(
 
 
 def _parts(samples: int, size: int) -> Iterator[tuple[slice, bool]]:
-    """Slices of at most `size` draws of all 2S, S = `samples`, each with whether they are of d.
+    """Pairs of a slice of the 2S draws, S = `samples`, and whether its draws are from d.
 
-    The draws of q come first.
+    Each slice has at most `size` draws. The S draws from q come first.
     """
     for defensive in (False, True):
         for first in range(0, samples, size):

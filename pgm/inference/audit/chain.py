@@ -1,9 +1,10 @@
 """Draws of the trajectories of a chain, with their log-densities.
 
-A *free* component has noise given its parents; the others follow from these. The *pair* is the
-vector of the states of the step before, then the slice. Where a sensor without noise was read, or
-the posterior has no density, densities are *relative*: those of CPDs over those of linearised ones.
-S is the number of draws of a run, n that of the components of a slice.
+A component is *free* if it has noise given its parents; any other component is a function of its
+parents and the free ones. The *pair* is the vector of the states of the step before, then the
+slice. Where a sensor without noise was read, or the posterior has no density, densities are
+*relative*: each CPD's density is divided by that of the linearised CPD. S is the number of draws of
+a run, n that of the components of a slice, z stands for all measurements.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ class ChainDraws:
     relative : bool
         Whether densities are relative.
     beliefs : Beliefs
-        The smoothed moments of all slices.
+        The smoothed moments of all slices: means (T+1, runs, n), covariances (T+1, runs, n, n).
     judged : ndarray
-        (T+1,): for each step, whether the posterior's own belief of it knows all measurements.
+        (T+1,): for each step, whether the posterior's belief at it is given all measurements.
     onward : Conditional
         (T, runs, ...): each slice given the states before and all measurements.
     """
@@ -73,9 +74,10 @@ class ChainDraws:
     def make(cls, posterior: ChainPosterior) -> ChainDraws:
         """Prepare to draw from the smoothed joint of a posterior's last linearisation.
 
-        Refused with a NumericalError are a nonlinear sensor that was read and has singular noise,
-        indefinite covariances, and, where densities are relative, grouped sensors, robust noise and
-        nonlinear CPDs with singular noise.
+        A NumericalError is raised for a nonlinear sensor that was read and has singular noise, for
+        indefinite covariances, and, where densities are relative, for sensors whose sightings of a
+        step are linearised together (grouped), for robust noise and for nonlinear CPDs with
+        singular noise.
         """
         plan = posterior._plan
         exact = has_exact(s.family for s in plan.sensors if s.family.step.size)
@@ -104,12 +106,12 @@ class ChainDraws:
         reference: Array | None,
         judged: Mask,
     ) -> ChainDraws:
-        """Prepare to draw from the law of given moments; other modes are looked for.
+        """Prepare to draw from the Gaussian of smoothed moments, and look for other modes.
 
         beliefs: The smoothed moments of all slices.
         reverse: The conditionals of the states given the slice after them.
         reference: (runs,): ln p(z) of the linearised model; None unless densities are relative.
-        judged: As of the class.
+        judged: (T+1,): as of the class.
         """
         relative = reference is not None
         prior, transition = (
@@ -156,9 +158,10 @@ class ChainDraws:
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
     def sums(self) -> list[Sums]:
-        """Empty sums for the moments of each hidden variable, of the states, and of the pairs.
+        """Sums, still empty, for the moments of each hidden variable, the states, and the pairs.
 
-        Pairs are summed up where the beliefs of both of their slices know all measurements.
+        Pairs are left out unless, at some step, the posterior's beliefs of both of the pair's
+        slices are given all measurements.
         """
         layout, judged = self.plan.layout, self.judged
         mean, cov = self.beliefs.mean, self.beliefs.cov
@@ -230,9 +233,10 @@ class ChainDraws:
         return strand.drawn(total, values)
 
     def _readings(self, step: int, slices: Array, *, strict: bool) -> Array:
-        """The log-density of a step's measurements given its slices (runs, S, n), (runs, S).
+        """The log-density (runs, S) of a step's measurements at draws of its slice (runs, S, n).
 
-        A function that is not finite is a LinearisationError if `strict`, else it makes a NaN.
+        A function value that is not finite raises a LinearisationError if `strict`; if not, the
+        log-density of the draw is NaN.
         """
         total = np.zeros(slices.shape[:2])
         for sensor, term in self.sensors:
@@ -251,14 +255,18 @@ class ChainDraws:
 
     @property
     def excursions(self) -> Excursions:
-        """The excursions of defensive draws; none follows the model if densities are relative."""
+        """How defensive draws leave the Gaussian q for some steps.
+
+        If densities are relative they never follow the model's own CPDs there.
+        """
         return Excursions(self.plan.steps + 1, 0.0 if self.relative else PREDICTED)
 
 
 @dataclass(frozen=True, eq=False)
 class _Law:
-    """The maker of laws of smoothed trajectories, by which these are drawn forward in time.
+    """Makes, from smoothed moments, Gaussian laws by which trajectories are drawn forward in time.
 
+    layout: The vectors of states, slices and pairs.
     prior, transition: Pairs of a CPD's `Link` and its density, as of `ChainDraws`.
     """
 
@@ -267,10 +275,10 @@ class _Law:
     transition: Links
 
     def onward(self, beliefs: Beliefs, states: Conditional) -> Conditional:
-        """The conditionals p(x[t+1] | x[t], z) of each slice given the states, z all measurements.
+        """The conditionals p(slice at t + 1 | states at t, z), (T, runs, ...), z all measurements.
 
-        Bayes' rule turns `states`, p(x[t] | x[t+1], measurements up to t), round, with the smoothed
-        moments of all slices, `beliefs`.
+        Bayes' rule makes them of `states`, the conditionals p(states at t | slice at t + 1,
+        measurements up to t), (T, runs, ...), and `beliefs`, the smoothed moments of all slices.
         """
         mean, cov, places = beliefs.mean, beliefs.cov, self.layout.state_places
         before = block(cov[:-1], places, places)
@@ -281,7 +289,8 @@ class _Law:
     def path(self, beliefs: Beliefs, states: Conditional) -> Path:
         """The law of trajectories: the states at step 0, then each slice given the states before.
 
-        `beliefs` are the smoothed slices, `states` as of `onward`.
+        `beliefs` are the smoothed moments of all slices, `states` the conditionals of the states
+        given the slice after them, as of `onward`.
         """
         places, front = self.layout.state_places, self.layout.state_size
         mean, cov = beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places)
@@ -296,8 +305,8 @@ class _Law:
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
     """The mask of components that have noise given their parents, of `shape` (rows, runs, n).
 
-    n is the number of components of the slice, or of the states at step 0. `start` is where it
-    begins in the vector in which the links' children stand.
+    The n components are those of the slice, or, at step 0, of the states. `start` is the place of
+    the first of them in the vector by which the links count their children's places.
     """
     free = np.zeros(shape, dtype=bool)
     for link, term in links:
@@ -306,9 +315,10 @@ def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
 
 
 def _refuse_grouped(plan: ChainPlan) -> None:
-    """Raise a NumericalError for a grouped sensor, since densities are relative.
+    """Raise a NumericalError for a grouped sensor, which relative densities do not allow.
 
-    Its correlated approximation errors are in no density of one CPD.
+    A grouped sensor's sightings of a step are linearised together. Their approximation errors are
+    correlated, and no product of linearised densities of one sighting each has this correlation.
     """
     for sensor in plan.sensors:
         if sensor.cross:

@@ -1,7 +1,8 @@
-"""Other modes of a chain, found by smoothers that begin elsewhere.
+"""Modes of a chain's posterior besides the one that the Gaussian answer fits.
 
-There are C starts for each run, and copy c of run r is run c · runs + r of one call, N = C · runs
-in all (`repeated`). n is the number of components of a slice.
+They are found by short smoothers that start from C other trajectories for each run, in one call on
+a plan that has every run C times (`repeated`): its run c · runs + r is the copy c of run r, and it
+has N = C · runs runs in all. n is the number of components of a slice.
 """
 
 from __future__ import annotations
@@ -35,15 +36,17 @@ ROOM, STARTS = 2**26, 24
 # The part of the smoothers below which those that fail together are given up.
 SMALLEST = 1.0 / 64.0
 
-# From smoothed moments and the conditionals of states given the slice after them to their law.
+# Makes the law of trajectories of their smoothed moments and the conditionals of states given the
+# slice after them.
 MakePath = Callable[[Beliefs, Conditional], Path]
 
 
 class Arrived(NamedTuple):
     """The results of N smoothers.
 
-    They are smoothed moments (T+1, N, ...), the states given the slice after them, (T, N, ...), and
-    ln of the evidence of the last linearisation, (N,).
+    `mean` (T+1, N, n) and `cov` (T+1, N, n, n) are the smoothed moments, `states` (T, N, ...) the
+    conditionals of the states given the slice after them, and `log_evidence` (N,) that of the last
+    linearisation, −∞ of a smoother that has failed.
     """
 
     mean: Array
@@ -61,13 +64,13 @@ def find(
     ----------
     plan : ChainPlan
     answer : Beliefs
-        The smoothed moments of all runs.
+        The answer's smoothed moments of all runs.
     own : Conditional
-        (T, runs, ...): its states given the slice after them.
+        (T, runs, ...): the answer's conditionals of the states given the slice after them.
     make : callable
-        Of smoothed moments and such conditionals of all runs, returns their `Path`.
+        Makes the `Path` of smoothed moments and conditionals of all runs, as `answer` and `own`.
     most : int
-        Modes at the most that are to be drawn from.
+        The largest number of modes that are to be drawn from.
     """
     if plan.exact:
         return Modes.none(plan.runs)
@@ -86,9 +89,10 @@ def find(
 class Found(NamedTuple):
     """K other modes of some runs.
 
-    Each has smoothed moments (T+1, runs, ...), and the states given the slice after them; `shares`
-    (K, runs) and `missed` (runs,) are those of `Modes`, `answer` the answer's own moments and
-    states. In runs that have fewer modes the arrays are the answer's.
+    Each mode has its smoothed moments (T+1, runs, ...) in `beliefs`, and its conditionals of the
+    states given the slice after them, (T, runs, ...), in `states`. `shares` (K, runs) and `missed`
+    (runs,) are those of `Modes`. `answer` has the moments and conditionals of the Gaussian answer,
+    which take the place of a mode in runs that have fewer than K.
     """
 
     beliefs: list[Beliefs]
@@ -99,9 +103,9 @@ class Found(NamedTuple):
 
 
 def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> Found:
-    """The modes of some runs, whose smoothers from all starts are one call.
+    """Find the other modes of the runs of `plan`, by one call of the smoothers from all starts.
 
-    `answer`, `own` and `most` are as of `find`, of the runs of `plan`.
+    `answer`, `own` and `most` are as of `find`, of these runs.
     """
     begun = starts(plan, answer.mean)
     steps, runs, count, size = begun.shape
@@ -110,7 +114,7 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
     std = deviation(arrived.cov)
 
     def wide(each: Array) -> Array:
-        """(T+1, C runs, n) as (C, runs, (T+1) n)."""
+        """An array (T+1, C · runs, n) reshaped to (C, runs, (T+1) · n)."""
         return each.reshape(steps, count, runs, size).transpose(1, 2, 0, 3).reshape(count, runs, -1)
 
     angles = np.tile(angle_mask(plan.layout.slice), steps)
@@ -134,9 +138,10 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
 
 
 def _joined(found: list[Found], make: MakePath) -> Modes:
-    """The modes of all runs, from those found in parts of the runs, in their order.
+    """The modes of all runs, from the modes found in parts of the runs, one part after another.
 
-    A part with fewer modes than another has its answer, at a share of zero, for those it lacks.
+    `make` makes the law of each mode, as of `find`. Where a part has fewer modes than another, its
+    Gaussian answer stands for each mode that it lacks, with a share of zero.
     """
     missed = np.concatenate([each.missed for each in found])
     laws = []
@@ -155,10 +160,10 @@ def _joined(found: list[Found], make: MakePath) -> Modes:
 
 @quiet()
 def _arrived(plan: ChainPlan, begun: Array) -> Arrived:
-    """Smooth from starts (T+1, N, n); a batch that fails is tried in halves.
+    """Run N smoothers from the trajectories `begun` (T+1, N, n); `plan` has a run for each.
 
-    `plan` is of all N smoothers. Those that fail, or whose result is not finite, have a
-    `log_evidence` of −∞. Batches of 1/64 of them, or less, are not halved.
+    A batch of smoothers that fails is tried again in halves, unless it has 1/64 of all smoothers or
+    fewer. A smoother that fails, or whose result is not finite, has a `log_evidence` of −∞.
     """
     size, front = plan.layout.slice_size, plan.layout.state_size
     runs = plan.runs
@@ -194,9 +199,10 @@ def _arrived(plan: ChainPlan, begun: Array) -> Arrived:
 
 
 def _smoothed(plan: ChainPlan, begun: Array) -> Arrived:
-    """A short smoother of all runs, from trajectories (T+1, N, n).
+    """The results of a few smoothing iterations of all runs, from trajectories `begun` (T+1, N, n).
 
-    Its steps are controlled by their cost; if there is none (a ModelError), by damping.
+    Steps that raise the cost, −2 ln p, are held back (Levenberg–Marquardt). A model without a cost,
+    which has nonlinear motions without noise, is damped by a fixed factor instead.
     """
     schedule = Smoothing(ITERATIONS, TOLERANCE, LevenbergMarquardt(tries=TRIES))
     try:

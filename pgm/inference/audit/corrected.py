@@ -1,7 +1,8 @@
 """Exact moments estimated from weighted draws, beside the moments of the Gaussian answer.
 
-A draw x from the mixture r = (q + d)/2 has the weights y = p/r and v = q/r (`mixture`); its offset
-is x less the answer's mean.
+With p = p(x, z) of the model, the Gaussian answer q and the defensive density d, a draw x from the
+mixture r = (q + d)/2 has the weights y = p/r and v = q/r (`mixture`). The *offset* of a draw is x
+less the answer's mean.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ from pgm.variables import Variable
 class Compared:
     """Exact moments of a belief, estimated, beside the Gaussian answer's.
 
-    `mean` (steps, runs, n) and `cov` (steps, runs, n, n) are the exact ones, of the n components of
-    `scope`.
-    `divergence` (steps, runs) is KL(N(mean, cov) ‖ the Gaussian's) in nats, infinite where draws
-    left no covariance. `steps` are the steps of a chain, None in a network without time, whose
-    arrays have a single step. `judged` (steps,) marks beliefs that know all measurements, as q
-    does.
+    `mean` (steps, runs, n) and `cov` (steps, runs, n, n) are the exact moments, of the n components
+    of the variables in `scope`. `divergence` (steps, runs) is KL(N(mean, cov) ‖ the Gaussian
+    answer's belief of the scope) in nats; infinite where `cov` is not positive definite.
+    `steps` are the steps of a chain, None in a network without time, whose arrays have a single
+    step. `judged` (steps,) marks the steps at which the posterior's belief is given all
+    measurements, as q is.
     """
 
     scope: tuple[Variable, ...]
@@ -50,12 +51,12 @@ class Compared:
         """The largest divergence of a judged belief, less what chance explains, (runs,), in nats.
 
         Moments estimated from N effective draws, `draws` (runs,), are about χ²_f / 2N nats off,
-        with f = n (n + 3)/2 degrees of freedom, of n means and a covariance. The largest of m is
-        bounded by
+        with f = n (n + 3)/2 degrees of freedom, of n means and a covariance. Chance explains
 
-            (f/2 + √(f ln m) + ln m) / N
+            (f/2 + √(f ln m) + ln m) / N,
 
-        (Laurent & Massart, 2000, lemma 1).
+        a bound on the largest of m such errors, m being the number of judged steps (Laurent &
+        Massart, 2000, lemma 1).
         """
         size = self.mean.shape[-1]
         freedom, spread = 0.5 * size * (size + 3), log(max(int(self.judged.sum()), 1))
@@ -86,7 +87,7 @@ class Compared:
         return float(found[step, run]), f"{', '.join(map(repr, scope))}{of}"
 
     def gaussian(self, lead: tuple[int, ...]) -> Gaussian:
-        """The exact moments over the runs' shape `lead`, and over steps if there are any."""
+        """The exact moments as a Gaussian, its leading axes the runs, `lead`, then steps if any."""
         mean, cov = self._stacked(self.mean, lead), self._stacked(self.cov, lead)
         return Gaussian._make(self.scope, mean, cov, self.steps)
 
@@ -104,20 +105,22 @@ class Compared:
 
 @dataclass(eq=False)
 class Sums:
-    """Sums of the offsets of draws, and of their squares, for the moments of some variables.
+    """Weighed sums of the offsets of draws, and of their squares, for the moments of a scope.
 
     scope : tuple of Variable
+        The variables whose joint moments are estimated.
     places : slice or ndarray
-        Where they stand in a step's vector of draws.
+        The places of their components in a step's vector of draws.
     first : int
-        The first step at which they are.
+        The first step at which all of the variables are: 1 with hidden controls, or with states of
+        the step before, otherwise 0.
     mean, cov : ndarray
         (steps, runs, n) and (steps, runs, n, n): the Gaussian answer's moments, of the n components
         of `scope`.
     judged : ndarray
         (steps,): see `Compared`.
     timed : bool
-        Whether there are steps.
+        Whether the network has steps.
     """
 
     scope: tuple[Variable, ...]
@@ -135,12 +138,14 @@ class Sums:
         self._squares = np.zeros((2, *self.cov.shape))
 
     def add(self, values: list[Array], pair: Array, fading: Array) -> None:
-        """Take in S draws for each run, a list by step of `values`, weighed by y and v.
+        """Add the offsets of S draws for each run to the sums, weighed by y and by v.
 
-        The values, (runs, S, ...), are whole vectors, from which `places` takes the components of
-        `scope`. `pair` (2, runs, S) are the weights y, over e^peak, and v; `fading` (runs,) is
-        e^(peak before − peak now), by which the sums of the weights y before shrink. Offsets of
-        angles are wrapped.
+        values: By step, the draws' whole vectors, (runs, S, ...), from which `places` takes the
+            components of `scope`. Offsets of angles are wrapped.
+        pair: The weights y / e^peak and v, (2, runs, S), peak being the largest ln y of the run so
+            far.
+        fading: e^(peak before − peak now), (runs,), by which the sums of earlier draws with weights
+            y are multiplied.
         """
         self._offsets[0] *= fading[:, None]
         self._squares[0] *= fading[:, None, None]
@@ -155,13 +160,14 @@ class Sums:
     def compared(self, mixture: Mixture) -> Compared:
         """The exact moments, from all draws, beside the Gaussian's.
 
-        With offsets d, the Gaussian's covariance P, Ẑ and the slope β of the `mixture`'s evidence,
-        and means over draws, they are
+        With offsets δ, the Gaussian's covariance P, and the estimate Ẑ and slope β of the
+        `mixture`'s evidence, the moments of δ are, by means over all draws,
 
-            E d = mean of (y − β v) d / Ẑ,   E d dᵀ = mean of (y − β v) d dᵀ / Ẑ + (β / Ẑ) P,
+            E δ = mean of (y − β v) δ / Ẑ,   E δ δᵀ = mean of (y − β v) δ δᵀ / Ẑ + (β / Ẑ) P,
 
-        v d and v d dᵀ, of means 0 and P, being control variates. Where that leaves no covariance β
-        is zero. Components in which the Gaussian has no variance are not compared.
+        v δ and v δ δᵀ, of means 0 and P, being control variates. Where the result is no proper
+        covariance, the plain weighed moments, β = 0, are taken. Components in which the Gaussian
+        has no variance are not compared.
         """
         weights, evidence = mixture.weighed.weights, mixture.evidence
         lower, slope = roots.root(self.cov), evidence.slope
@@ -188,15 +194,19 @@ class Sums:
 
 
 def _moments(offsets: Array, squares: Array) -> tuple[Array, Array]:
-    """Mean E d and covariance E d dᵀ − E d E dᵀ of offsets d, from E d and E d dᵀ."""
+    """The mean E δ (..., n) and covariance E δ δᵀ − E δ E δᵀ (..., n, n) of offsets δ.
+
+    `offsets` is E δ, `squares` (..., n, n) is E δ δᵀ.
+    """
     return offsets, symmetric(squares - offsets[..., :, None] * offsets[..., None, :])
 
 
 def _from_gaussian(lower: Array, offset: Array, cov: Array) -> Array:
-    """KL(N(m, C) ‖ N(0, L Lᵀ)) (...), of offsets m (..., d), and C (..., d, d).
+    """The divergence KL(N(m, C) ‖ N(0, L Lᵀ)) in nats, (...).
 
-    With A = L⁻¹ C L⁻ᵀ and its eigenvalues a it is ½ (Σ (a − 1 − ln a) + |L⁻¹ m|²), infinite where
-    C is no covariance. Components that L leaves without variance are not compared.
+    m is `offset` (..., n), C `cov` (..., n, n), L the root `lower` (..., n, n). With the
+    eigenvalues a of L⁻¹ C L⁻ᵀ it is ½ (Σ (a − 1 − ln a) + |L⁻¹ m|²); infinite where C is not
+    positive definite. Components that L leaves without variance are not compared.
     """
     fixed = roots.determined(lower)
     white = solving.whiten(lower, offset)

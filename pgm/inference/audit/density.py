@@ -1,9 +1,9 @@
-"""The part of each CPD in the log-weight of draws.
+"""The log-density of each CPD at draws, a term of the log-weights of an audit.
 
 Arrays are of S draws for each run. The child of a CPD is f(parents) + L s, with white noise s and
-the root L of its noise. A component is *free* where L has a pivot: the others follow from the
-parents and from s. A draw is *lost* where f is not finite. A *relative* density is that of the CPD
-over that of its linearisation.
+the root L of the CPD's noise covariance. A child component is *free* where L has a pivot; any other
+component follows from the parents and from s of the free ones. A draw is *lost* if f is not finite
+at it. A *relative* density is that of the CPD divided by that of its linearisation.
 """
 
 from __future__ import annotations
@@ -29,17 +29,24 @@ Stack = TypeVar("Stack", Array, Mask)
 
 
 class Afresh(NamedTuple):
-    """The mask of draws (runs, S) whose children a CPD draws itself, and the generator."""
+    """Which draws take children drawn from the CPD itself, not the proposed ones.
+
+    where: The mask of these draws, (runs, S).
+    rng: The generator of their noise.
+    """
 
     where: Mask
     rng: np.random.Generator
 
 
 class Drawn(NamedTuple):
-    """Children (runs, S, d) of draws, their log-densities, and a mask of lost ones, (runs, S) each.
+    """The children of draws by one CPD, with their log-densities.
 
-    `log_density` is relative where the term is; `log_tails` never is, and has Student's t in place
-    of the Gaussian noise.
+    values: The children, (runs, S, d).
+    log_density: The CPD's log-density, (runs, S); a relative one if the `Term` is relative.
+    log_tails: The log-density, never relative, with Student's t in place of the CPD's Gaussian
+        noise, (runs, S).
+    lost: The mask of draws at which f is not finite, (runs, S).
     """
 
     values: Array
@@ -52,11 +59,12 @@ class Drawn(NamedTuple):
 class Term:
     """The density of a CPD at draws of its family.
 
-    `own` (rows or 1, runs or 1, d, d) is the root L of its noise. If `relative`, densities are
-    divided by those of the linearised CPD, the root of whose noise is `linearised`. This is None if
-    densities are not relative, and of an affine CPD, of which nothing is left. `taken` (rows, runs
-    or 1, d) marks the components of a sensor's readings that were measured, None for all; the other
-    components are given unit variance, and count for nothing.
+    `family` is the CPD at its rows: the steps of a transition, the measurements of a sensor. `own`
+    (rows or 1, runs or 1, d, d) is the root L of the CPD's noise. If `relative`, densities are
+    divided by those of the linearised CPD, the root of whose noise is `linearised`, (rows, runs, d,
+    d); it is None if densities are not relative, and of an affine CPD, whose relative density is
+    one. `taken` (rows, runs or 1, d) marks the components of a sensor's readings that were
+    measured, None for all; the other components are given unit variance, and count for nothing.
     """
 
     family: Family
@@ -67,10 +75,10 @@ class Term:
 
     @classmethod
     def make(cls, family: Family, *, relative: bool, taken: Mask | None = None) -> Term:
-        """The density of a CPD at its rows, from the roots of its noise; see the class.
+        """The density of a CPD at its rows, `family`; the arguments are those of the class.
 
-        Relative densities of robust noise, or of a nonlinear CPD with a singular noise, are a
-        NumericalError.
+        A NumericalError is raised if densities are relative and the CPD has robust noise, or is
+        nonlinear with singular noise.
         """
         own, noise = family.own_noise, family.noise
         if taken is not None:
@@ -114,12 +122,12 @@ class Term:
         *,
         strict: bool = True,
     ) -> Drawn:
-        """The child (runs, S, d) of parents (runs, S, n), at one row, with its density.
+        """The children of draws of the parents at one row, (runs, S, n), with their log-densities.
 
-        Its free components are as `proposed`, (runs, S, d), or drawn from the CPD with Student's t
-        where `afresh` says so, None for nowhere. The other components follow from the parents and
-        the noise that the free ones imply. If `strict`, a function that is not finite is a
-        LinearisationError.
+        Free components are as `proposed`, (runs, S, d); at the draws that `afresh` marks (None: at
+        none) they are drawn from the CPD, with Student's t for its noise. The other components
+        follow from the parents and the noise that the free ones imply. If `strict`, a lost draw
+        raises a LinearisationError.
         """
         value, lost = self._value(row, parents, on_chart=True, strict=strict)
         own = _at(self.own, row)
@@ -141,18 +149,20 @@ class Term:
         )
 
     def sampled(self, row: int, parents: Array, white: Array) -> Array:
-        """The child f(parents) + L s (runs, S, d) for white noise s (S, d).
+        """The children f(parents) + L s (runs, S, d) of parents (runs, S, n), at one row.
 
-        Where f is not finite, the linearised mean stands for it.
+        The white noise s, `white` (S, d), is the same in all runs. Where f is not finite, the mean
+        of the linearised CPD stands for it.
         """
         value, _ = self._value(row, parents, on_chart=True, strict=False)
         child: Array = value + white @ transpose(_at(self.own, row))
         return child
 
     def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
-        """The `proposed` children (runs, S, d), or where `afresh` says so f(parents) + L s.
+        """The `proposed` children (runs, S, d), at draws that `afresh` marks f(parents) + L s.
 
-        s is then Student t noise. `value` is f(parents), (runs, S, d), `own` the root L.
+        s is noise of Student's t. `value` is f(parents), (runs, S, d), `own` the root L, (runs or
+        1, d, d).
         """
         places = afresh.where
         white: Array = np.zeros(proposed.shape)
@@ -163,11 +173,12 @@ class Term:
     def readings(
         self, rows: slice, parents: Array, values: Array, moved: Array, *, strict: bool = True
     ) -> Array:
-        """The log-density of measurements, (runs, S), summed over k rows; NaN where one is lost.
+        """The log-density of a sensor's k measurements in `rows`, summed, (runs, S).
 
-        Parents are (k, runs, S, n). `values` (k, runs or 1, d) are the measurements; `moved` are
-        the same with angles on the linearisation's branch, for affine CPDs and linearised ones. If
-        `strict`, a function that is not finite is a LinearisationError.
+        `parents` are (k, runs, S, n). `values` (k, runs or 1, d) are the measurements; `moved` (k,
+        runs, d) are the same with angles on the linearisation's branch, which densities of affine
+        and of linearised CPDs take. The log-density of a lost draw is NaN, or, if `strict`, a
+        LinearisationError is raised.
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
@@ -190,9 +201,10 @@ class Term:
         return total
 
     def _robust(self, noise: RobustNoise, rows: slice, residual: Array) -> Array:
-        """The log-density (..., S) of residuals (..., S, d) of robust noise.
+        """The log-density (..., S) of residuals (..., S, d) under robust noise.
 
-        An improper noise has the Gaussian's constant, −½ ln |2π R|, R the noise's covariance.
+        Improper noise, whose density has no finite integral, is given the Gaussian's constant,
+        −½ ln |2π R|, R being the covariance of the noise.
         """
         count: Integers = np.asarray(self.family.shape[2])
         if self.taken is not None:
@@ -222,9 +234,10 @@ class Term:
         return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
-        """The CPD's log-density `own` (..., S), less that of the linearised CPD if `self.relative`.
+        """The CPD's log-density `own` (..., S), less the linearised CPD's if `self.relative`.
 
-        `child` are the values (..., S, d) at which both are. Of an affine CPD zero is left.
+        `parents` (..., S, n) and `child` (..., S, d) are the values at which both log-densities are
+        taken. The relative log-density of an affine CPD is zero.
         """
         if not self.relative:
             return own
@@ -247,9 +260,10 @@ class Term:
         on_chart: bool = False,
         strict: bool = True,
     ) -> tuple[Array, Mask]:
-        """The values f(parents) (..., S, d) at draws (..., S, n), and a mask of lost ones (..., S).
+        """The values f(parents) at draws of the parents (..., S, n), and which draws are lost.
 
-        Lost ones have the linearised mean; if `strict` they are a LinearisationError. If
+        The values are (..., S, d), the mask of lost draws (..., S). A lost draw has the mean of the
+        linearised CPD for its value; if `strict`, it raises a LinearisationError instead. If
         `on_chart`, angles are on the branch of the linearised mean, which depends on the parents
         alone, so that the child's density, whose angles are not wrapped, integrates to one.
         """
@@ -293,9 +307,9 @@ Links = list[tuple[Link, Term]]
 
 
 def has_exact(read: Iterable[Family]) -> bool:
-    """Whether the noise of a sensor is singular; that of a nonlinear one is a NumericalError.
+    """Whether some sensor that has measurements, one of the families `read`, has singular noise.
 
-    `read` are the families of sensors that have measurements.
+    A nonlinear sensor with singular noise raises a NumericalError.
     """
     found = [f for f in read if roots.determined(roots.root(f.own_noise)).any()]
     for family in found:

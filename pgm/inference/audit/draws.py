@@ -1,10 +1,10 @@
-"""Draws in the making, slice by slice, with their densities.
+"""Importance draws for an audit in the making, slice by slice, with their densities.
 
-They are drawn from the Gaussian answer q, or from a defensive density d: most follow q but for an
-excursion (`Excursions`), the others are of Gaussians at other modes (`Modes`). A slice is a step of
-a chain, or all variables of a network without time. *White noise* s gives a slice, F x + b + L s,
-from the states x before (`Proposal`). S is the number of draws of a run, n that of the components
-of a slice, m that of the states before, 0 for the first slice.
+Draws are from the Gaussian answer q, or from a defensive density d. Of the draws from d some follow
+q but for an excursion (`Excursions`), the others are from Gaussians at other modes (`Modes`). A
+slice is a step of a chain, or all variables of a network without time. *White noise* s gives a
+slice, F x + b + L s, from the states x before (`Proposal`). S is the number of draws of a run, n
+that of the components of a slice, m that of the states before, 0 for the first slice.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from pgm.kernels.arrays import Array, Integers
 
 
 class Draws(NamedTuple):
-    """The log-densities of draws, (runs, S), and their values by step, a list of (runs, S, ...).
+    """The log-densities of draws x, (runs, S) each, and the values of the draws.
 
-    `values` are, of a chain, vectors of the states before and the slice; of a network without time
-    one of all variables. `target` is ln p(x, z) of the model, NaN where a function was not finite
-    at a defensive draw; `gaussian` is ln q and `defensive` ln d.
+    `target` is ln p(x, z) of the model with the measurements z, NaN where a function was not finite
+    at a defensive draw; `gaussian` is ln q and `defensive` ln d. `values` has by step an array
+    (runs, S, ...): of a chain, vectors of the states before and the slice; of a network without
+    time a single array, of all variables.
     """
 
     target: Array
@@ -37,19 +38,21 @@ class Draws(NamedTuple):
 
 @dataclass(eq=False)
 class Strand:
-    """Draws of q or of d under construction: for each slice in turn `propose`, then `weigh`.
+    """Draws from q or d under construction: call `propose`, then `weigh`, for each slice in turn.
 
     A defensive draw leaves q for an excursion, or is of another mode's Gaussian q_k:
 
         d = (1 − Σ_k m_k) d_excursion + Σ_k m_k q_k
 
-    with the modes' shares m_k. All log-densities are summed up over the slices.
+    with the modes' shares m_k and the density d_excursion of draws with an excursion. Both ln q and
+    ln d are summed up over the slices.
 
     answer : Path
         The Gaussian answer q.
     modes : Modes
         The other Gaussians q_k, and their shares.
     excursions : Excursions
+        Where defensive draws leave q.
     shape : tuple of int
         (runs, S).
     rng : Generator
@@ -82,8 +85,8 @@ class Strand:
     def propose(self, given: Array) -> tuple[Array, Afresh | None]:
         """Draw the next slice (runs, S, n) given the states before, (runs, S, m).
 
-        Returns it with the mask of draws that the model's own CPDs are to draw instead; None unless
-        draws are defensive.
+        Returns the slice, and an `Afresh`, whose mask has the draws for which the model's own CPDs
+        are to draw the slice instead; None unless draws are defensive.
         """
         proposal, row = self.answer.at(self._index)
         tails = afresh = None
@@ -102,10 +105,10 @@ class Strand:
         return values, afresh
 
     def weigh(self, given: Array, values: Array, predicted: Array) -> None:
-        """Take in the densities of a slice, (runs, S, n), given the states before, (runs, S, m).
+        """Add the log-densities of a slice to ln q and ln d.
 
-        `predicted` (runs, S) is its log-density by the model's CPDs, with Student's t for their
-        noise.
+        `given` (runs, S, m) are the states before, `values` (runs, S, n) the slice as drawn, and
+        `predicted` (runs, S) its log-density by the model's CPDs, with Student's t for their noise.
         """
         proposal, row = self.answer.at(self._index)
         white = self._white
@@ -129,7 +132,7 @@ class Strand:
         self._index += 1
 
     def drawn(self, target: Array, values: list[Array]) -> Draws:
-        """The draws, once all slices are taken in: `target` ln p(x, z), `values` by step."""
+        """The finished draws, after the last slice; `target` and `values` are those of `Draws`."""
         defensive = self._density.log()
         if self.modes.paths:
             shares = self.modes.shares

@@ -24,12 +24,12 @@ class Lanes:
     """C drives to be made: their white noise, and how long each follows the answer's mean.
 
     first : ndarray
-        (C, n₀): that of the states at step 0.
+        (C, n₀): the white noise of the states at step 0.
     noise : ndarray
         (C,): the factor of the white noise at later steps, from 0 to 1.
     leave : ndarray
-        (C,): the last step up to which a drive is the answer's mean; −1 of those that begin in the
-        prior.
+        (C,): the last step up to which a drive is the answer's mean; −1 of a drive that begins in
+        the prior.
     """
 
     first: Array
@@ -48,7 +48,7 @@ def starts(plan: ChainPlan, answer: Array) -> Array:
       the middle step k;
     - drives from points that fill the prior, without noise and with it.
 
-    They are the same in each call. One that is not finite is replaced by μ.
+    The same noise is drawn in each call. A trajectory that is not finite is replaced by μ.
     """
     half = plan.steps // 2
     first = np.zeros((2 + STEADY + NOISY, plan.layout.state_size))
@@ -70,7 +70,7 @@ def starts(plan: ChainPlan, answer: Array) -> Array:
 def drives(plan: ChainPlan, answer: Array, lanes: Lanes) -> Array:
     """The drives (T+1, runs, C, n) of C lanes, from the prior or from the answer's means.
 
-    `answer` (T+1, runs, n) are these means.
+    `answer` (T+1, runs, n) are the smoothed means of the Gaussian answer.
     """
     layout, count = plan.layout, len(lanes.first)
     size, front, places = layout.slice_size, layout.state_size, layout.state_places

@@ -60,7 +60,10 @@ class Excursions:
         )
 
     def begin(self, shape: tuple[int, int]) -> Density:
-        """The density of no slice yet, for draws of a `shape` (runs, S)."""
+        """The density of draws before their first slice: 1, all of it in the stage BEFORE.
+
+        shape: (runs, S).
+        """
         shares = np.zeros((4, *shape))
         shares[BEFORE] = 1.0
         return Density(np.zeros(shape), shares)
@@ -70,22 +73,25 @@ class Excursions:
     ) -> Density:
         """The density of draws up to slice `index`, from that before it.
 
-        With b the probability that the slice begins the excursion, e that one ends, π the part of
-        its kind, and p the slice's own density in a stage (p_q by the Gaussian), the shares a
-        become
+        With b the probability that the slice begins the excursion if none before has, e the
+        probability that an excursion has ended with the slice before, π_kind the part of excursions
+        of a kind (PREDICTION or TAILS), p_kind the slice's density in it, and p_q its density by
+        the Gaussian, the shares a of the stages become
 
             before: (1 − b) a_before p_q,
-            of either kind: ((1 − e) a_kind + b π a_before) p_kind,
+            of either kind: ((1 − e) a_kind + b π_kind a_before) p_kind,
             after: (a_after + e Σ a_kind) p_q.
 
         Parameters
         ----------
         index : int
         so_far : Density
+            The density up to the slice before.
         gaussian, predicted : ndarray
             (runs, S): the slice's log-density by the Gaussian, and by the model with Student's t.
         tails : ndarray
-            (runs, S): that by the Gaussian with Student's t for its noise, less `gaussian`.
+            (runs, S): the log-density by the Gaussian with Student's t for its noise, less
+            `gaussian`.
         """
         begin, before = self._begin(index), so_far.shares
         scale = np.maximum(np.maximum(predicted, gaussian), gaussian + tails)

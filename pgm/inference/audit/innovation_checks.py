@@ -20,12 +20,13 @@ BAND = 2.576
 class InnovationCheck(Shown):
     """Whether one sensor's innovations are as white and as large as a correct model's.
 
-    nis: (*runs): the normalised innovation squared a component, its mean over all components that
-        were read in a run; 1 is right, more where measurements are further off than the model says:
-        outliers, too small a noise, a wrong motion. NaN where nothing was read.
-    overall: The same of all runs together.
-    autocorrelation: Of whitened innovations one measurement apart; 0 is right. NaN without two
-        measurements of a run.
+    nis: (*runs): the normalised innovation squared (NIS) per component, the mean over all
+        components that were read in a run. 1 is right; it is larger if measurements are further off
+        than the model says: outliers, too small a noise, a wrong motion. NaN where nothing was
+        read.
+    overall: The NIS per component over all runs together.
+    autocorrelation: The correlation of whitened innovations one measurement apart; 0 is right. NaN
+        if no run has two measurements.
     band, autocorrelation_band: If the model is right, `overall` is within `band` of 1 with a
         probability of 99 %, and `autocorrelation` within `autocorrelation_band` of 0.
     """
@@ -39,7 +40,7 @@ class InnovationCheck(Shown):
 
     @classmethod
     def of(cls, sensor: Variable, found: Innovations) -> InnovationCheck:
-        """Sum up the innovations of a sensor."""
+        """The check of a sensor, from its innovations `found`."""
         squares, dof = np.nansum(found.nis, axis=-1), found.dof.sum(axis=-1)
         read = dof.sum()
         white = whitened(found)

@@ -21,7 +21,7 @@ from pgm.kernels.arrays import Array
 
 
 def weigh(draws: Draws) -> tuple[Array, Array]:
-    """The log-weights ln y, −∞ where p is NaN, and v, (runs, S) each."""
+    """The log-weights ln y of draws, −∞ where p is NaN, and their weights v, (runs, S) each."""
     log_mixture = np.logaddexp(draws.gaussian, draws.defensive) - np.log(2.0)
     log_weights = np.where(np.isnan(draws.target), -np.inf, draws.target - log_mixture)
     return log_weights, np.exp(draws.gaussian - log_mixture)
@@ -117,7 +117,8 @@ class Mixture:
     ) -> Mixture:
         """Make the estimates from ln y, v and ln w, (runs, 2S), q's draws first.
 
-        Runs in which no draw has a density are a NumericalError.
+        `undefined` is as of the class. A NumericalError is raised if in some run all draws, or all
+        from q, have density zero.
         """
         weighed = Weighed(log_weights, control, log_ratio)
         _require_draws(weighed)
@@ -133,18 +134,21 @@ class Mixture:
 
     @cached_property
     def effective_draws(self) -> Array:
-        """The number (Σ y)² / Σ y² of all draws, (runs,)."""
+        """The effective number of all draws, (Σ y)² / Σ y², (runs,)."""
         return _effective(self.weighed.weights)
 
     @cached_property
     def effective_sample_size(self) -> Array:
-        """The number (Σ w)² / Σ w² of q's own draws, w = p/q, (runs,)."""
+        """The effective number of q's own draws, (Σ w)² / Σ w² with w = p/q, (runs,)."""
         plain = self.weighed.plain
         return _effective(np.exp(plain - plain.max(axis=-1, keepdims=True)))
 
     @cached_property
     def pareto_k(self) -> Array:
-        """The shape of the tail of y at q's draws, (runs,); −∞ where all w are equal."""
+        """The shape of the Pareto tail of the weights y of q's draws, (runs,).
+
+        It is −∞ in runs in which all weights w = p/q are equal.
+        """
         plain = self.weighed.plain
         equal = np.ptp(plain, axis=-1) <= EQUAL * np.maximum(1.0, np.abs(plain).max(axis=-1))
         shape = pareto_shape(self.weighed.log_weights[:, : plain.shape[-1]])
@@ -163,9 +167,10 @@ def _require_draws(weighed: Weighed) -> None:
 
 
 def _evidence(weighed: Weighed) -> Evidence:
-    """The estimate Ẑ with its control variate; if it is not positive, the plain mean of y, β = 0.
+    """The estimate Ẑ of the evidence, with v as control variate.
 
-    A regression through few weights may overshoot.
+    Where the estimate is not positive, since a regression through few weights may overshoot, it is
+    the plain mean of y, with β = 0.
     """
     weights, control = weighed.weights, weighed.control
     slope, mean = _slope(weights, control), weights.mean(axis=-1)
@@ -177,27 +182,27 @@ def _evidence(weighed: Weighed) -> Evidence:
 
 
 def _surplus(weighed: Weighed, evidence: Evidence) -> Array:
-    """The term of each draw in the error of ln Ẑ: (y − βv)/Ẑ, (runs, 2S).
+    """The terms (y − βv)/Ẑ of all draws, (runs, 2S), which give the error of ln Ẑ.
 
-    Their mean is 1 − β/Ẑ, and the error of this mean is that of ln Ẑ.
+    Their mean is 1 − β/Ẑ, and the standard error of this mean is that of ln Ẑ.
     """
     parts = (evidence.slope / evidence.value)[:, None] * weighed.control
     return np.asarray(weighed.weights / evidence.value[:, None] - parts)
 
 
 def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> Estimate:
-    """A divergence in nats: the mean of values a_s by a control variate, with its standard error.
+    """A divergence in nats with its standard error, (runs,) each, by means of a control variate.
 
-    KL(q ‖ p/Z) has the terms a_s = −v ln(w/Ẑ) and the `sign` +1, KL(p/Z ‖ q) has a_s = (y/Ẑ)
-    ln(w/Ẑ) and −1. The control c_s = y/Ẑ − v has mean zero, and β is the slope of the regression of
-    a_s on it. The estimate is ā − β c̄, or zero if that is negative. It depends on ln Ẑ, too: its
-    derivative is
+    `values` (runs, 2S) are the terms a_s of the draws s: those of KL(q ‖ p/Z), with the `sign` +1,
+    are a_s = −v ln(w/Ẑ), those of KL(p/Z ‖ q), with the `sign` −1, a_s = (y/Ẑ) ln(w/Ẑ). The
+    `control` (runs, 2S), c_s = y/Ẑ − v, has mean zero, and β is the slope of the regression of a_s
+    on c_s. The divergence is estimated by ā − β c̄, the difference of means over draws, or by zero
+    if that is negative. The estimate depends on ln Ẑ, too, with the derivative
 
-        g = β + 1 of the former,   g = β − 1 − (the estimate) of the latter,
+        g = β + 1 for KL(q ‖ p/Z),   g = β − 1 − (the estimate) for KL(p/Z ‖ q),
 
-    so that the standard error is that of the mean of a_s − β c_s + g u_s, with the `surplus` u_s =
-    (y − β′v)/Ẑ, in which β′ is the slope of the evidence (`_surplus`). Values, `control` and
-    `surplus` are (runs, 2S).
+    so that its standard error is that of the mean of a_s − β c_s + g u_s, with the `surplus` u_s =
+    (y − β′v)/Ẑ, (runs, 2S), in which β′ is the slope of the evidence (`_surplus`).
     """
     slope = _slope(values, control)
     mean = np.maximum(values.mean(axis=-1) - slope * control.mean(axis=-1), 0.0)
@@ -207,9 +212,10 @@ def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> E
 
 
 def _slope(values: Array, control: Array) -> Array:
-    """The slope of the regression of values on a control, within q's draws and d's, (runs,).
+    """The slope of the regression of values on a control, (runs,); both are (runs, 2S).
 
-    It is zero where the control does not vary.
+    The draws of q and those of d have means of their own in it. The slope is zero where the control
+    does not vary.
     """
     halves = (len(values), 2, -1)
     y, v = values.reshape(halves), control.reshape(halves)

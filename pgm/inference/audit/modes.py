@@ -16,7 +16,7 @@ from pgm.inference.audit.proposal import Path
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask
 
-# Modes at the most that are drawn from, beside the answer.
+# The largest number of modes that are drawn from, beside the answer's.
 MOST = 8
 # Fixed points are two modes if some component differs by more standard deviations.
 APART = 1.0
@@ -45,20 +45,21 @@ class Modes:
 
     @classmethod
     def none(cls, runs: int) -> Modes:
-        """No mode but the answer's."""
+        """The `Modes` of runs that have no mode but the answer's."""
         return cls((), np.zeros((0, runs)), np.zeros(runs))
 
     @classmethod
     def unknown(cls, runs: int) -> Modes:
-        """No mode, since the search has failed."""
+        """The `Modes` of runs in which the search has failed: none to draw from, `missed` NaN."""
         return cls((), np.zeros((0, runs)), np.full(runs, np.nan))
 
     @classmethod
     def made(cls, laws: Iterable[tuple[Callable[[], Path], Array]], missed: Array) -> Modes:
-        """The modes of some laws: pairs of a call that makes the law, and its shares (runs,).
+        """The modes of some laws; each law is given as a function that makes it, and its shares.
 
-        A law that cannot be made, or has no density, is not drawn from. Its part of all modes'
-        shares is added to `missed`, (runs,), the part of the evidence of modes left out already.
+        The shares are (runs,). A law that cannot be made, or has no density, is not drawn from. Its
+        part of all modes' shares is added to `missed`, (runs,), the part of the evidence of modes
+        left out already.
         """
         paths, shares = [], []
         for make, share in laws:
@@ -74,7 +75,10 @@ class Modes:
         return cls(paths, np.array(shares).reshape(len(paths), len(missed)), missed)
 
     def drawn(self, count: int, rng: np.random.Generator) -> Integers:
-        """Draw the mode, 0 to K − 1, of S = `count` defensive draws, (runs, S); K: an excursion."""
+        """Draw which mode each of S = `count` defensive draws is from, (runs, S).
+
+        It is a number from 0 to K − 1, or K for a draw that follows q but for an excursion.
+        """
         runs = self.shares.shape[1]
         if not self.paths:
             return np.zeros((runs, count), dtype=np.intp)
@@ -84,15 +88,15 @@ class Modes:
 
 @dataclass(frozen=True, eq=False)
 class FixedPoints:
-    """The C fixed points that smoothers reached in each run; the first is the answer's own.
+    """The C fixed points that smoothers reached in each run, the first from the answer itself.
 
     mean, std : ndarray
-        (C, runs, n): of all components of all slices.
+        (C, runs, n): the means and standard deviations of all components of all slices.
     log_evidence : ndarray
-        (C, runs): that of the linearisation there, Laplace's approximation of the mode's mass; −∞
-        where a smoother has failed.
+        (C, runs): the log-evidence of the model linearised at the point, Laplace's approximation of
+        the logarithm of the mode's mass; −∞ where a smoother has failed.
     angles : ndarray
-        (n,): the components that are angles; whole turns are no difference.
+        (n,): the mask of components that are angles; whole turns are no difference.
     """
 
     mean: Array
@@ -101,10 +105,11 @@ class FixedPoints:
     angles: Mask
 
     def apart(self, mean: Array, std: Array) -> Array:
-        """The largest difference from other means of any component, (C, runs), in units of spread.
+        """How far each fixed point is from another point of its run, (C, runs).
 
-        `mean` and `std` are (runs, n). The unit is the root mean square of both points' standard
-        deviations; components of which both are zero count for nothing.
+        That is the largest difference of a component from the other point's `mean` (runs, n), in
+        units of the root mean square of the two points' standard deviations; `std` (runs, n) are
+        the other point's. Components whose two standard deviations are zero count for nothing.
         """
         off = np.abs(difference(self.mean, mean, self.angles))
         spread = np.sqrt(0.5 * (self.std**2 + std**2))
@@ -135,15 +140,16 @@ def choose(points: FixedPoints, mean: Array, std: Array, most: int = MOST) -> Ch
 
         w_k ∝ exp(ln Z_k),
 
-    and the shares of draws are 0.5 (0.8 w_k + 0.2/K), w over the modes that are drawn from.
+    with ln Z_k the log-evidence at point k, and the shares of draws are 0.5 (0.8 w_k + 0.2/K), w_k
+    normalised over the K modes that are drawn from.
 
     Parameters
     ----------
     points : FixedPoints
     mean, std : ndarray
-        (runs, n): the answer's moments.
+        (runs, n): the answer's means and standard deviations.
     most : int
-        Modes at the most.
+        The largest number K of modes.
     """
     runs = points.log_evidence.shape[1]
     every = np.arange(runs)

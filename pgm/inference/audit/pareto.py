@@ -17,15 +17,17 @@ PRIOR = 10
 
 
 def pareto_shape(log_weights: Array) -> Array:
-    """The shape k of a generalised Pareto tail of weights, (runs, S) to (runs,).
+    """The shape k of the generalised Pareto tail of weights, (runs,), from log-weights (runs, S).
 
-    The largest M = min(S/5, 3√S) weights less the next one are fitted with the density
-    (1 + k x/σ)^(−1/k − 1)/σ, by the posterior mean over a grid of the ratio −k/σ, and k is
-    regularised towards ½. Moments of order below 1/k exist. NaN for fewer than 25 draws, −∞ where
-    all weights are equal, ∞ where very few are all there is.
+    The excesses x are the M = min(S/5, 3√S) largest weights, each less the (M + 1)-th largest. The
+    density (1 + k x/σ)^(−1/k − 1)/σ is fitted to them, by the posterior mean over a grid of the
+    ratio −k/σ; k is then regularised towards ½. Moments of order below 1/k exist.
+
+    k is NaN for fewer than 25 draws, −∞ where the largest weights are all equal, and ∞ where a few
+    weights dwarf the rest: the lower quartile of the excesses is below 10⁻¹² of the largest.
 
     Source: Zhang & Stephens, A new and efficient estimation method for the generalized Pareto
-    distribution, 2009; Vehtari et al., of an `Audit`.
+    distribution, 2009; Vehtari et al., as of `Audit`.
     """
     runs, count = log_weights.shape
     if count < FEWEST:

@@ -1,8 +1,8 @@
 """Proposals: draws of the free components of slices, from conditional Gaussians.
 
-A component is *free* if it has noise given its parents in the model; the others follow from these,
-and are not proposed. S is the number of draws of a run, n that of the components of a slice, m that
-of the states before.
+A component is *free* if it has noise given its parents in the model; any other component is a
+function of its parents and the free ones, and is not proposed. S is the number of draws of a run, n
+that of the components of a slice, m that of the states before.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ from pgm.kernels.moments import Conditional
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Affine Gaussians, one a row: y = F x + b + L s, s ~ N(0, I), or multivariate Student t.
+    """Affine Gaussians of a slice y given the states x before it, one for each row.
+
+    They are y = F x + b + L s with white noise s ~ N(0, I), or, for tails, Student's t.
 
     matrix : ndarray
         (rows, runs, n, m): F; m is 0 where nothing is given.
@@ -40,9 +42,9 @@ class Proposal:
 
     @classmethod
     def make(cls, conditional: Conditional, free: Mask) -> Proposal:
-        """Propose the free components, a mask (rows, runs, n), of conditionals of all components.
+        """The proposal of the `free` components, from conditionals of all components.
 
-        Covariances that are indefinite are a NumericalError.
+        `free` is a mask (rows, runs, n). A NumericalError is raised if covariances are indefinite.
         """
         matrix, offset, cov = conditional
         # What an exact measurement determines may have a variance of zero less rounding.
@@ -65,9 +67,9 @@ class Proposal:
     def white(
         self, row: int, count: int, rng: np.random.Generator, away: Mask | None = None
     ) -> Array:
-        """White noise s of S = `count` draws, (runs, S, n), zero where L has no pivot.
+        """Draw white noise s for S = `count` draws, (runs, S, n), zero where L has no pivot.
 
-        Draws of the mask `away` (runs, S) have Student's t.
+        Draws that the mask `away` (runs, S) marks have noise of Student's t; None marks none.
         """
         lower = self.lower[row]
         white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
@@ -116,7 +118,7 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """The Gaussian law of all variables: of the first slice, and of later ones given those before.
+    """The Gaussian law of all variables: of the first slice, then each given the states before it.
 
     first : Proposal
         One row, of the states at step 0; in a network without time of all variables.
@@ -128,7 +130,7 @@ class Path:
     later: Proposal | None = None
 
     def at(self, index: int) -> tuple[Proposal, int]:
-        """The proposal of a slice, and its row."""
+        """The proposal that slice `index` is drawn from, and the row of it that is the slice's."""
         if not index:
             return self.first, 0
         assert self.later is not None

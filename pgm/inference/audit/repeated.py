@@ -18,7 +18,7 @@ def repeated(plan: ChainPlan, count: int) -> ChainPlan:
 
     Arrays that are the same for all runs are shared. Nonlinear CPDs without a lineariser of their
     own are expanded to first order, so that the steps of a smoother can be controlled by their
-    cost. What gates have rejected stays rejected.
+    cost. Measurements that gates have rejected stay rejected.
     """
     runs = plan.runs
 
@@ -46,10 +46,10 @@ def repeated(plan: ChainPlan, count: int) -> ChainPlan:
 
 
 def of_family(family: Family, count: int, runs: int) -> Family:
-    """A CPD's family of so many `runs` with all of them `count` times, not linearised yet.
+    """A family, a CPD at its rows, with all its runs `count` times, not linearised yet.
 
-    Run r of copy c is c · runs + r. Without a lineariser of its own a nonlinear CPD is expanded to
-    first order.
+    `runs` is the number of runs of the family; run r of copy c becomes run c · runs + r. A
+    nonlinear CPD without a lineariser of its own is to be expanded to first order.
     """
     rows, _, height, width = family.shape
     own = tiled(family.own_noise, count)

@@ -1,4 +1,4 @@
-"""The result of an audit: a smoother beside the importance sampling that checks it."""
+"""The result of an audit: a Gaussian answer beside the importance sampling that checks it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from pgm.variables import Variable
 
 # Above this Pareto shape of the weights' tail no estimate made of them is to be trusted.
 UNTRUSTED = 0.7
-# An answer is suspect if its moments are so many nats from the exact ones, or its log-evidence so
-# many off beyond so many standard errors; an estimate to be trusted has so many effective draws.
+# An answer is suspect if its moments are SUSPECT nats from the exact ones, or its log-evidence is
+# SUSPECT nats off beyond ERRORS standard errors; an estimate to be trusted has ENOUGH effective
+# draws.
 SUSPECT, ERRORS, ENOUGH = 0.5, 3.0, 10.0
 
 
@@ -44,9 +45,10 @@ def _is_suspect(
 ) -> Mask:
     """Whether moments or the log-evidence are further off than chance explains, (runs,).
 
-    A mean of weights is t nats too high with a probability of e^−t at most, whatever their tail
-    (Markov's inequality), and too low by any number of nats: a `correction` downwards counts where
-    the estimates are trusted.
+    `correction` (runs,) is the estimated log-evidence less the Gaussian's. An estimate by a mean of
+    weights is t nats too high with a probability of e^−t at most, whatever the weights' tail
+    (Markov's inequality), but may be too low by any number of nats. A negative correction therefore
+    counts only in runs that are `trusted` (runs,).
     """
     beyond = np.abs(correction) - ERRORS * mixture.evidence.standard_error
     found: Mask = (trusted | (correction > 0.0)) & (beyond > SUSPECT)
@@ -58,8 +60,9 @@ def _is_suspect(
 class Audit(Shown, Immutable):
     """The distance of a Gaussian answer from the exact one, by importance sampling; (...) are runs.
 
-    For draws x_s from the Gaussian answer q and weights w_s = p(x_s, z) / q(x_s), and for as many
-    defensive draws d, with which these are weighed as a mixture, p(x_s, z) / r(x_s), r = (q + d)/2.
+    S draws x_s from the Gaussian answer q have the weights w_s = p(x_s, z) / q(x_s), with the
+    density p of the model and the measurements z. As many draws come from a defensive density d of
+    wider tails, and all 2S draws are weighed by the mixture r = (q + d)/2: p(x_s, z) / r(x_s).
 
     Attributes
     ----------
@@ -69,51 +72,53 @@ class Audit(Shown, Immutable):
     standard_error : ndarray
         (...): of `log_evidence` (the delta method).
     effective_sample_size : ndarray
-        (...): n = (Σ w)² / Σ w² of the Gaussian's own draws, from 1 to S: its worth as a proposal.
+        (...): (Σ w)² / Σ w² of the Gaussian's own draws, from 1 to S: the worth of q as a proposal.
     effective_draws : ndarray
-        (...): the same of all draws, weighed by the mixture, of which the estimates are made.
+        (...): the effective number of all draws, by their weights p/r; the estimates are made of
+        them.
     gaussian_log_evidence : ndarray
-        (...): that of the posterior.
+        (...): the log-evidence of the posterior that was audited.
     divergence, divergence_error : ndarray
         (...): KL(q ‖ p(x | z)) of all variables in nats, and its standard error. A Gaussian that
         fits one of two modes and has lost the other is ln 2 away, if both weigh the same, and
         less, if it fits the heavier one.
     inclusive_divergence, inclusive_error : ndarray
-        (...): KL(p(x | z) ‖ q) likewise: large, where a mode was lost.
+        (...): KL(p(x | z) ‖ q) of all variables in nats, and its standard error: large where q has
+        lost a mode.
     moment_divergence : mapping of Variable to ndarray
-        KL(N(exact moments) ‖ q) of each variable alone, (..., steps) of a chain, (...) of a network
-        without time, in nats; infinite where too few draws leave no covariance.
+        For each variable alone, KL(N(exact moments) ‖ marginal of q) in nats, (..., steps) of a
+        chain, (...) of a network without time; infinite where too few draws leave no covariance.
     corrected : mapping of Variable to Gaussian
         The exact posterior's mean and covariance of each hidden variable, estimated.
     suspect : ndarray of bool
-        (...): whether a belief that knows all measurements (of a filter the last one), of a
-        variable or of a cluster's variables together, is further than 0.5 nats from the exact
-        moments, beyond what so few effective draws may leave by chance, or `correction` is more
-        than 0.5 nats and three standard errors; a negative one counts where `trusted`, since few
-        draws tell too low an evidence.
+        (...): whether some belief, of a variable or of a cluster's variables together, is further
+        than 0.5 nats from the exact moments, beyond the error that so few effective draws may leave
+        by chance, or `correction` is larger than three standard errors by more than 0.5 nats. Only
+        beliefs given all measurements count, of a filter the last; and a negative correction counts
+        only where `trusted`, since few draws give too low an evidence.
     trusted : ndarray of bool
         (...): whether ten draws or more are effective, the tail of their weights allows estimates,
-        and no more than a hundredth is `missed`; where not, nothing follows from `suspect` being
-        False. A mode that no start has led to is not known of: see `audit`.
+        and no more than a hundredth is `missed`. Where it is False, nothing follows from `suspect`
+        being False. A mode that no start has led to is not known of: see `audit`.
     pareto_k : ndarray
         (...): the shape of the tail of the weights p/r at the Gaussian's draws. Below 0.5 their
         variance is finite; above about 0.7 neither the standard error nor the effective sample
         sizes are to be trusted. −∞ where all w are equal, NaN for fewer than 25 draws.
     undefined : ndarray
-        (...): the part of defensive draws at which a function was NaN or infinite, which count as
-        impossible.
+        (...): the part of defensive draws at which a function was NaN or infinite; these draws
+        count as impossible.
     modes : ndarray of int
-        (...): modes beside the answer's that smoothers from other starts have found, and that a
-        part of the defensive draws is of.
+        (...): the number of modes beside the answer's that smoothers from other starts have found,
+        and that a part of the defensive draws comes from.
     missed : ndarray
         (...): the part of the evidence of all modes found, by Laplace's method, that belongs to
         modes not drawn from: beyond the likeliest eight, or beside a sensor without noise. NaN
         where no smoother arrived, so that others may be there.
     log_weights : ndarray
-        (..., S): ln w.
+        (..., S): ln w of the Gaussian's own draws.
     innovations : mapping of Variable to InnovationCheck
-        For each sensor that a chain has read, whether its innovations fit the model: all other
-        numbers are about the model as declared, and right for a wrong one.
+        For each sensor that a chain has read, whether its innovations fit the model. All other
+        numbers take the model as declared, and do not tell whether it is wrong.
 
     References
     ----------
@@ -201,7 +206,7 @@ class Audit(Shown, Immutable):
 
     @property
     def samples(self) -> int:
-        """S, the number of draws of the Gaussian of each run; there are as many defensive ones."""
+        """S, the number of draws from the Gaussian in each run; there are S defensive ones, too."""
         return int(self.log_weights.shape[-1])
 
     @property
@@ -247,6 +252,7 @@ class Audit(Shown, Immutable):
         )
 
     def _verdict(self) -> list[str]:
+        """A line on how far the worst belief and the log-evidence are off; none without beliefs."""
         divergence, where = self._furthest
         if not where:
             return []
@@ -261,7 +267,7 @@ class Audit(Shown, Immutable):
         return [f"SUSPECT{runs}: {told}"]
 
     def _others(self) -> list[str]:
-        """Lines about other modes: how many, which mass is left out, or that none was sought."""
+        """Lines about other modes: their number, the mass not drawn from, and a failed search."""
         found, missed = int(self.modes.max(initial=0)), float(np.nanmax(self.missed, initial=0.0))
         told = [f"other modes found: {found}{' at the most' * (self.modes.ndim > 0)}"] * (found > 0)
         if missed > MISSED:
@@ -271,6 +277,7 @@ class Audit(Shown, Immutable):
         return told
 
     def _gaps(self) -> list[str]:
+        """A line on defensive draws at which a function was not finite, if there are any."""
         share = float(self.undefined.max(initial=0.0))
         return [
             f"a function was NaN or infinite at {share:.2g} of the defensive draws, which count as "

@@ -32,8 +32,8 @@ def audit(
 ) -> Audit:
     """Estimate the distance of a Gaussian answer from the exact one, by importance sampling.
 
-    Exact is the posterior of the model as declared, be it wrong; whether it fits its data the
-    result's `innovations` tell.
+    The exact answer is the posterior of the model as declared, even if the model is wrong; whether
+    the model fits its data is told by the result's `innovations`.
 
     Trajectories x_s are drawn from the smoothed joint Gaussian q of the linearised model and
     weighed with the model as it was declared,
@@ -45,8 +45,9 @@ def audit(
     without noise determines components, q proposes the others, and these follow from the model.
     After filtering, q is the smoothed joint of the filter's linearisation.
 
-    Where q has lost a mode its own draws do not tell. As many draws come from a defensive d, and
-    log-evidence, divergences and exact moments from all of them, weighed by the mixture:
+    If q has lost a mode, its own draws do not show that. As many draws therefore come from a
+    defensive density d; log-evidence, divergences and exact moments are estimated from all draws,
+    weighed by the mixture r of both, with q/r as a control variate of slope β:
 
         r = (q + d)/2,    Z = mean of p/r − β (mean of q/r − 1).
 
@@ -54,19 +55,19 @@ def audit(
     images 2ρ − μ of the answer's means μ about the motion ρ of the prior's mean (all components, or
     one of them, from step 0 or from the middle on), and at drives of the model from points of the
     prior. Where they arrive at fixed points further than a standard deviation from the answer and
-    from one another, half of d's draws come from the Gaussians there. A mode needs no weight for
-    this: all draws are weighed by the exact density.
+    from one another, half of d's draws come from the Gaussians there. The masses of modes need not
+    be known for this: all draws are weighed by the exact density.
 
     The other draws of d leave q for one excursion: from some slice on and for some slices they
-    follow the model's own CPDs, with Student's t₅ for their noise, or q's conditionals with such
-    tails. In a network without time they are all from the prior, or q with tails. The control q/r
-    has mean one, and for a linear model leaves no error. A result whose beliefs or log-evidence are
-    off is `suspect`.
+    follow the model's own CPDs, or q's conditionals, with Student's t₅ for the noise in either
+    case. In a network without time they are all from the prior, or from q, with Student's t₅. The
+    control q/r has mean one, and for a linear model leaves no error. A result whose beliefs or
+    log-evidence are off is `suspect`.
 
-    No audit knows of a mode that none of its starts leads to: one where most of many symmetric
-    choices, each made at another time or in another part of a network, have to be made otherwise at
-    once; or one in a region that the prior hardly reaches and no mirror image hits. Beside sensors
-    without noise other modes are found and not drawn from: the audit is then not `trusted`.
+    An audit does not know of a mode that none of its starts leads to: a mode that differs from the
+    answer in most of many symmetric choices at once, each at another time or in another part of a
+    network; or a mode in a region that the prior hardly reaches and no mirror image hits. Beside
+    sensors without noise other modes are found and not drawn from: the audit is then not `trusted`.
 
     Residuals of measurements of angles are wrapped, and an angle that a function wraps is taken on
     the branch of the linearisation, so that wrapping it or not gives the same.
@@ -76,8 +77,8 @@ def audit(
     posterior : ChainPosterior or GaussianPosterior
         The posterior of a filter or smoother, or of a tree.
     samples : int
-        S, 2 or more draws for each run; each is drawn by itself. The result keeps a number for
-        each draw, and the draws are made in batches of bounded size.
+        S, the number of draws from q for each run, 2 or more; there are as many defensive draws.
+        The result keeps a number for each draw, and the draws are made in batches of bounded size.
     rng : numpy.random.Generator or int
         The generator of draws, or its seed.
     progress : bool or callable
@@ -86,15 +87,16 @@ def audit(
     Raises
     ------
     ModelError
-        If the posterior is none of these, the prior of a chain has an infinite variance, or an
-        argument is no such number.
+        If the posterior is of another kind, the prior of a chain has an infinite variance, or
+        another argument is of a wrong kind or out of its range.
     GraphError
         If the graph has loops, or the weights of all runs would not fit.
     NumericalError
         If nothing can be drawn: a nonlinear sensor with singular noise was read, or nonlinear CPDs
         with singular noise stand beside linear sensors with it.
     LinearisationError
-        If a function is NaN or infinite at a draw of q; defensive ones are counted, `undefined`.
+        If a function is NaN or infinite at a draw of q; defensive draws at which it is are counted
+        in `undefined`.
 
     References
     ----------
@@ -129,7 +131,7 @@ def audit(
 
 
 def _advice(posterior: Any) -> str:
-    """The message of the error for what is no Gaussian posterior with all its beliefs."""
+    """The text of the error for an argument that is no Gaussian posterior with all its beliefs."""
     if isinstance(posterior, KeptPosterior):
         return (
             f"{posterior._title} has kept marginals alone; leave keep= out to have what is audited"

@@ -24,8 +24,8 @@ def white_points(count: int, dimension: int) -> Array:
 def images(answer: Array, about: Array) -> list[Array]:
     """Mirror images 2ρ − μ of means μ, `answer`, about ρ, `about`, all arrays of shape (..., n).
 
-    First the image of all components, then, unless n is 1, those of one component at a time, for
-    each of the first four; the other components are μ there.
+    The first image mirrors all components. Unless n is 1, it is followed by images that mirror one
+    component alone, for each of the first four; their other components are those of μ.
     """
     image, size = 2.0 * about - answer, answer.shape[-1]
     everywhere = np.arange(size)

@@ -14,9 +14,9 @@ FREEDOM = 5.0
 
 
 def stretch(white: Array, where: Mask, rng: np.random.Generator) -> None:
-    """Turn masked Gaussian noise s (..., n) into Student t noise s √(ν/χ²_ν), in place, ν = 5.
+    """Turn Gaussian noise s (..., n) into noise of Student's t, s √(ν/χ²_ν) with ν = 5, in place.
 
-    The mask `where` is (...).
+    Only the vectors that the mask `where` (...) marks are changed.
     """
     white[where] *= np.sqrt(FREEDOM / rng.chisquare(FREEDOM, (int(where.sum()), 1)))
 
@@ -25,6 +25,8 @@ def log_ratio(size: Integers, squared: Array) -> Array:
     r"""The logarithm of Student's t density over the Gaussian, at |s|² of n = `size` components.
 
     .. math:: c_n - \tfrac{ν + n}{2} \ln(1 + |s|^2/ν) + \tfrac12 |s|^2
+
+    with ν = 5 degrees of freedom and the logarithm c_n of the ratio of both densities at zero.
     """
     constant = np.array([_log_constant(k) for k in range(int(size.max(initial=0)) + 1)])[size]
     power = 0.5 * (FREEDOM + size)

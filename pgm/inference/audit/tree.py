@@ -1,8 +1,9 @@
 """Draws of all variables of a network without time, with their log-densities.
 
-A *free* component has noise given its parents; the others follow from these. Where observed CPDs
-have no noise, or the posterior no density, densities are *relative*: those of CPDs over those of
-linearised ones.
+A component is *free* if it has noise given its parents; any other component is a function of its
+parents and the free ones. Where an observed CPD has no noise, or the posterior no density,
+densities are *relative*: each CPD's density is divided by that of the linearised CPD. n is the
+number of components of all hidden variables, S the number of draws of a run.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class TreeDraws:
     modes : Modes
         Gaussians at other modes, for defensive draws.
     density : TreeDensity
-        That of the model.
+        The density of the model.
     reference : ndarray
         (runs,): added to all log-densities: ln p(z) of the linearised network where they are
         `relative`, else zero.
@@ -56,9 +57,9 @@ class TreeDraws:
     def make(cls, posterior: GaussianPosterior) -> TreeDraws:
         """Prepare to draw from the joint of a posterior; a GraphError if its graph has loops.
 
-        Refused with a NumericalError are a nonlinear sensor that was read and has singular noise,
-        indefinite covariances, and, where densities are relative, robust noise and nonlinear CPDs
-        with singular noise.
+        A NumericalError is raised for a nonlinear sensor that was read and has singular noise, for
+        indefinite covariances, and, where densities are relative, for robust noise and nonlinear
+        CPDs with singular noise.
         """
         if posterior.log_evidence_kind == "bethe":
             raise GraphError(
@@ -76,7 +77,7 @@ class TreeDraws:
 
     @classmethod
     def _make(cls, posterior: GaussianPosterior, *, relative: bool) -> TreeDraws:
-        """Prepare to draw, by densities that are `relative` or not; other modes are looked for."""
+        """Prepare to draw, with densities that are `relative` or not, and look for other modes."""
         model = posterior._model
         layout, runs = model.layout, model.runs
         mean, cov = np.zeros((runs, 0)), np.zeros((runs, 0, 0))
@@ -87,6 +88,7 @@ class TreeDraws:
         free = density.free(mean.shape)
 
         def path(mean: Array, cov: Array) -> Path:
+            """The law of all variables with a mean (runs, n) and a covariance (runs, n, n)."""
             given = np.zeros((1, *mean.shape, 0))
             return Path(Proposal.make(Conditional(given, mean[None], cov[None]), free))
 
@@ -109,7 +111,7 @@ class TreeDraws:
         return self.density.model.layout.size
 
     def sums(self) -> list[Sums]:
-        """Empty sums for the moments of hidden variables and clusters; see `Drawing`."""
+        """Sums, still empty, for the moments of each hidden variable and of each cluster."""
         layout, every = self.density.model.layout, np.ones(1, dtype=bool)
         alone = [(variable,) for variable in layout.hidden]
         sums = []

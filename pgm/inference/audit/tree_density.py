@@ -1,8 +1,8 @@
 """The log-density of a network without time at values of all its hidden variables.
 
 A component is *free* if it has noise given its parents. A *relative* density is that of the CPDs
-over that of the linearised ones. S or C is the number of draws of a run, n that of the components
-of all hidden variables.
+divided by that of the linearised CPDs. S or C is the number of draws of a run, n that of the
+components of all hidden variables.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from pgm.kernels.arrays import Array, Mask
 class Weighed(NamedTuple):
     """Values (runs, S, n) of the hidden variables, and their log-densities, (runs, S).
 
-    `log_density` is ln p(x, z), NaN where a function was not finite; `log_tails` that of the hidden
-    variables alone, with Student's t for the noise of their CPDs.
+    `log_density` is ln p(x, z) of the values x and the evidence z, NaN where a function was not
+    finite; `log_tails` is the log-density of the hidden variables alone, with Student's t for the
+    noise of their CPDs.
     """
 
     values: Array
@@ -35,7 +36,7 @@ class TreeDensity:
 
     model : Model
     terms : list of Term
-        The densities of the CPDs, by group.
+        The densities of the CPDs, one for each group of copies of a CPD in the layout.
     """
 
     model: Model
@@ -57,11 +58,12 @@ class TreeDensity:
         return free
 
     def at(self, values: Array, afresh: Afresh | None = None, *, strict: bool) -> Weighed:
-        """Weigh values (runs, S, n) of the hidden variables; those not free follow from the others.
+        """The log-densities at `values` (runs, S, n) of the hidden variables, and the values used.
 
-        For draws that `afresh` marks (None: no draws) the CPDs make new values, with Student's t,
-        parents before children; the array `values` is not changed. If `strict`, a function that is
-        not finite is a LinearisationError.
+        Components that are not free are computed from the others. For draws that `afresh` marks
+        (None: no draws) the CPDs make new values, with Student's t, parents before children; the
+        array `values` is not changed. If `strict`, a function that is not finite raises a
+        LinearisationError.
         """
         model, values = self.model, values.copy()
         total, tails = np.zeros(values.shape[:2]), np.zeros(values.shape[:2])
@@ -83,7 +85,7 @@ class TreeDensity:
         return Weighed(values, total, tails)
 
     def drawn(self, white: Array) -> Array:
-        """Ancestral draws (runs, C, n): the CPDs turn white noise (C, n) into children."""
+        """Ancestral draws (runs, C, n): the CPDs turn white noise (C, n) into hidden variables."""
         layout = self.model.layout
         found = np.zeros((self.model.runs, *white.shape))
         for g, row in layout.order:

@@ -1,6 +1,7 @@
-"""Other modes of a network without time, found by calibrations that begin elsewhere.
+"""Modes of a network without time besides the one that the Gaussian answer fits.
 
-There are C starts for each run.
+They are found by calibrations that start from C points for each run. n is the number of components
+of all hidden variables.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def find(
 ) -> Modes:
     """The modes other than the answer's at which calibrations from other starts arrive.
 
-    If the calibrations fail the modes are unknown.
+    If the calibrations fail, the modes are unknown (`Modes.unknown`).
 
     Parameters
     ----------
@@ -52,11 +53,11 @@ def find(
     density : TreeDensity
         The network of all runs.
     answer : tuple of ndarray
-        Mean (runs, n) and covariance (runs, n, n) of all variables.
+        The answer's mean (runs, n) and covariance (runs, n, n) of all variables.
     make : callable
-        Of such a mean and covariance, returns the `Path` of all variables.
+        Makes the `Path` of all variables of a mean and covariance, of the shapes of `answer`.
     most : int
-        Modes at the most that are to be drawn from.
+        The largest number of modes that are to be drawn from.
     """
     mean, cov = answer
     runs, size = mean.shape
@@ -89,9 +90,9 @@ def find(
 def starts(density: TreeDensity, answer: Array) -> Array:
     """Points (runs, C, n) from which calibrations start, the answer's means μ (runs, n) first.
 
-    The others are mirror images 2ρ − μ, ρ, and values that the CPDs make of points that fill N(0,
-    I), parents before children; ρ are the values that they make of zero noise. One at which the
-    model has no density is replaced by μ.
+    They are followed by mirror images 2ρ − μ, by ρ, the values that the CPDs make of zero noise,
+    parents before children, and by values that the CPDs make of white noise at points that fill
+    N(0, I). A point at which the model has no density is replaced by μ.
     """
     size = answer.shape[-1]
     white = np.concatenate([np.zeros((1, size)), white_points(POINTS, size)])
@@ -104,9 +105,9 @@ def starts(density: TreeDensity, answer: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Gauss–Newton on a tree from C = `count` points for each run.
+    """Gauss–Newton on a tree from C = `count` points for each run, all in one linearised network.
 
-    In a linearised network copy c of run r is run c · runs + r.
+    This network has every run C times: its run c · runs + r is the copy c of run r.
     """
 
     plan: TreePlan
@@ -116,7 +117,7 @@ class Search:
     def solve(self, at: Array) -> Calibrated:
         """Calibrate the network linearised at points (runs, C, n).
 
-        The beliefs are of C · runs runs. A network without proper beliefs is a NumericalError.
+        The beliefs are of C · runs runs. A NumericalError is raised if they are not proper.
         """
         flat = at.swapaxes(0, 1).reshape(-1, at.shape[-1])
         model = self._linearised(flat)

@@ -1,15 +1,20 @@
 """Backward simulation: trajectories drawn from the smoothing distribution.
 
-The last state is drawn from the filter's particles, and then, step by step, the one before from
+The last state of a trajectory is drawn from the filter's particles. Then, step by step backwards,
+the state before x_{t+1} is drawn from
 
     p(x_t | x_{t+1}, z_0..t) ≈ Σ_i w̃_i δ(x_t − x_t^i),    w̃_i ∝ w_t^i p(x_{t+1} | x_t^i),
 
-in full, which takes a density for each particle and trajectory, or by a Metropolis chain: begun at
-the particle's own ancestor, which is a draw of that distribution, moved by independent proposals i
-~ w_t, each accepted with the probability min(1, p(x_{t+1} | x_t^i) / p(x_{t+1} | x_t^now)).
+x_t^i and w_t^i being the filter's particles and weights at step t, and z_0..t the measurements up
+to t. Two ways are offered. In full, w̃_i is computed for every particle, which takes a density for
+each pair of a particle and a trajectory. A Metropolis chain begins at the ancestor of the particle
+x_{t+1}, which is itself a draw of that distribution, and proposes particles i ~ w_t independently
+of its current state x_t^now; each proposal is accepted with the probability
+min(1, p(x_{t+1} | x_t^i) / p(x_{t+1} | x_t^now)).
 
-A particle's place is its index among those of all runs at its step, an array's last axis. Arrays
-over trajectories have those of run 0 first, then those of run 1, as many of each.
+The *place* of a particle is its index along the last axis of its step's arrays, which have the
+particles of all runs, those of run 0 first. Arrays over trajectories have equally many of each run,
+those of run 0 first.
 
 Godsill, Doucet & West, Monte Carlo smoothing for nonlinear time series, 2004; Bunch & Godsill,
 Improved particle approximations to the joint smoothing distribution using Markov chain Monte Carlo,
@@ -39,12 +44,14 @@ _PAIRS = 2**20
 class Backward:
     """A smoother that draws trajectories backwards through the clouds of a particle filter.
 
+    model: The network with its evidence.
+    particles: The user's choice, with the number of trajectories and the way of drawing them.
     clouds: The filter's particles given the measurements up to each step, from 0 to T.
     restarted: The mask (T+1, runs) of steps at which a run's particles were drawn from the prior;
-        such particles tell nothing of the step before.
+        these particles do not depend on the step before.
 
-    unmoved: The share of trajectories that stayed at their ancestor, by step, (T, runs); zeros
-        before `smoothed` or `lagged`.
+    unmoved: By step, the share of a run's trajectories that stayed at their ancestor, (T, runs);
+        zeros until `smoothed` or `lagged` is called.
     """
 
     def __init__(
@@ -63,9 +70,10 @@ class Backward:
         self._owner = None if runs == 1 else np.repeat(np.arange(runs), count)
 
     def smoothed(self) -> tuple[Cloud, ...]:
-        """Trajectories given all measurements: the particles of each step, equally weighted.
+        """Draw whole trajectories given all measurements.
 
-        Clouds are of the steps 0 to T; the i-th particles of all are the i-th trajectory.
+        Returns a cloud of equally weighted particles for each of the steps 0 to T; the i-th
+        particles of all clouds make up the i-th trajectory.
         """
         last = len(self.clouds) - 1
         place = self._last(last, last)
@@ -76,9 +84,10 @@ class Backward:
         return tuple(reversed(found))
 
     def lagged(self, lag: int) -> tuple[Cloud, ...]:
-        """The particles of each step given the measurements up to a lag later, equally weighted.
+        """Draw the particles of each step t given the measurements up to step t + `lag`, at most T.
 
-        Clouds are of the steps 0 to T, each drawn apart from the others.
+        Returns a cloud of equally weighted particles for each of the steps 0 to T. Each cloud is
+        drawn with random numbers of its own, so that particles of two steps make no trajectory.
         """
         found = []
         for step in counted(range(len(self.clouds)), "trajectories"):
@@ -92,24 +101,26 @@ class Backward:
         return tuple(found)
 
     def _generators(self, step: int, about: int) -> list[np.random.Generator]:
-        """The random streams of draws at a step, one a run.
+        """The random generators of the draws at a step, one for each run.
 
-        about: The step whose belief the trajectories are for, which keeps the draws of a lag's
-            trajectories apart; of a smoother it is the step itself.
+        about: The step whose belief the trajectories are drawn for. `lagged` draws at a step for
+            several beliefs, and `about` gives each of them a stream of its own; `smoothed` passes
+            the step itself.
         """
         first, seed = self.model.bound.first_run, self.particles.seed
-        purpose = BACKWARD + step - about  # a lag's trajectories are none of another's
+        purpose = BACKWARD + step - about  # each belief of `lagged` has streams of its own
         return [stream(seed, first + run, step, purpose) for run in range(len(self._counts))]
 
     def _cloud(self, step: int, place: Integers) -> Cloud:
-        """The particles at these places of a step, (trajectories,), with equal weights."""
+        """The cloud of the particles at `place`, (trajectories,), of a step, equally weighted."""
         states = np.take(self.clouds[step].states, place, axis=1)
         return Cloud(states, uniform(self._counts), self._starts)
 
     def _last(self, step: int, about: int) -> Integers:
-        """Draw the places of trajectories at their last step, by the filtered weights.
+        """Draw the places (trajectories,) at the last step of trajectories, by filtered weights.
 
-        about: The step that the trajectories are for; see `_generators`.
+        step: The last step of the trajectories.
+        about: The step whose belief the trajectories are drawn for; see `_generators`.
         """
         cloud, generators = self.clouds[step], self._generators(step, about)
         draw, found = RESAMPLERS[self.particles.resampling], []
@@ -120,15 +131,16 @@ class Backward:
         return np.concatenate(found)
 
     def _before(self, step: int, place: Integers, after: States, about: int) -> Integers:
-        """Draw the places of trajectories at a step, by backward simulation from the step after.
+        """Draw the places (trajectories,) at a step, by backward simulation from the step after.
 
-        place: The trajectories' places at the step after.
-        after: Their states there, (d, trajectories).
-        about: The step that the trajectories are for; see `_generators`.
+        place: The trajectories' places at the step after, (trajectories,).
+        after: The trajectories' states at the step after, (d, trajectories).
+        about: The step whose belief the trajectories are drawn for; see `_generators`.
 
-        A particle is drawn with probability ∝ w_i p(after | x_i), over all particles or by
-        Metropolis moves from the ancestor. Where a run was begun anew at the step after, states
-        there do not depend on those before, and particles are drawn with probability w_i.
+        A particle x_i of weight w_i is drawn with probability ∝ w_i p(after | x_i), over all
+        particles or by Metropolis moves from the ancestor. Where a run was restarted from the prior
+        at the step after, its states there do not depend on earlier ones, and particles are drawn
+        with probability w_i.
         """
         later, cloud = self.clouds[step + 1], self.clouds[step]
         generators = self._generators(step, about)
@@ -152,9 +164,15 @@ class Backward:
         ancestor: Integers,
         generators: list[np.random.Generator],
     ) -> tuple[Integers, Array]:
-        """Places after independent Metropolis moves, and the mask of trajectories that have moved.
+        """Draw the places of trajectories at a step by independent Metropolis moves.
 
+        Returns the places, (trajectories,), and the mask, (trajectories,), of the trajectories for
+        which some proposal was accepted.
+
+        cloud: The particles that are proposed, by their weights.
+        density: The log-density from a particle to a trajectory's state one step later.
         ancestor: The places to begin at, (trajectories,).
+        generators: One for each run.
         """
         now, moved = ancestor.copy(), np.zeros(len(ancestor), dtype=bool)
         log_now = density.at(now)
@@ -178,8 +196,8 @@ class Backward:
     def _drawn(self, cloud: Cloud, run: int, generator: np.random.Generator) -> Integers:
         """The places of particles drawn by their weights, one for each trajectory of a run.
 
-        They are drawn systematically and shuffled: each by itself is a draw by the weights, and
-        together they cover these evenly.
+        They are drawn systematically and shuffled: each place alone is a draw by the weights, and
+        all together are spread over the weights more evenly than independent draws.
         """
         weights = cloud.weights[cloud.of(run)]
         drawn = indices(systematic(weights, int(self._counts[run]), generator))
@@ -193,10 +211,13 @@ class Backward:
         ancestor: Integers,
         generators: list[np.random.Generator],
     ) -> Integers:
-        """Places drawn from all particles of their run, with probability ∝ w_i p(after | x_i).
+        """Draw the places (trajectories,) from all particles of each run, ∝ w_i p(after | x_i).
 
-        That takes a density for each particle and trajectory. Where rounding makes all of these
-        zero, the ancestor (trajectories,) is taken.
+        x_i is a particle, w_i its weight, and `after` the trajectory's state one step later. The
+        probabilities take a density for each pair of a particle and a trajectory.
+
+        ancestor: The places, (trajectories,), that are taken for trajectories of which rounding
+            makes all these densities zero.
         """
         found = []
         for run, generator in enumerate(generators):

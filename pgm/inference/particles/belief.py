@@ -36,7 +36,7 @@ class ParticleBelief(PointMassBelief):
     Attributes
     ----------
     components : tuple of str
-        The components, in the order of the last axis.
+        The names of the d components, in the order of the last axis.
     steps : ndarray of int or None
         The steps that the last leading axis stands for; None where no axis is of steps.
     lead : tuple of int
@@ -88,7 +88,7 @@ class ParticleBelief(PointMassBelief):
 
     @cached_property
     def states(self) -> npt.NDArray[Any]:
-        """The particles, (..., n, d); a ModelError refuses numbers n that differ."""
+        """The particles, (..., n, d); a ModelError is raised if beliefs differ in n."""
         self._require_equal("states")
         rows = self._rows
         found = np.stack([cloud.states[rows] for cloud in self._clouds], axis=0)
@@ -97,7 +97,7 @@ class ParticleBelief(PointMassBelief):
 
     @cached_property
     def weights(self) -> Array:
-        """The weights, (..., n), of sum one; a ModelError refuses numbers n that differ."""
+        """The weights, (..., n), of sum one; a ModelError is raised if beliefs differ in n."""
         self._require_equal("weights")
         found = np.stack([cloud.weights for cloud in self._clouds], axis=0)
         return self._by_lead(found.reshape(len(found), self._count, -1), first=True)
@@ -111,7 +111,7 @@ class ParticleBelief(PointMassBelief):
         return self._by_lead(np.stack([cov for _, cov in self._moments], axis=0), first=True)
 
     def _over(self, places: tuple[int, ...]) -> ParticleBelief:
-        """The belief over the components at some places, in this order."""
+        """The belief over the components at the indices `places`, in the order of these."""
         each = [self._parts[k] for k in places]
         return ParticleBelief(each, self._clouds, self._runs, self.steps)
 
@@ -122,23 +122,23 @@ class ParticleBelief(PointMassBelief):
         bins: Any = 50,
         range: Any = None,
     ) -> tuple[Array, tuple[Array, ...]]:
-        """The probabilities of bins, of one belief.
+        """The probabilities that a belief without leading axes gives to bins of its components.
 
         Parameters
         ----------
         *components : str
-            By name, one axis each.
+            The names of the components, one for each axis of the histogram.
         bins : int or sequence
-            See `numpy.histogramdd`: how many along each axis, or their edges.
+            See `numpy.histogramdd`: the number of bins along each axis, or their edges.
         range : sequence of (float, float), optional
-            The ends of each axis; without it those of the particles, or, of an angle, −π and π
+            The ends of each axis; by default those of the particles, or, of an angle, −π and π
             where `bins` is a number. Angles are wrapped to [−π, π) in any case.
 
         Returns
         -------
         (ndarray, tuple of ndarray)
-            Probabilities (bins, ...), of sum one less what is outside of the range, and the edges
-            along each axis.
+            The probabilities, with an axis of bins for each component; their sum is one less the
+            probability outside of the range. And for each axis the edges of its bins.
 
         Raises
         ------
@@ -177,11 +177,14 @@ class ParticleBelief(PointMassBelief):
         return np.moveaxis(self._by_lead(found, first=True), -2, 0)
 
     def _at(self, index: Any, chosen: Integers) -> ParticleBelief:
-        """The belief at the user's index of the leading axes; the arguments are the base class's.
+        """The belief at the user's `index` of the leading axes.
 
-        Steps have clouds of their own: an index may choose steps, and the same runs at each of
-        them. One that chooses other runs at one step than at another, or nothing, is refused by a
-        ModelError.
+        chosen: The places in the flattened leading axes that the index takes, in the shape of the
+            result's leading axes.
+
+        Each step has a cloud of its own, so that an index may choose steps, and the same runs at
+        each of them. An index that chooses other runs at one step than at another, or no belief at
+        all, is refused by a ModelError.
         """
         if not chosen.size:
             raise ModelError(f"a belief with the leading axes {self.lead} has none at {index!r}")
@@ -260,7 +263,10 @@ class ParticleBelief(PointMassBelief):
         return mean.T, cov.transpose(2, 0, 1)
 
     def _by_lead(self, values: npt.NDArray[Any], first: bool = False) -> npt.NDArray[Any]:
-        """Values (runs, steps, ...) as (*lead, ...), read-only; with `first` steps come first."""
+        """Values (runs, steps, ...) as a read-only array (*lead, ...).
+
+        first: Whether steps are the first axis of the values, before runs.
+        """
         if first:
             values = values.swapaxes(0, 1)
         return closed(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))
@@ -268,7 +274,7 @@ class ParticleBelief(PointMassBelief):
     def _require_equal(self, what: str) -> None:
         """Refuse beliefs whose numbers of particles differ, by a ModelError.
 
-        what: What was asked of them, which would be no array: "states" or "weights".
+        what: The name of the array that was asked for, "states" or "weights", for the error's text.
         """
         counts = {int(count) for cloud in self._clouds for count in cloud.counts}
         if len(counts) > 1:
@@ -278,9 +284,9 @@ class ParticleBelief(PointMassBelief):
             )
 
     def _require_one(self, what: str) -> None:
-        """Refuse leading axes, by a ModelError.
+        """Refuse, by a ModelError, a belief that has leading axes.
 
-        what: What was asked, which takes a belief without any, such as "a histogram".
+        what: What was asked for, such as "a histogram", for the error's text.
         """
         if self.lead:
             raise ModelError(

@@ -32,21 +32,24 @@ class CellProposal(InCode, Immutable):
 
     .. math:: q(x) = \frac{p(z \mid c_k)^{τ}}{V \sum_j p(z \mid c_j)^{τ}}
 
+    - z: the measurements of the step, from sensors that depend on this state, and on no other
+      hidden variable;
     - c_k: the centre of the cell in which x lies, V the volume of a cell;
-    - τ: `temper`: 1 for the likelihood, 0 for equal cells, between them for cells that are so wide
-      that the likelihood at their centres says too much of them.
+    - τ: `temper`: 1 for the likelihood, 0 for equally likely cells, and a number between them for
+      cells so wide that the likelihood at a centre is sharper than that of its whole cell.
 
-    Measurements that take part are those of sensors that depend on this state, and on no other.
-    The sides of cells are along the axes of the state, and the cells are to cover wherever it may
-    be: nothing is drawn outside of them, and at the start of a filter what the prior has outside is
-    missing. The poses of a map that is turned in the world have cells that would overlap.
+    The sides of cells are along the axes of the state. The cells are to cover all places where the
+    state may be: nothing is drawn outside of them, and a filter that starts from them loses the
+    probability that its prior has outside. The poses of a map that is turned in the world have
+    cells that would overlap.
 
     Parameters
     ----------
     variable : Variable
-        The state, d components.
+        The state that is drawn, of d components.
     centres : array_like
-        (k, d), in units of the state; ``map.poses(...)`` has those of a map.
+        (k, d): the centres of the cells, in units of the state; ``map.poses(...)`` gives those of a
+        map.
     widths : array_like
         (d,): the widths of every cell; cells must not overlap.
     temper : float
@@ -55,7 +58,7 @@ class CellProposal(InCode, Immutable):
     Raises
     ------
     ModelError
-        If one of these is of a wrong kind or shape, or cells overlap.
+        If an argument is of a wrong kind or shape, or cells overlap.
 
     References
     ----------
@@ -105,7 +108,7 @@ class CellProposal(InCode, Immutable):
 
     @property
     def _log_volume(self) -> float:
-        """The logarithm of a cell's volume; its negative is the log-density of a draw within."""
+        """The log-volume of a cell: the negative of the log-density of a uniform draw in it."""
         return float(np.log(self.widths).sum())
 
     def sensors(self, model: ParticleModel, step: int) -> list[Sensor]:
@@ -120,12 +123,12 @@ class CellProposal(InCode, Immutable):
     def drawn(
         self, model: ParticleModel, step: int, run: int, count: int, rng: np.random.Generator
     ) -> tuple[States, Array]:
-        """Draw states for a run, by a step's measurements: (d, count), and log-densities, (count,).
+        """Draw `count` states of the variable from q, for a run, by a step's measurements.
 
-        The states are of the proposal's variable, the log-densities those of q. Cells are drawn
-        systematically by their probabilities, and come in their order; a state is uniform in its
-        cell. An EvidenceError is raised if, at a `temper` above 0, no measurement can take part, or
-        all centres are impossible.
+        Returns the states, (d, count), and ln q at each, (count,). Cells are drawn systematically
+        by their probabilities, and the states come in the order of the cells; a state is uniform in
+        its cell. With a `temper` above 0 an EvidenceError is raised if no sensor with measurements
+        depends on this variable alone, or all centres are impossible.
         """
         levels = np.zeros(len(self.centres))
         if self.temper > 0.0:
@@ -148,7 +151,7 @@ class CellProposal(InCode, Immutable):
     def _log_likelihood(self, model: ParticleModel, step: int, run: int) -> Array:
         """The log-density of a step's measurements at the centre of each cell, (cells,).
 
-        An EvidenceError is raised if there is none that depends on this state alone.
+        An EvidenceError is raised if no sensor with measurements depends on this state alone.
         """
         sensors = self.sensors(model, step)
         if not sensors:

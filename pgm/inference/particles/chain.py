@@ -1,13 +1,14 @@
-"""The chain family of particles: a belief is a cloud of weighted draws.
+"""The particle filter as sweeps along a chain carry it: a belief is a cloud of weighted draws.
 
-At a step particles are drawn anew (resampled), if their weights have grown unequal, moved, and
-weighed,
+At each step the particles are resampled, if their weights have grown unequal: they are drawn anew
+in proportion to the weights, which are equal then. Every particle is moved and weighed,
 
     x_t^i ~ q(x_t | x_{t−1}^a),    w_t^i ∝ w_{t−1}^a p(x_t^i | x_{t−1}^a) p(z_t | x_t^i) / q,
 
-a being the ancestor of each, and q the transition or a proposal. The sum of what the weights are
-multiplied by estimates p(z_t | z_0..t−1) without bias (Del Moral, Feynman–Kac formulae, 2004,
-section 7.4).
+a being the index of its ancestor, the particle of step t − 1 that it is moved from, z_t the
+measurements of step t, and q the transition or a proposal. The weights of a step, before they are
+normalised, sum to an estimate of p(z_t | z_0..t−1); the product of these estimates over the steps
+estimates p(z_0..t) without bias (Del Moral, Feynman–Kac formulae, 2004, section 7.4).
 """
 
 from dataclasses import replace
@@ -34,10 +35,11 @@ Generators = list[np.random.Generator]
 
 
 class Placed(NamedTuple):
-    """A state of all particles at step 0, drawn from a proposal over cells instead of its prior.
+    """Draws of one state variable at step 0, from a proposal over cells instead of its prior.
 
-    states: The draws, (d, particles).
-    log_density: The proposal's log-density at each of them, (particles,).
+    variable: The state variable, of d components.
+    states: Its draws, one for each particle, (d, particles).
+    log_density: The proposal's log-density at each draw, (particles,).
     """
 
     variable: Variable
@@ -46,10 +48,11 @@ class Placed(NamedTuple):
 
 
 class ParticleChain:
-    """The forward half of the chain family of particles, a `sweep.Onwards`, of all runs at once.
+    """A particle filter of all runs at once, with the methods of a forward sweep, `sweep.Onwards`.
 
+    model: The network with its evidence.
     particles: The user's choice.
-    record: The record of the sweep, which is told of resampling, injection and impossible steps.
+    record: The record of the sweep, in which resampling, injection and impossible steps are noted.
     guide: Steers draws towards their step's measurements; None without a proposal.
     """
 
@@ -65,7 +68,7 @@ class ParticleChain:
         self.guide = None if proposal is None else Guide(graph, model, proposal)
 
     def generators(self, step: int, purpose: int = FORWARD) -> Generators:
-        """The generators of a step's draws, one a run, for one of the purposes of `streams`."""
+        """The random generators of a step's draws, one a run; `purpose` is one of `streams`."""
         first = self.model.bound.first_run
         runs = range(first, first + self.model.bound.runs)
         return [stream(self.particles.seed, run, step, purpose) for run in runs]
@@ -73,16 +76,17 @@ class ParticleChain:
     def start(self) -> Cloud:
         """The particles of step 0, before they are weighed by its measurements.
 
-        They are drawn from the prior; where the user asked for it, one state is drawn from cells by
-        the step's measurements instead.
+        They are drawn from the prior. If `Particles.start` is given, its state is drawn from cells
+        by the step's measurements instead.
         """
         counts = np.full(self.model.bound.runs, self.particles.n)
         return self._prior(counts, self.generators(0), self._placed(self.particles.n))
 
     def _placed(self, count: int) -> Placed | None:
-        """Draw a state from cells by the measurements of step 0, `count` times in each run.
+        """Draw the state of `Particles.start` from its cells, `count` times in each run.
 
-        None if the user asked for no such start, or there are no such measurements.
+        The measurements of step 0 choose the cells. None is returned without a `start`, or if no
+        sensor with measurements at step 0 depends on this state alone.
         """
         cells = self.particles.start
         if cells is None or not cells.sensors(self.model, 0):
@@ -96,10 +100,10 @@ class ParticleChain:
     def _prior(
         self, counts: Integers, generators: Generators, placed: Placed | None = None
     ) -> Cloud:
-        """Draws of the prior, `counts` (runs,) in each run.
+        """Draw the particles of step 0 from the prior, `counts` (runs,) of them in each run.
 
-        With `placed`, that state is taken as it is drawn, and particles weigh its prior density
-        over the proposal's; otherwise weights are equal.
+        With `placed`, the values of its variable are taken from there, and the weight of a particle
+        is the prior's density at its value over the proposal's; otherwise weights are equal.
         """
         starts = np.concatenate([[0], np.cumsum(counts)])
         states = np.zeros((self.model.size, int(starts[-1])), dtype=self.particles.dtype)
@@ -121,9 +125,9 @@ class ParticleChain:
     def predict(self, step: int, cloud: Cloud) -> Cloud:
         """The particles of a step, drawn from the transition or a proposal, given the step before.
 
-        `cloud` is that of the step before, given its measurements. Runs are resampled first, where
-        that is due. With a `LikelihoodSampling`, at a step with measurements, all runs are drawn
-        anew, until their likelihoods sum to its threshold.
+        `cloud` is that of the step before, given its measurements. Runs whose weights have grown
+        unequal are resampled first (`_drawn_anew`). With a `LikelihoodSampling`, at a step with
+        measurements, all runs are resampled, until their likelihoods sum to its threshold.
         """
         generators = self.generators(step)
         number = self.particles.number
@@ -152,12 +156,13 @@ class ParticleChain:
     def _drawn_anew(
         self, step: int, cloud: Cloud, generators: Generators
     ) -> tuple[Integers | None, Integers, Array]:
-        """The particles to be moved to a step, those of some runs resampled.
+        """Choose the particles that are moved to a step, resampling some runs.
 
-        Runs are resampled whose effective number is below the threshold; all are, with a threshold
-        of 1 or KLD-sampling. Returned are the places (particles,) in the cloud of the particles to
-        be moved, None for all as they are; the place at which each run begins among the particles
-        to be moved, and the end, (runs + 1,); and their log-weights, equal in a resampled run.
+        A run is resampled if its effective number of particles is below the threshold; all runs
+        are, with a threshold of 1 or KLD-sampling. Returns three arrays: the place in `cloud` of
+        each chosen particle, (particles,), or None if all are taken as they are; the place at which
+        each run begins among the chosen particles, and the end, (runs + 1,); and the chosen
+        particles' log-weights, (particles,), equal in a resampled run.
         """
         due = cloud.effective < self.particles.threshold * cloud.counts
         number = self.particles.number
@@ -187,8 +192,8 @@ class ParticleChain:
     ) -> Cloud:
         """The particles of a step, drawn until their likelihoods sum to the user's threshold.
 
-        The likelihoods are shares of the largest that the measurements could have. A run without
-        measurements has as many particles as before.
+        A particle's likelihood is counted as a share of the largest that the measurements could
+        have at any state. A run without measurements has as many particles as before.
         """
         self.record.resampled[step] = True
         draw, peak = RESAMPLERS[self.particles.resampling], self.model.log_peak(step)
@@ -197,7 +202,7 @@ class ParticleChain:
         counts = np.zeros(cloud.runs, dtype=np.intp)
         for run, rng in enumerate(generators):
             place, explained = cloud.of(run), 0.0
-            # What nothing is measured of needs as many as it had.
+            # A run without measurements needs as many particles as it had.
             due = number.least if measured[run] else int(cloud.counts[run])
             while due:
                 chosen = place.start + indices(draw(cloud.weights[place], due, rng))
@@ -220,9 +225,10 @@ class ParticleChain:
             some.now[self.model.places[law.cpd.child]] = law.draw(row, some, drawing)
 
     def _chosen(self, states: States, weights: Array, rng: np.random.Generator) -> Integers:
-        """The indices of one run's resampled particles, of its states (d, m), by its weights (m,).
+        """Resample one run's particles, of states (d, m) and weights (m,).
 
-        There are m of them, or as many as KLD-sampling asks for.
+        Returns the indices, from 0 to m − 1, of the particles drawn: m of them, or as many as
+        KLD-sampling asks for.
         """
         draw = RESAMPLERS[self.particles.resampling]
         number = self.particles.number
@@ -231,9 +237,10 @@ class ParticleChain:
         return number.drawn(states, self.model, lambda count: indices(draw(weights, count, rng)))
 
     def take(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
-        """The cloud weighed by its step's measurements, and ln p(z_t | z_0..t−1), (runs,).
+        """Weigh a cloud by its step's measurements, and estimate ln p(z_t | z_0..t−1), (runs,).
 
-        Where likelihoods have dropped, some particles may then be injected elsewhere.
+        With an `Injection`, some particles of runs whose likelihoods have dropped are then replaced
+        by draws elsewhere.
         """
         if not self.model.read(step):
             return cloud, np.zeros(cloud.runs)
@@ -243,11 +250,12 @@ class ParticleChain:
         return known, log_density
 
     def _weighed(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
-        """The cloud weighed by a step's measurements, and ln p(z_t | z_0..t−1), (runs,).
+        """Weigh a cloud by a step's measurements, and estimate ln p(z_t | z_0..t−1), (runs,).
 
-        Where no particle of a run explains the measurements, these are refused by an EvidenceError,
-        or ignored, or the run begins anew from its prior, by `Particles.impossible`; if it goes on
-        its log-density is −∞. They are refused, too, if no particle from the prior explains them.
+        If no particle of a run explains the measurements, `Particles.impossible` decides: they are
+        refused by an EvidenceError, or ignored, or the run is restarted from the prior. A run that
+        goes on has a log-density of −∞. An EvidenceError is raised, too, if after a restart no
+        particle from the prior explains the measurements.
         """
         log_weights = cloud.log_weights + self._log_likelihood(step, cloud)
         impossible = np.isneginf(np.maximum.reduceat(log_weights, cloud.starts[:-1]))
@@ -267,12 +275,13 @@ class ParticleChain:
         return known, log_density
 
     def _injected(self, step: int, cloud: Cloud, log_density: Array, injection: Injection) -> Cloud:
-        """The cloud after a step's measurements, with particles injected where these fit badly.
+        """Inject particles into runs of a cloud whose measurements fit worse than they used to.
 
-        A run's share of them is given by `Injection`, from averages that go on by `log_density`,
-        ln p(z_t | z_0..t−1), (runs,), and that the cloud returned has. Such a run is resampled, its
-        weights become equal, and in some of its particles the state of `injection.cells`, a
-        `CellProposal`, is replaced by a draw of it; other states stay.
+        The averages of the `Injection` are carried on by `log_density`, ln p(z_t | z_0..t−1),
+        (runs,); they give the share of each run's particles to be replaced. A run with such a share
+        is resampled, its weights become equal, and in this share of its particles the state of
+        `injection.cells` is replaced by a draw from these cells; other states stay. The cloud
+        returned has the new particles and averages.
         """
         measured, cells = self.model.measured(step), injection.cells
         averages = injection.averaged(cloud.averages, log_density, measured)
@@ -356,9 +365,9 @@ class ParticleChain:
         )
 
     def _some(self, cloud: Cloud, step: int, first: int, last: int, before: Array) -> Some:
-        """The particles at places from `first` up to, but without, `last`.
+        """The particles of `cloud`, at a step, in the places `first` to `last` − 1.
 
-        before: Their states at the step before, (d, last − first).
+        before: The states (d, last − first) that parents of the step before have for them.
         """
         owner = None if cloud.runs == 1 else cloud.owner[first:last]
         return Some(step, cloud.states[:, first:last], before, owner)

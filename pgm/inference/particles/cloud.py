@@ -42,7 +42,7 @@ class Cloud:
     log_weights: The logarithms of weights that sum to one in each run, (particles,).
     starts: The place at which each run begins, and the end, (runs + 1,).
     ancestors: The place of each particle's ancestor in the cloud of the step before, (particles,);
-        None where each is at its own place.
+        None where each ancestor has the same place as its particle.
     averages: The logarithms of the long-term and short-term averages of an `Injection`, (2, runs);
         None without one, or before the first measurements.
     """
@@ -76,7 +76,7 @@ class Cloud:
         return np.repeat(np.arange(self.runs), self.counts)
 
     def of(self, run: int) -> slice:
-        """The slice of a run's particles, in an array over all."""
+        """The slice of a run's particles in an array over the particles of all runs."""
         return slice(int(self.starts[run]), int(self.starts[run + 1]))
 
     def summed(self, values: npt.NDArray[Any]) -> Array:
@@ -84,13 +84,14 @@ class Cloud:
         return np.add.reduceat(values, self.starts[:-1], axis=-1, dtype=np.float64)
 
     def spread(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The values (runs,) of runs at each of their particles, (particles,); (1,) of one run."""
+        """Values (runs,) repeated for each run's particles, (particles,); of one run as given."""
         return values if self.runs == 1 else np.repeat(values, self.counts)
 
     def normalised(self, log_weights: Array) -> tuple[Cloud, Array]:
-        """The cloud with log-weights, (particles,), normalised in each run, and their log-sums.
+        """The cloud with new log-weights, normalised in each run, and the logarithms of their sums.
 
-        These are the logarithms (runs,) of what each run's weights, as given, sum to.
+        `log_weights` (particles,) need not be normalised. The second result, (runs,), is the
+        logarithm of the sum of each run's weights as given.
         """
         largest = np.maximum.reduceat(log_weights, self.starts[:-1])
         each = log_weights - self.spread(largest)
@@ -139,5 +140,5 @@ def blocks(starts: Integers) -> Iterator[Block]:
 
 
 def uniform(counts: Integers) -> Array:
-    """The log-weights (particles,) of equal particles, `counts` (runs,) of them in each run."""
+    """The log-weights (particles,) of equally weighted particles, `counts` (runs,) in each run."""
     return np.repeat(-np.log(counts), counts)

@@ -1,16 +1,17 @@
 r"""Guided proposals: particles drawn where the measurements of their step are.
 
 The transition of a particle is a function of white noise w, drawn from N(0, I): x_t = f(x_{t−1}) +
-L w, CPD by CPD, L being the root of its noise covariance. Beginning at the particle, a lineariser
-makes a Gaussian belief of its next slice given the measurements, which is one of w:
+L w, CPD by CPD, L being the root of the CPD's noise covariance. For each particle, a lineariser
+makes Gaussian beliefs of its next slice x_t, before and after the measurements of step t. As
+x_t ≈ μ⁻ + A w, the belief after them is a Gaussian belief of w, too:
 
 .. math:: q(w) = N(w;\, A^{-1}(μ^+ - μ^-),\, A^{-1} P^+ A^{-T}), \qquad P^- = A A^T,
 
 μ⁻, P⁻ and μ⁺, P⁺ being the mean and covariance of the slice before and after its measurements, and
-A, like L, lower triangular. w is
-drawn from q and goes through the transition as it is; the particle's weight is multiplied by
-N(w; 0, I) / q(w). Weights are exact, however bad the linearisation, and a component without noise
-stays a function of the others. m is the number of particles, n that of the slice's components.
+A, like L, lower triangular. A proposal draws w from q, passes it through the transition as it
+is, and multiplies the particle's weight by N(w; 0, I) / q(w). Weights are exact, however bad the
+linearisation, and a component without noise stays a function of the others. m is the number of
+particles, n that of the slice's components.
 """
 
 from __future__ import annotations
@@ -60,13 +61,15 @@ class Guide:
         return [s for s in sensors if isinstance(s.reading.cpd, ConditionalGaussian)]
 
     def steered(self, row: int, some: Some, drawing: Drawing) -> tuple[Steered, Array]:
-        """White noise w that moves particles to a step, and ln N(w; 0, I) / q(w) of each, (m,).
+        """Draw the white noise w by which particles move to a step, from each particle's q.
 
         row: The row of the step's inputs.
         some: The particles, with their states at the step before.
-        drawing: Their generators. The `Drawing` returned, first, stands in for it and gives out w.
+        drawing: The particles' generators.
 
-        A NumericalError is raised if q is not finite, or singular: weights would be infinite.
+        Returns a `Drawing` that gives out w where `drawing` would give out random noise, and
+        ln N(w; 0, I) / q(w) of each particle, (m,). A NumericalError is raised if q is not finite,
+        or singular: weights would be infinite.
         """
         before, after = self._moments(row, some)
         lower = roots.root(before.cov)
@@ -175,8 +178,8 @@ class Steered(Drawing):
 def require_guidable(model: DynamicBayesianNetwork) -> None:
     """Refuse, by a ModelError, a network for which a lineariser gives no proposal.
 
-    Its transition has to be Gaussian, without robust noise, and no CPD may have axes of runs of its
-    own.
+    Its transition has to be Gaussian, without robust noise, and no CPD may have parameters that
+    differ between runs.
     """
     require_gaussian(model.transition, "proposals of a lineariser")
     require_plain(model.transition)
@@ -192,9 +195,9 @@ def require_guidable(model: DynamicBayesianNetwork) -> None:
 
 
 def _whitened(lower: Array, cov: Array) -> Array:
-    """A⁻¹ P A⁻ᵀ of roots A, `lower`, and covariances P, `cov`, (m, n, n).
+    """The covariances A⁻¹ P A⁻ᵀ, (m, n, n), of roots A, `lower`, and covariances P, `cov`.
 
-    Rows and columns of components that those before them determine, by A, are zero.
+    Rows and columns of components without a pivot in A, which earlier ones determine, are zero.
     """
     free = ~roots.determined(lower)
     half = solving.solve_lower(lower, cov) * free[..., None]

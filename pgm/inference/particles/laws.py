@@ -93,7 +93,7 @@ class Drawing:
     def white(self, components: int, count: int, dtype: Any) -> States:
         """Independent standard normal numbers, (components, count), for the block's particles.
 
-        `count` is the number of these, and `dtype` float64 or float32.
+        `count` is the number of particles, and `dtype` float64 or float32.
         """
         if len(self.pieces) == 1:
             return self.pieces[0][1].standard_normal((components, count), dtype=dtype)
@@ -106,7 +106,7 @@ class Drawing:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """The law of a CPD of any kind, whose own sampler and density are asked; base of other laws.
+    """The law of a CPD of any kind, by the CPD's own sampler and density; base of other laws.
 
     inputs: By observed parent, its values (rows, runs or 1, d).
     places: By hidden variable, the rows of its components in arrays of states.
@@ -121,9 +121,10 @@ class Law:
     first_run: int
 
     def given(self, row: int, some: Some) -> dict[Variable, States]:
-        """By parent, its values (m, d) at particles, read-only; of an observed one those of a row.
+        """The values (m, d) of each parent at the particles `some`, read-only.
 
-        Values of hidden parents are of the particles' step, or, with a lag, of the step before.
+        An observed parent has the values of its inputs at `row`. A hidden one has those of the
+        particles, at their step, or at the step before if the parent has a lag.
         """
         found = {}
         for parent in self.cpd.parents:
@@ -166,8 +167,8 @@ class Law:
     def open(self, row: int, step: int) -> Integers:
         """The number of components with noise of their own, at a row, (runs or 1,).
 
-        `step` is that of the row, for texts of errors. Here all components are taken to have such
-        noise, since a density of any kind does not tell.
+        `step` is that of the row, for texts of errors. Here all components are counted, since a
+        CPD's own density does not say which of them have noise.
         """
         return np.array([self.cpd.child.dimension])
 
@@ -175,7 +176,7 @@ class Law:
         """Refuse, by a ModelError, a sensor that has singular noise at one of its rows.
 
         `steps` are those of all its rows, (rows,), for the text of the error. Here nothing is
-        refused, since a density of any kind does not tell.
+        refused, since a CPD's own density does not say whether it is singular.
         """
 
 
@@ -220,7 +221,8 @@ class GaussianLaw(Law):
 
         They are densities of the components with noise of their own, which determine all other
         components. The child (d, m) may be off by a rounding of the states' type. Residuals of
-        angles are taken as they are; where the child is off the subspace so, they are wrapped.
+        angles are first taken unwrapped; a child that is off its subspace then is judged again with
+        its residuals of angles wrapped.
         """
         # That of the child alone: a particle is what the law made of another, and others are near.
         mean, error = self.mean(row, some), np.finfo(self.dtype).eps * np.abs(child)
@@ -238,7 +240,7 @@ class GaussianLaw(Law):
         return self.root(row, step).open
 
     def mean(self, row: int, some: Some) -> States:
-        """The means at particles, (d, m), or (d, 1) where they are equal.
+        """The means of the child at particles, (d, m), or (d, 1) if they are the same for all.
 
         A function with values that are NaN or infinite is refused by a LinearisationError.
         """
@@ -309,7 +311,8 @@ class GaussianLaw(Law):
     def root(self, row: int, step: int) -> Root:
         """The `Root` of the noise covariance at a row, one root for all runs or one for each.
 
-        Where a function for it has a value that is no covariance, a ModelError is raised.
+        If the CPD gives its covariance by a function, a value that is no covariance raises a
+        ModelError.
         """
         if not isinstance(self.cpd.cov, Noise):
             return self._constant
@@ -328,7 +331,7 @@ class GaussianLaw(Law):
         """The `Root` of lower triangular roots (runs or 1, d, d) of noise covariances.
 
         NaN, which marks a covariance that is not finite and semidefinite, is refused by a
-        NumericalError of the step; `step` is None where the covariance is the same at all.
+        NumericalError of the step; `step` is None if the covariance is the same at all steps.
         """
         if not roots.is_proper(lower):
             raise NumericalError(
@@ -346,7 +349,7 @@ class GaussianLaw(Law):
         return self.cpd.offset.reshape(-1, self.cpd.child.dimension).T.astype(self.dtype)
 
     def _runs_of(self, some: Some) -> Integers | slice:
-        """The index by which `_offset` has a column for each particle, or one for all."""
+        """The index that takes each particle's column of `_offset`, or the one that all share."""
         return slice(None) if self._offset.shape[1] == 1 or some.owner is None else some.owner
 
     @cached_property
@@ -376,7 +379,7 @@ class Root:
         self._pivots = deviations
 
     def of(self, some: Some) -> Integers:
-        """The index of each particle's root, (m,)."""
+        """The index in `lower` of each particle's root, (m,)."""
         if len(self.lower) == 1 or some.owner is None:
             return np.zeros(some.size, dtype=np.intp)
         return some.owner
@@ -410,7 +413,9 @@ class Root:
         return found
 
     def within(self, residual: Array, error: Array, some: Some) -> Array:
-        """The log-densities (m,) of residuals (d, m) under singular noise, by its open components.
+        """The log-densities (m,) of residuals (d, m) under singular noise.
+
+        They are those of the components with noise of their own.
 
         error: By how much rounding may have changed the residuals, (d, m) or (d, 1). Where a
             residual is further off the subspace of the noise, the log-density is −∞.
@@ -432,7 +437,7 @@ def by_pattern(taken: Mask, owner: Integers | None) -> Iterator[tuple[Mask, Mask
     taken: The mask of measured components, (runs or 1, d).
     owner: The run of each particle, (m,); None where there is one run.
 
-    Instead of a mask None stands for all particles. A pattern of no components is left out.
+    A mask of None means all particles. A pattern without measured components is left out.
     """
     if len(taken) == 1 or owner is None or (taken == taken[0]).all():
         if taken[0].any():

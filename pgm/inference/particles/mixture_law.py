@@ -1,4 +1,4 @@
-"""The law of a CPD: Gaussian, a mixture's from those of its parts, or by sampler and density."""
+"""The laws of CPDs by their kind; the law of a mixture is made from the laws of its parts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False)
 class MixtureLaw(Law):
-    """The law of a mixture CPD, by the laws of its parts in their order."""
+    """The law of a mixture CPD; `parts` are the laws of the CPDs that it mixes, in their order."""
 
     cpd: MixtureCPD
     parts: tuple[Law, ...]
@@ -39,8 +39,10 @@ class MixtureLaw(Law):
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all: ln Σ_k w_k p_k.
 
-        taken: The mask (d,) of the components that were measured; None for all. p_k is as the law
-            of part k has it. Parts that `open` refuses are refused here, too.
+        w_k is the mixture's weight of part k, p_k the density by its law. Parts that `open` refuses
+        are refused here, too.
+
+        taken: The mask (d,) of the components that were measured; None for all.
         """
         self.open(row, some.step)
         terms = (part.log_density(row, some, child, taken) for part in self.parts)
@@ -49,7 +51,7 @@ class MixtureLaw(Law):
     def open(self, row: int, step: int) -> Integers:
         """The number of components with noise of their own, at a row, (runs or 1,).
 
-        Parts that differ in it have no density in common, and are refused by a ModelError.
+        Parts with different numbers have no density in common, and are refused by a ModelError.
         """
         first, *others = (part.open(row, step) for part in self.parts)
         if any((other != first).any() for other in others):
@@ -76,10 +78,11 @@ def law(
     dtype: Any,
     first_run: int,
 ) -> Law:
-    """The law of a CPD with its inputs, by its kind; the arguments are those of `Law`.
+    """The law of a CPD with its inputs, of the class that its kind asks for.
 
-    A Gaussian CPD with robust noise, and a CPD that is neither Gaussian nor a mixture, are asked
-    for draws and densities themselves.
+    It is a `GaussianLaw` of Gaussian noise, a `MixtureLaw` of a mixture, and otherwise, robust
+    noise included, a plain `Law`. Robust noise whose density has an infinite integral is refused by
+    a ModelError. The arguments are those of `Law`.
     """
     rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
     about = rows, places, dtype, first_run

@@ -67,7 +67,7 @@ class ParticleModel:
 
     @cached_property
     def transition(self) -> list[Law]:
-        """The laws of states' and hidden controls' transitions; row k is of step first + k + 1."""
+        """The laws of the transition's CPDs; row k of their inputs is of step first + k + 1."""
         pairs = zip(self.model.transition, self.bound.transition, strict=True)
         return [self._law(by_run(cpd, self.bound.lead), inputs) for cpd, inputs in pairs]
 
@@ -81,6 +81,7 @@ class ParticleModel:
         return found
 
     def _law(self, cpd: CPD, inputs: Mapping[Variable, Any]) -> Law:
+        """The law of a CPD; `inputs` are its observed parents' values (rows, runs or 1, d)."""
         return law(cpd, inputs, self.places, self.dtype, self.bound.first_run)
 
     def row(self, step: int) -> int:
@@ -92,9 +93,9 @@ class ParticleModel:
         return [s.reading.cpd.child for s in self.sensors if len(s.rows(step))]
 
     def measured(self, step: int) -> Array:
-        """How many components were measured at a step, (runs,), as the densities count them.
+        """The number of components measured at a step, (runs,), as their sensors' CPDs count them.
 
-        Of a scan they are the beams in use times their weight.
+        A range scan counts as the number of beams that its density uses, times a beam's weight.
         """
         found = np.zeros(self.bound.runs)
         for sensor in self.sensors:
@@ -105,7 +106,7 @@ class ParticleModel:
     def log_peak(self, step: int) -> Array:
         """The largest log-density that a step's measurements could have at any state, (runs,).
 
-        A density that does not tell it is refused by a ModelError.
+        A CPD that does not know the largest value of its density is refused by a ModelError.
         """
         found = np.zeros(self.bound.runs)
         for sensor in self.sensors:
@@ -123,7 +124,7 @@ class ParticleModel:
 
 
 class Sensor:
-    """A sensor's law with its measurements; a ModelError refuses one of singular noise."""
+    """A sensor's law with its measurements; singular noise is refused by a ModelError."""
 
     def __init__(self, law: Law, reading: Reading) -> None:
         self.law, self.reading = law, reading
@@ -161,10 +162,10 @@ class Sensor:
                 total[which] += found
 
     def responsibilities(self, row: int, some: Some) -> Array:
-        """The associations of an open sighting at particles, (k + 2, m).
+        """The association probabilities (k + 2, m) of a sighting of an unknown thing, by particle.
 
-        They are the probabilities of each of k candidates, of a spurious sighting and of a new
-        thing; NaN where nothing was measured.
+        They are those of each of the k candidates for the thing, then of a spurious sighting, and
+        of a new thing; NaN where nothing was measured. `row` is that of the sighting.
         """
         cpd, reading = self.law.cpd, self.reading
         assert isinstance(cpd, UnidentifiedCPD)
@@ -179,9 +180,9 @@ class Sensor:
     def log_peak(self, row: int, step: int, runs: int) -> Array:
         """The largest log-density that one measurement could have at any state, (runs,).
 
-        Of normal noise that is the log-density at zero residual; 0 where nothing was measured. A
-        density that does not tell its largest value is refused by a ModelError. `step` is that of
-        the row, `runs` the number of runs.
+        Of normal noise that is the log-density at zero residual; it is 0 where nothing was
+        measured. A CPD that does not know the largest value of its density is refused by a
+        ModelError. `step` is that of the row, `runs` the number of runs.
         """
         found, owner, taken = np.zeros(runs), np.arange(runs), self.reading.taken[row]
         if not isinstance(self.law, GaussianLaw):

@@ -39,9 +39,9 @@ class KLDSampling(InCode, Immutable):
     Parameters
     ----------
     widths : mapping of str to float
-        The widths of bins, by component of the states, in its units: those of an angle are rounded
-        so that they go round the circle. Components that are not named are not divided. A component
-        is called by its name; where states share it, as ``"x.east"``.
+        The widths of bins, by component of the states, in its units; that of an angle is changed so
+        that a whole number of bins makes a turn. Components that are not named are not divided into
+        bins. A component is called by its name; where states share it, as ``"x.east"``.
     epsilon, delta : float
         ε, more than 0, and δ, between 0 and 1.
     least, most : int
@@ -51,7 +51,7 @@ class KLDSampling(InCode, Immutable):
     Raises
     ------
     ModelError
-        If one of these is no such number; in a filter, if a name is that of no component.
+        If an argument is out of its range; in a filter, if a name is that of no component.
 
     References
     ----------
@@ -153,6 +153,7 @@ class KLDSampling(InCode, Immutable):
         return hash(self._key())
 
     def _key(self) -> tuple[Any, ...]:
+        """The values of all attributes, by which two objects are compared and hashed."""
         return (tuple(self.widths.items()), self.epsilon, self.delta, self.least, self.most)
 
     def __repr__(self) -> str:
@@ -171,23 +172,24 @@ class LikelihoodSampling(InCode, Immutable):
 
     .. math:: \sum_i \frac{p(z_t \mid x_t^i)}{\max_x p(z_t \mid x)} \ge L
 
-    Few are drawn where all of them are where the measurements say, and many where most are
-    elsewhere. The largest density is that of normal noise at zero residual, and that of a
-    `LikelihoodField` where all beams end at obstacles; a filter refuses sensors of other densities
-    by a ModelError. At steps without measurements the number stays.
+    with particles x_t^i and measurements z_t of step t. Few are drawn if most of them explain the
+    measurements well, and many if most explain them badly. The largest density is that of normal
+    noise at zero residual, and that of a `LikelihoodField` where all beams end at obstacles; a
+    filter refuses sensors of other densities by a ModelError. At steps without measurements the
+    number stays.
 
     Parameters
     ----------
     total : float
-        L, the number of particles that would do if each explained everything: some tens of them
-        leave means that err by a tenth or two of a standard deviation.
+        L, the number of particles that would be enough if each explained the measurements
+        perfectly: some tens of them leave means that err by a tenth or two of a standard deviation.
     least, most : int
         Bounds of the number of particles of a run.
 
     Raises
     ------
     ModelError
-        If one of these is no such number.
+        If an argument is out of its range.
 
     References
     ----------
@@ -215,12 +217,12 @@ class LikelihoodSampling(InCode, Immutable):
         self._set(total=float(total), least=int(least), most=int(most))
 
     def more(self, count: int, found: float) -> int:
-        """How many particles to draw next; 0 if there are enough.
+        """How many particles to draw next: 0 if `found` has reached the threshold L.
+
+        Otherwise as many again are drawn, up to `most` in all.
 
         count: How many have been drawn.
         found: The sum of their likelihoods, as shares of the largest possible.
-
-        It is as many again, up to `most` in all.
         """
         if found >= self.total:
             return 0

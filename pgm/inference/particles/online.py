@@ -39,6 +39,7 @@ class OnlineParticleBelief(Shown, NoArray):
     Attributes
     ----------
     step : int
+        The number of the step.
     log_evidence : ndarray
         (*runs): ln p of all measurements so far, estimated.
     status : ParticleStatus
@@ -77,12 +78,12 @@ class OnlineParticleBelief(Shown, NoArray):
         return self.log_evidence.shape
 
     def __getitem__(self, variable: Variable) -> ParticleBelief:
-        """The marginal of a state or hidden control at the belief's step, of leading axes of runs.
+        """The marginal of a state or hidden control at the belief's step, its leading axes runs.
 
         Raises
         ------
         EvidenceError
-            If it is no hidden variable of the network, or of another step.
+            If the variable is no hidden variable of the network, or of another step.
         """
         template = require_variable(variable).template
         places = self._model.places
@@ -111,9 +112,10 @@ class OnlineParticleBelief(Shown, NoArray):
 class OnlineParticles(PointFilter[OnlineParticleBelief]):
     """A particle filter for one step at a time; made by ``OnlineFilter(model, belief=particles)``.
 
-    Draws are keyed by seed, run and step, so that they are those of `pgm.filter`. Where a belief
-    has one run, and the inputs or measurements given next have several, each of these runs goes on
-    from the same particles; from the prior each draws its own.
+    Random numbers are keyed by seed, run and step, so that the particles are those of `pgm.filter`.
+    Where a belief has one run, and the inputs or measurements given next have several, each of
+    these runs goes on from the same particles; if that belief is the prior, each run draws
+    particles of its own.
 
     Parameters
     ----------
@@ -123,8 +125,8 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     Raises
     ------
     ModelError
-        If a proposal, start or injection of the particles does not fit the model, or they would not
-        fit memory.
+        If a proposal, start or injection of the particles does not fit the model, or the particles
+        would not fit into memory.
 
     Examples
     --------
@@ -155,10 +157,10 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     def _predicted(
         self, belief: OnlineParticleBelief, bound: BoundEvidence
     ) -> OnlineParticleBelief:
-        """The belief one step later.
+        """The belief one step later, by the inputs of that step.
 
-        Where the measurements of that step are to choose its draws, the new belief keeps the old
-        one's particles too, to be moved again by `_updated`.
+        Where draws depend on the new step's measurements (`_looks`), the new belief also holds the
+        particles of the old one, from which `_updated` draws again.
         """
         step, before = belief.step + 1, self._spread(belief, bound)
         chain, record = self._chain(bound, belief.step)
@@ -168,10 +170,11 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         return self._belief(step, PREDICTED, cloud, chain.model, bound, log_evidence, record, kept)
 
     def _updated(self, belief: OnlineParticleBelief, bound: BoundEvidence) -> OnlineParticleBelief:
-        """The belief given measurements of its step.
+        """The belief given the measurements of its step.
 
-        Where measurements choose the draws, those of the step are drawn again, from the particles
-        of the step before; with a `start` those of step 0 are, from its cells.
+        Where draws depend on the measurements (`_looks`), the step's particles are first drawn
+        again, from the particles of the step before. With a `start`, those of step 0 are drawn
+        again from its cells.
         """
         step = belief.step
         cloud = self._spread(belief, bound)
@@ -188,14 +191,17 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         return self._belief(step, FILTERED, known, chain.model, bound, log_evidence, record)
 
     def _chain(self, bound: BoundEvidence, first: int) -> tuple[ParticleChain, Record]:
-        """A chain whose inputs begin after the step `first`, and its record up to first + 1."""
+        """A `ParticleChain` whose inputs begin at step `first` + 1, and its record to that step."""
         model = ParticleModel(self.model, bound, self.belief.dtype, first)
         record = Record(first + 1, bound.runs)
         return ParticleChain(self._graph, model, self.belief, record), record
 
     @property
     def _looks(self) -> bool:
-        """Whether a step's measurements choose its draws: a proposal, or a number by likelihood."""
+        """Whether a step's draws depend on its measurements.
+
+        They do with a proposal, and with a `LikelihoodSampling`.
+        """
         by_likelihood = isinstance(self.belief.number, LikelihoodSampling)
         return self.belief.proposal is not None or by_likelihood
 
@@ -245,7 +251,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         record: Record,
         before: tuple[Cloud, BoundEvidence] | None = None,
     ) -> OnlineParticleBelief:
-        """The user's belief at a step, with its status, which warns of what it finds at fault.
+        """The user's belief at a step, with its status, whose faults are warned of.
 
         log_evidence: ln p of all measurements so far, (runs,).
         record: What has happened at the step.

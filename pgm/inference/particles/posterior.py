@@ -45,7 +45,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         (*runs): the logarithm of an unbiased estimate of p(measurements).
     status : ParticleStatus
     filtered : ParticlePosterior
-        The beliefs of the forward sweep; itself, of a filter.
+        The beliefs of the forward sweep; of a filter, the posterior itself.
 
     Examples
     --------
@@ -82,7 +82,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
 
     @cached_property
     def associations(self) -> Found:
-        """The `Associations` by sensor, of sightings whose parent was `unknown`."""
+        """By sensor, the `Associations` of sightings whose parent was given as `pgm.unknown`."""
         lead = self.log_evidence.shape
         return MappingProxyType(
             dict(
@@ -93,9 +93,11 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         )
 
     def _responsible(self, sensor: Sensor) -> Iterator[Array]:
-        """The associations (runs, k + 2) of each open sighting of a sensor, one after another.
+        """The association probabilities (runs, k + 2) of each of a sensor's sightings in turn.
 
-        They are averaged over the particles of its step, by their weights.
+        The sensor has sightings of unknown things. The probabilities are those of k candidates for
+        the thing, of a spurious sighting and of a new thing, averaged over the particles of the
+        sighting's step by their weights.
         """
         for row, step in enumerate(sensor.reading.step.tolist()):
             cloud = self._clouds[step]
@@ -111,13 +113,13 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
 
     @property
     def filtered(self) -> ParticlePosterior:
-        """The filtered beliefs, those of the forward sweep; itself, of a filter."""
+        """The filtered beliefs, those of the forward sweep; of a filter, the posterior itself."""
         if self.kind == FILTERED:
             return self
         return replace(self, kind=FILTERED, _clouds=self._filtered)
 
     def joint(self, *variables: Variable) -> ParticleBelief:
-        """The joint of variables of one slice; a smoother's may be of any steps.
+        """The joint belief of variables at one step; of a smoother, also of several steps.
 
         Parameters
         ----------
@@ -132,11 +134,11 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         Raises
         ------
         EvidenceError
-            If one is no hidden variable of the network, none is named, some are at a step and some
-            over time, a hidden control is at step 0, or they are of several steps, which a filter
-            or a fixed-lag smoother has not drawn together.
+            If a variable is no hidden variable of the network, none is named, some are at a step
+            and some over time, a hidden control is at step 0, or the variables are of several
+            steps, which a filter or a fixed-lag smoother has not drawn together.
         ModelError
-            If one stands after the last step, or is named twice.
+            If a variable stands after the last step, or is named twice.
         """
         if not variables:
             raise EvidenceError("joint takes variables of the network, like x.at(3), m.at(3)")

@@ -17,7 +17,7 @@ class Record:
 
     steps: The number of the last step, T.
 
-    clouds: The particles given the measurements up to each step, as far as kept.
+    clouds: The particles given the measurements up to each step, for the steps given to `keep`.
     log_density: ln p(z_t | z_0..t−1), estimated, (T+1, runs).
 
     The other arrays are those of `ParticleStatus`, but (T+1, runs), zero until they are written.
@@ -43,7 +43,7 @@ class Record:
         self.effective[step], self.number[step] = known.effective, known.counts
 
     def status(self, lead: tuple[int, ...], unmoved: Array | None = None) -> ParticleStatus:
-        """The status of the sweep, for runs of the user's leading axes.
+        """The status of the sweep, in arrays with the user's leading axes of runs, `lead`, first.
 
         unmoved: Of a smoother, the share of trajectories that stayed at their ancestor, (T, runs).
         """

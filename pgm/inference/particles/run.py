@@ -1,4 +1,4 @@
-"""Running a schedule with particles: a filter, and backward simulation where it smooths."""
+"""Inference with particles: a filter, and backward simulation where the schedule smooths."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ from pgm.resources import gibibytes, require_memory
 def run(
     graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, particles: Particles
 ) -> ParticlePosterior:
-    """The posterior of bound evidence as particles, for a schedule, by default a smoother's.
+    """The posterior given the evidence `bound`, as particles.
 
-    Warnings say what the status has found at fault.
+    The schedule says whether they are filtered or smoothed; without one they are smoothed. Warnings
+    tell of few effective particles and of impossible measurements.
     """
     require_chain(graph, "particles")
     kind = kind_of(schedule, "particles")
@@ -54,7 +55,7 @@ def run(
 
 
 def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None:
-    """Refuse, by a ModelError, particles whose proposal, start or injection does not fit."""
+    """Refuse, by a ModelError, particles whose proposal, start or injection the model rules out."""
     if particles.proposal is not None:
         require_guidable(model)
     if particles.start is not None:
@@ -66,8 +67,8 @@ def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None
 def _require_possible(particles: Particles, model: ParticleModel, kind: Kind) -> None:
     """Refuse particles whose injection or start does not fit the schedule or the evidence.
 
-    An injection with any `kind` but filtered is a ModelError, a start from cells for which step 0
-    has no measurements an EvidenceError.
+    An injection with any `kind` but filtered raises a ModelError; a start from cells for which step
+    0 has no measurements raises an EvidenceError.
     """
     if particles.injection is not None and kind != FILTERED:
         raise ModelError(

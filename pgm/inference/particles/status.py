@@ -26,8 +26,8 @@ class ParticleStatus(Shown, Immutable):
     ----------
     effective : ndarray
         (*runs, T+1): the effective number of particles given each step's measurements, 1 / Σ w²:
-        so many particles of equal weight would do as well. Below ten a `ParticleWarning` has said
-        so: means of so few are hardly better than a guess.
+        as many particles of equal weight would serve as well. Below ten a `ParticleWarning` was
+        given: means of so few particles are hardly better than a guess.
     number : ndarray of int
         (*runs, T+1): the number of particles.
     resampled : ndarray of bool
@@ -39,8 +39,8 @@ class ParticleStatus(Shown, Immutable):
         (*runs, T+1): whether no particle explained the step's measurements, so that these were
         ignored, or the run was restarted from the prior; the log-evidence is −∞ then.
     unmoved : ndarray or None
-        (*runs, T): of a smoother, by step the share of trajectories that have stayed at the
-        filter's own ancestor; None of a filter.
+        (*runs, T): of a smoother, by step the share of trajectories whose particle is still the
+        ancestor that the filter gave it, unmoved by backward simulation; None of a filter.
 
     Examples
     --------
@@ -98,7 +98,7 @@ class ParticleStatus(Shown, Immutable):
     def _few(self) -> Mask:
         """The mask (*runs, steps) of effective numbers below ten and below the number of particles.
 
-        That leaves out fewer than ten particles that weigh the same.
+        Equally weighted particles are not marked, even if they are fewer than ten.
         """
         found: Mask = self.effective < np.minimum(FEW, self.number) * (1.0 - _ROUNDING)
         return found

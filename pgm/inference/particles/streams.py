@@ -9,6 +9,6 @@ FORWARD, RESTARTED, BACKWARD, STARTED, INJECTED = range(5)
 
 
 def stream(seed: int, run: int, step: int, purpose: int = FORWARD) -> np.random.Generator:
-    """The generator of a run's draws at a step, for a purpose: each is a stream of its own."""
+    """The generator of a run's draws at a step for one purpose, independent of all the others."""
     key = np.random.SeedSequence(seed, spawn_key=(run, step, purpose))
     return np.random.Generator(np.random.SFC64(key))

@@ -24,33 +24,35 @@ class Injection(InCode, Immutable):
     .. math:: \ell_t = \Big( \sum_i w_{t-1}^i \, p(z_t \mid x_t^i) \Big)^{1/b}, \qquad
         s_t = s_{t-1} + α_s (\ell_t - s_{t-1}), \qquad f_t = f_{t-1} + α_f (\ell_t - f_{t-1})
 
-    - ℓ_t: the likelihood of the step's measurements, as its geometric mean over the b components
-      that were measured; of a scan b is the beams in use times their weight;
-    - s, f: its long-term and short-term averages, begun at the first measurements.
+    - w_{t−1}^i, x_t^i: the weights before the measurements z_t of step t, and the particles;
+    - ℓ_t: the likelihood of z_t, as its geometric mean over the b components that were measured; of
+      a scan b is the beams in use times their weight;
+    - s, f: the long-term and short-term averages of ℓ, begun at the first measurements.
 
     A share of the particles,
 
     .. math:: \max(0, 1 - f_t / s_t),
 
-    is replaced by draws of a `CellProposal` once the measurements have been taken; other states
-    than its own are those of particles drawn anew. Weights are equal then. This is for a robot that
-    was carried elsewhere, which the model does not know of: the log-evidence is that of the belief
-    before, and nothing can be smoothed.
+    is replaced by draws of a `CellProposal` once the measurements have been taken: the particles of
+    the run are drawn anew in proportion to their weights, and in this share of them the state of
+    the proposal is replaced, and no other. Weights are equal then. This is for a robot that was
+    carried elsewhere, which the model does not know of: the log-evidence is computed before the
+    replacement, and nothing can be smoothed.
 
     Parameters
     ----------
     cells : CellProposal
-        With ``temper=0`` draws are uniform.
+        The proposal from which the state is drawn; with ``temper=0`` draws are uniform.
     slow, fast : float
         α_s and α_f, 0 < slow < fast <= 1: with a large `fast` one bad scan injects particles at
         once, with a small one it takes several in a row.
     most : float
-        The largest share, 0 < most <= 1.
+        The largest share that is replaced at a step, 0 < most <= 1.
 
     Raises
     ------
     ModelError
-        If one of these is no such number, or `cells` is no `CellProposal`.
+        If a number is out of its range, or `cells` is no `CellProposal`.
 
     References
     ----------
@@ -88,7 +90,8 @@ class Injection(InCode, Immutable):
     def averaged(self, before: Array | None, log_density: Array, measured: Array) -> Array:
         """The logarithms of the long-term and short-term averages, (2, runs), after one more step.
 
-        before: Those of the step before, NaN in runs without any measurement so far; None at first.
+        before: The logarithms after the step before, (2, runs), NaN in runs without any measurement
+            so far; None before the first measurements of all runs.
         log_density: ln p of the step's measurements given those before, (runs,).
         measured: The number b of components measured, (runs,); where it is 0 the averages stay.
         """
@@ -128,15 +131,17 @@ class Particles(InCode, Immutable):
 
     .. math:: p(x_t \mid z) \approx \sum_i w_t^i \, δ(x_t - x_t^i)
 
-    - x_t^i: the particles, drawn from the transition, p(x_t | x_{t−1}^i);
-    - w_t^i: their weights, w_{t−1}^i p(z_t | x_t^i), normalised.
+    - x_t^i: the n particles, drawn from the transition, p(x_t | x_{t−1}^i);
+    - w_t^i: their weights, w_{t−1}^i p(z_t | x_t^i), normalised;
+    - z: the measurements, z_t those of step t.
 
     This is the bootstrap filter: the weights are the density of the measurements. With a `proposal`
     q particles are guided, drawn from q(x_t | x_{t−1}^i, z_t), and their weights are
-    w_{t−1}^i p(x_t^i | x_{t−1}^i) p(z_t | x_t^i) / q. They are carried from step to step, as
-    logarithms, until they are worth fewer particles than a share of their number,
-    1 / Σ w² < threshold n; the particles are then drawn anew in proportion to them. Estimates err
-    as 1/√n, whatever the number of components, by a factor that grows quickly with it.
+    w_{t−1}^i p(x_t^i | x_{t−1}^i) p(z_t | x_t^i) / q. Weights are carried from step to step, as
+    logarithms, until the effective number of particles falls below a share of their number,
+    1 / Σ w² < threshold n; the particles are then drawn anew in proportion to the weights. Errors
+    of estimates fall as 1/√n, whatever the number of components of x, but by a factor that grows
+    quickly with this number.
 
     Parameters
     ----------
@@ -146,10 +151,11 @@ class Particles(InCode, Immutable):
         The seed of the draws. Each run and step has a stream of its own: a run's particles are the
         same in any batch in which it has the same place, offline and online.
     proposal : Lineariser, optional
-        Makes of each particle a Gaussian belief given the step's measurements, from which its next
-        state is drawn, and weighed exactly for it: for measurements more precise than the motion.
-        Without it, particles are drawn from the transition. Measurements at step 0, and those of
-        sensors that are not Gaussian, weigh particles but guide none.
+        Makes, from each particle, a Gaussian belief of its next state given the step's
+        measurements. The next state is drawn from this belief, and its weight corrected exactly for
+        that: for measurements more precise than the motion. Without it, particles are drawn from
+        the transition. Measurements at step 0, and those of sensors that are not Gaussian, weigh
+        particles but guide none.
     resampling : str
         ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
     number : KLDSampling or LikelihoodSampling, optional
@@ -157,8 +163,8 @@ class Particles(InCode, Immutable):
         `LikelihoodSampling` by how well they explain the measurements, at steps that have some.
         Particles are drawn anew at each of these steps.
     start : CellProposal, optional
-        Draws a state at step 0 from the likelihood of its measurements, and weighs it for its
-        prior: for a robot that may be anywhere.
+        Draws a state at step 0 from the likelihood of that step's measurements, and weighs each
+        particle by the state's prior: for a robot that may be anywhere.
     injection : Injection, optional
         Puts particles elsewhere when measurements are no longer explained: for a robot that may
         have been carried away. Filters only.
@@ -172,17 +178,19 @@ class Particles(InCode, Immutable):
     moves : int
         Moves of the Metropolis chain, at each step of a trajectory.
     trajectories : int, optional
-        How many are drawn backwards; n, if not given.
+        The number of trajectories that a smoother draws backwards; n, if not given.
     impossible : str
-        Where no particle explains a step's measurements: ``"raise"`` an error, ``"ignore"`` them,
-        or ``"restart"`` from the prior. `status` tells.
+        What to do where no particle explains a step's measurements: ``"raise"`` an error,
+        ``"ignore"`` the measurements, or ``"restart"`` from the prior. The posterior's `status`
+        says where that happened.
     dtype : numpy type
         Type of the states, ``np.float64`` or ``np.float32``. Weights are float64.
 
     Raises
     ------
     ModelError
-        If an argument is none of what it may be, or a proposal comes with a `LikelihoodSampling`.
+        If an argument is not of the kind or in the range described here, or a proposal comes with a
+        `LikelihoodSampling`.
 
     References
     ----------
