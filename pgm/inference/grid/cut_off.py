@@ -9,12 +9,13 @@ states there have become. The estimates here say when that may matter.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.grid.lattice import Lattice
-from pgm.kernels.arrays import Array
+from pgm.inference.grid.lattice import Axis
+from pgm.kernels.arrays import Array, Integers, Mask
 
 # The share of a belief, along an axis, that may stand outside the window of active cells.
 TINY = 1e-15
@@ -37,68 +38,93 @@ class Cut(NamedTuple):
     step: int
 
 
-class Tails:
-    """A running estimate, for one run, of the shares of a belief cut off at the ends of the axes.
+class Tails(NamedTuple):
+    """Running estimates, for one run, of the shares of a belief cut off at the ends of the axes.
 
-    For each step `predicted` is called, then `taken` if anything was measured. The part cut off
-    beyond an end is assumed to become as much likelier, with each measurement, as the last cells
-    within. If the model is true these gains are a martingale: a share of ε becomes one of 10⁻³ with
-    a probability of 10³ε at the most (Ville's inequality). The share that leaves the bounds at a
-    step is followed likewise, but through the measurements of that step alone, and only where they
-    make the last cells more than 30 times likelier.
+    For each step come the tails `predicted`, then those `measured` if anything was measured. The
+    part cut off beyond an end is assumed to become as much likelier, with each measurement, as the
+    last cells within. If the model is true these gains are a martingale: a share of ε becomes one
+    of 10⁻³ with a probability of 10³ε at the most (Ville's inequality). The share that leaves the
+    bounds at a step is followed likewise, but through the measurements of that step alone, and only
+    where they make the last cells more than 30 times likelier.
+
+    axes: The axes of the lattice.
+    share: The shares of the belief estimated to be cut off at the ends of each axis, (axes, 2).
+    cells: The indices of the first and the last cell in use along each axis, (axes, 2).
+    open: Whether the axis goes on beyond that cell, (axes, 2).
+    left: The shares of the belief that have left the bounds at the step, (axes, 2).
+    before: The marginals' shares in these cells before the step's measurements, (axes, 2).
+    after: Those given the measurements taken in last, (axes, 2).
     """
 
-    def __init__(self, lattice: Lattice) -> None:
-        self.lattice = lattice
-        ends = len(lattice.axes), 2
-        self._share = np.full(ends, TINY)
-        self._cells = np.zeros(ends, dtype=np.intp)
-        self._open = np.zeros(ends, dtype=bool)
-        self._left = np.zeros(ends)
-        self._before = self._taken = np.ones(ends)
+    axes: tuple[Axis, ...]
+    share: Array
+    cells: Integers
+    open: Mask
+    left: Array
+    before: Array
+    after: Array
 
-    def predicted(self, marginals: list[Array], left: float) -> None:
-        """Take in a step's predicted belief, by its marginals (cells,) along all axes.
+    @classmethod
+    def begun(cls, axes: Sequence[Axis]) -> Tails:
+        """The tails before any step."""
+        ends = len(axes), 2
+        none, one = np.zeros(ends), np.ones(ends)
+        cells, closed = np.zeros(ends, dtype=np.intp), np.zeros(ends, dtype=bool)
+        return cls(tuple(axes), np.full(ends, TINY), cells, closed, none, one, one)
 
-        `left` is the share of the belief that has left the bounds.
+    def at(self, marginals: Sequence[Array], left: float) -> Tails:
+        """The tails of a belief that waits for measurements, by its marginals (cells,) of all axes.
+
+        `left` is the share of the belief that has left the bounds at its step.
         """
-        for k, (axis, marginal) in enumerate(zip(self.lattice.axes, marginals, strict=True)):
+        cells, beyond, gone = self.cells.copy(), self.open.copy(), np.zeros_like(self.left)
+        for k, (axis, marginal) in enumerate(zip(self.axes, marginals, strict=True)):
             (used,) = np.nonzero(marginal > TINY / axis.cells * marginal.sum())
             gap = 0
             if axis.angle and used.size:  # the cells in use begin after the widest gap
                 gap = (int(np.diff(used, append=used[0] + axis.cells).argmax()) + 1) % used.size
             if used.size:
-                self._cells[k] = used[gap], used[gap - 1]
+                cells[k] = used[gap], used[gap - 1]
             if axis.angle:
-                self._open[k] = 0 < used.size < axis.cells
+                beyond[k] = 0 < used.size < axis.cells
             else:
-                self._open[k] = self._cells[k, 0] > 0, self._cells[k, 1] + 1 < axis.cells
-            self._left[k] = 0.0 if axis.angle else np.where(self._open[k], 0.0, left)
-        self._before = self._at(marginals)
-        # Motion leads away from an end that was not cut, as a wall is.
-        fallen = np.minimum(self._before / np.maximum(self._taken, 1e-300), 1.0)
-        kept = np.where(self._before > _TAIL, self._share * fallen, self._share)
-        self._share = np.maximum(kept, TINY)
+                beyond[k] = cells[k, 0] > 0, cells[k, 1] + 1 < axis.cells
+            gone[k] = 0.0 if axis.angle else np.where(beyond[k], 0.0, left)
+        waiting = self._replace(cells=cells, open=beyond, left=gone)
+        return waiting._replace(before=waiting._at(marginals))
 
-    def taken(self, marginals: list[Array]) -> float:
-        """Take in the measurements of the step predicted last: the largest share now missing.
+    def predicted(self, marginals: Sequence[Array], left: float) -> Tails:
+        """The tails of a step's predicted belief; arguments as of `at`.
+
+        Motion leads away from an end that was not cut, as a wall is: there the share falls with
+        that of the last cells.
+        """
+        found = self.at(marginals, left)
+        fallen = np.minimum(found.before / np.maximum(self.after, 1e-300), 1.0)
+        kept = np.where(found.before > _TAIL, self.share * fallen, self.share)
+        return found._replace(share=np.maximum(kept, TINY))
+
+    def measured(self, marginals: Sequence[Array]) -> tuple[Tails, float]:
+        """The tails given the measurements of the step, and the largest share now missing.
 
         It is the largest, over the ends of all axes, of the shares of the belief that were cut off
         there or have left the bounds. `marginals` are those (cells,) of the belief given the
         measurements, along all axes.
         """
-        self._taken = self._at(marginals)
-        gain = self._taken / np.maximum(self._before, 1e-300)
-        self._share = np.minimum(self._share * gain, 1.0)
-        beyond = np.where(gain > _REMARKABLE, np.minimum(self._left * gain, 1.0), 0.0)
-        return max(float(self._share.max(initial=0.0, where=self._open)), float(beyond.max()))
+        after = self._at(marginals)
+        gain = after / np.maximum(self.before, 1e-300)
+        share = np.minimum(self.share * gain, 1.0)
+        beyond = np.where(gain > _REMARKABLE, np.minimum(self.left * gain, 1.0), 0.0)
+        most = max(float(share.max(initial=0.0, where=self.open)), float(beyond.max()))
+        return self._replace(share=share, after=after), most
 
-    def _at(self, marginals: list[Array]) -> Array:
+    def _at(self, marginals: Sequence[Array]) -> Array:
         """The marginals' shares in the first and the last cell in use of each axis, (axes, 2)."""
         return np.array(
             [
                 each[cells] / max(float(each.sum()), 1e-300)
-                for each, cells in zip(marginals, self._cells, strict=True)
+                for each, cells in zip(marginals, self.cells, strict=True)
             ]
         )
 

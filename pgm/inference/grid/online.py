@@ -17,6 +17,7 @@ from pgm.immutable import Immutable
 from pgm.inference.associations import by_density
 from pgm.inference.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.inference.grid.belief import GridBelief, scope_axes
+from pgm.inference.grid.cut_off import Tails
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.run import require_room
 from pgm.inference.grid.slices import GridModel, GridSlices, Tested, Worst
@@ -59,6 +60,7 @@ class OnlineGridBelief(Shown, NoArray):
     _lattice: Lattice
     _model: DynamicBayesianNetwork
     _values: npt.NDArray[Any]
+    _tails: tuple[Tails, ...]  # run by run
     # Online beliefs with a lag hold past steps here; beliefs on a grid hold none.
     behind: ClassVar[None] = None
 
@@ -101,6 +103,7 @@ class OnlineGridBelief(Shown, NoArray):
 
 
 Belief = TypeVar("Belief", bound=step_evidence.Place)
+Kept = TypeVar("Kept", np.float64, np.intp)
 
 
 class PointFilter(InCode, Immutable, Generic[Belief]):
@@ -235,8 +238,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
 
     def _updated(self, belief: OnlineGridBelief, bound: BoundEvidence) -> OnlineGridBelief:
         step = belief.step
-        lost = belief.status.outside_by_step[..., -1]
-        left = np.broadcast_to(lost, bound.lead).reshape(bound.runs)
+        left = _broadcast(belief.status.outside_by_step[..., -1], belief.lead, bound)
 
         def taken(slices: GridSlices, values: Array) -> tuple[Array, float]:
             """The belief (*cells) times the weights of the measurements, and their log-scale."""
@@ -272,14 +274,17 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         """
         model = GridModel(self._lattice, self.model, bound, self._tested, first)
         shape = self._lattice.shape
-        values = np.zeros((bound.runs, 0))
+        sources = np.zeros(bound.runs, dtype=int)
         if before is not None:
-            wide = np.broadcast_to(before._values, (*bound.lead, *shape))
-            values = wide.reshape(bound.runs, *shape)
+            sources = _broadcast(np.arange(len(before._tails)), before.lead, bound)
         found = []
-        for run in range(bound.runs):
-            slices = GridSlices(model, run)
-            joint, scale = work(slices, np.asarray(values[run], dtype=np.float64))
+        for run, source in enumerate(sources):
+            slices, values = GridSlices(model, run), np.zeros(0)
+            if before is not None:
+                unresolved = float(before.status.unresolved.flat[source]) ** 2
+                slices = GridSlices(model, run, None, before._tails[source], unresolved)
+                values = before._values.reshape(-1, *shape)[source].astype(np.float64)
+            joint, scale = work(slices, values)
             total = float(joint.sum())
             if not total > 0.0:
                 slices.refuse(first, joint, run)
@@ -321,9 +326,16 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
             past = np.broadcast_to(past, (*lead, past.shape[-1]))
             outside = past.copy() if kind == FILTERED else np.concatenate([past, outside], axis=-1)
             worst = worst.of(before.status._worst)
-            unresolved = np.hypot(unresolved, before.status.unresolved)
         status = GridStatus(outside, added, unresolved, worst, sorted(split))
         status.warn(None if before is None else before.status)
         values = values.reshape(*lead, *lattice.shape)
         log_density = np.asarray(log_density)
-        return OnlineGridBelief(step, log_density, status, kind, lattice, self.model, values)
+        tails = tuple(slices.tails for slices, *_ in found)
+        return OnlineGridBelief(step, log_density, status, kind, lattice, self.model, values, tails)
+
+
+def _broadcast(
+    each: npt.NDArray[Kept], lead: tuple[int, ...], bound: BoundEvidence
+) -> npt.NDArray[Kept]:
+    """The values, one for each run (*lead) of a belief, for the runs of the evidence, (runs,)."""
+    return np.broadcast_to(each.reshape(lead), bound.lead).reshape(bound.runs)

@@ -158,26 +158,36 @@ class GridSlices:
 
     keep: The type, float64 or float32, in which the weights of measurements are kept for the
         backward sweep; None for a filter, which has no such sweep.
+    tails, unresolved: Those up to a belief that is gone on from, as online; none without.
 
     outside: By step, the probability that left the bounds, or that the window of active cells has
         cut off.
     added: The variance that the lattice has added in all steps, in squared cells, (axes,).
     split: The indices of the axes that were moved cell by cell.
     worst: The worst figures so far of how well the cells serve the model.
+    tails: What may be cut off from the belief at hand.
     unresolved: The expected square of the error of the log-evidence, in nats, that comes of taking
         sums over centres for integrals; see `resolution`.
     """
 
     lead: tuple[int, ...] = ()
 
-    def __init__(self, model: GridModel, run: int, keep: Any = None) -> None:
+    def __init__(
+        self,
+        model: GridModel,
+        run: int,
+        keep: Any = None,
+        tails: Tails | None = None,
+        unresolved: float = 0.0,
+    ) -> None:
         self.model, self.run, self._keep = model, run, keep
         self.lattice, self.steps = model.lattice, model.bound.steps
         self.outside: dict[int, float] = {}
         self.added = np.zeros(len(self.lattice.axes))
         self.split: frozenset[int] = frozenset()
-        self.worst, self._tails = Worst(), Tails(self.lattice)
-        self.unresolved = 0.0
+        self.worst = Worst()
+        self.tails = Tails.begun(self.lattice.axes) if tails is None else tails
+        self.unresolved = unresolved
         # By step, where something was measured: the log-density of zero residuals, and how many
         # numbers were measured.
         self._ceilings: dict[int, tuple[float, int]] = {}
@@ -216,7 +226,7 @@ class GridSlices:
         window = active(self.lattice, each)[0]
         self.windows[step] = (window,) * 2
         self._awaiting = step, window, self.lattice.cut(predicted, window)
-        self._tails.predicted(each, left)
+        self.tails = self.tails.at(each, left)
 
     def look(self, step: int, belief: Array) -> Window:
         """The smallest window that holds a step's belief (*cells) given its measurements.
@@ -227,7 +237,8 @@ class GridSlices:
         each = marginals(belief)
         window, deviations = active(self.lattice, each)
         if step in self._ceilings:
-            self._note(cut=Cut(self._tails.taken(each), step))
+            self.tails, missing = self.tails.measured(each)
+            self._note(cut=Cut(missing, step))
         for axis, deviation in zip(self.lattice.axes, deviations, strict=True):
             self._note(narrowest=Narrowness(deviation, axis.label, step))
         return window
@@ -261,7 +272,7 @@ class GridSlices:
         self.added += added
         self.split |= made.split
         self._note(uneven=made.uneven)
-        part[part < _NONE] = 0.0
+        part = np.where(part < _NONE, 0.0, part)  # it may be a view of the belief
         left = float(part.sum())
         self.outside[step] = max(1.0 - left, 0.0)
         if not left > 0.0:
@@ -273,15 +284,9 @@ class GridSlices:
             )
         self.windows[step] = source, made.target
         self._awaiting = step, made.target, part
-        self._tails.predicted(
-            [
-                spread(each, span, axis.cells)
-                for each, span, axis in zip(
-                    marginals(part), made.target, self.lattice.axes, strict=True
-                )
-            ],
-            self.outside[step],
-        )
+        spans = zip(marginals(part), made.target, self.lattice.axes, strict=True)
+        each = [spread(marginal, span, axis.cells) for marginal, span, axis in spans]
+        self.tails = self.tails.predicted(each, self.outside[step])
         return self.lattice.put(part, made.target)
 
     def backward(self, step: int, message: Array) -> Array:

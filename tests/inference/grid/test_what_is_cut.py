@@ -48,6 +48,30 @@ def test_a_state_beyond_what_is_carried_is_told(case, infer):
     assert step is None or found.status.cut.step == step
 
 
+@pytest.mark.parametrize("case", LOST)
+@pytest.mark.parametrize("runs", [(), (2,)])
+def test_online_a_state_beyond_what_is_carried_is_told(case, runs):
+    """One sighting after another; of two runs the second is as it should be."""
+    net, given, steps, step = LOST[case]
+    seen = given[reading]
+    values, rows = np.asarray(seen.values), np.asarray(seen.step)
+    if runs:
+        values = np.stack([values, 0.0 * values])
+    robot = pgm.OnlineFilter(net, belief=GRID)
+    with pytest.warns(pgm.GridWarning, match="cut off"):
+        belief = robot.initial()
+        for t in range(steps + 1):
+            belief = robot.predict(belief) if t else belief
+            for k in np.flatnonzero(rows == t):
+                belief = robot.update(belief, {reading: values[..., k, :]})
+    due = pgm.filter(net, given, steps=steps)[place].mean[-1, 0]
+    assert abs(belief[place].mean.flat[0] - due) > 1.0
+    assert belief.status.cut.share > 0.5
+    assert step is None or belief.status.cut.step == step
+    if runs:
+        assert_allclose(belief[place].mean[1], 0.0, atol=1e-9)
+
+
 def test_between_two_places_too():
     """Beliefs at −20 and 20 that a measurement of the square has left; the next one is of 0."""
     square = pgm.Variable("square")
