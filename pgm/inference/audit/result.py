@@ -273,7 +273,7 @@ class Audit(Shown, Immutable):
         if missed > MISSED:
             told.append(f"modes with {missed:.2g} of the mass were found, and not drawn from")
         if np.isnan(self.missed).any():
-            told.append("other modes were not looked for: no smoother arrived")
+            told.append("whether there are other modes is not known: no smoother arrived at one")
         return told
 
     def _gaps(self) -> list[str]:

@@ -372,7 +372,7 @@ def start(plan: ChainPlan, *, linearise: bool) -> Belief:
                 step=0,
             )
         MomentChain(plan, ONCE).start()
-    first = _conditional(plan.prior, slice(None), 0, plan.layout.state_size, plan.runs).at(0)
+    first = _conditional(plan.prior, slice(None), 0, plan.layout.state_size).at(0)
     size, states = plan.layout.slice_size, plan.layout.state_places
     where = np.arange(size)[states]
     columns = Twofold.zeros((plan.runs, size, 1 + first.columns.shape[-1]))
@@ -390,13 +390,13 @@ def transition(plan: ChainPlan, rows: slice) -> Move:
     columns of the earlier controls are zero.
     """
     layout = plan.layout
-    found = _conditional(plan.transition, rows, layout.state_size, layout.slice_size, plan.runs)
+    found = _conditional(plan.transition, rows, layout.state_size, layout.slice_size)
     matrix = Twofold.zeros((*found.matrix.shape[:-1], layout.slice_size))
     matrix[..., layout.state_places] = found.matrix
     return found._replace(matrix=matrix)
 
 
-def _conditional(links: list[Link], rows: slice, front: int, size: int, runs: int) -> Move:
+def _conditional(links: list[Link], rows: slice, front: int, size: int) -> Move:
     """All CPDs of the links as one affine conditional, of a vector's end given its beginning.
 
     Parents and children stand in a vector of `front` + `size` components, each child after its

@@ -36,13 +36,15 @@ def run(
     if isinstance(schedule, Loopy):
         if allow:
             raise GraphError(
-                f'impossible="{ALLOW}" is for graphs without loops: on {titled(graph)} messages '
-                "that go round need not find out that evidence is impossible"
+                f'impossible="{ALLOW}" is for two passes over a tree: messages that go round, as '
+                f"{type(schedule).__name__} sends them on {titled(graph)}, need not find out that "
+                "evidence is impossible"
             )
         if memory is not None:
             raise GraphError(
-                f"memory= is for graphs without loops: on {titled(graph)} all runs go round "
-                "together; to hold less at a time, give fewer runs to a call"
+                f"memory= is for two passes over a tree: {type(schedule).__name__} lets all runs "
+                f"go round {titled(graph)} together; to hold less at a time, give fewer runs to a "
+                "call"
             )
         messages = TableMessages(graph, bound, schedule.damping)
         status = run_loopy(messages, schedule, bound.lead)

@@ -151,6 +151,8 @@ def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
     """
     if plan.storage.entries > HELD:
         tables = plan.storage.potentials(semiring, plan.columns)
+        if evidence.runs > 1:
+            tables = tables[:, None].repeat(evidence.runs, axis=1)
         multiply(plan.storage, tables, evidence, semiring)
         return Entry(tables, tables, plan.everything, plan.everything)
     potentials: Array | None = plan.storage.logs

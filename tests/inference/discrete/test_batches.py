@@ -142,6 +142,16 @@ def test_tables_of_a_batch_that_are_used_where_they_stand(seed, small, large, mo
         np.testing.assert_allclose(best.log_probability[run], probability, atol=1e-13)
 
 
+def test_tables_of_a_batch_that_are_too_large_to_be_kept_for_the_next(monkeypatch):
+    monkeypatch.setattr(tree_passes, "HELD", 0)
+    net = network(41, count=8)
+    evidence = batch(net, 3)
+    whole = pgm.infer(pgm.compile(net), evidence)
+    monkeypatch.undo()
+    for run in range(RUNS):
+        same(whole, pgm.infer(pgm.compile(net), one(evidence, run)), run)
+
+
 @pytest.mark.parametrize("few", [1, 64])
 @pytest.mark.parametrize("kept", [0, 2**24])
 @pytest.mark.parametrize("at_once", [1, 100, 300])

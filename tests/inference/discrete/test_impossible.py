@@ -135,7 +135,7 @@ def test_where_it_is_not_for():
     with pytest.raises(pgm.ModelError, match='"raise" or "allow", not None'):
         pgm.infer(GRAPH, {}, impossible=None)
     loopy = pgm.compile(NET, method=pgm.Bethe())
-    with pytest.raises(pgm.GraphError, match="graphs without loops"):
+    with pytest.raises(pgm.GraphError, match="two passes over a tree"):
         pgm.infer(loopy, {}, schedule=pgm.Flooding(), impossible="allow")
     x = pgm.Variable("x")
     gaussian = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 1.0)]))

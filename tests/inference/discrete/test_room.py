@@ -91,7 +91,7 @@ def test_memory_for_less_than_a_run_is_refused():
 
 def test_memory_is_for_discrete_trees():
     loopy = pgm.compile(asia(), method=pgm.Bethe())
-    with pytest.raises(pgm.GraphError, match="memory= is for graphs without loops"):
+    with pytest.raises(pgm.GraphError, match="memory= is for two passes over a tree"):
         pgm.infer(loopy, {}, schedule=pgm.Flooding(), memory=2**30)
     x = pgm.Variable("x")
     still = pgm.GaussianCPD(x, mean=0.0, cov=1.0)
