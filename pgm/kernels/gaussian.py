@@ -62,11 +62,11 @@ def deviations_given_another(cov: Array) -> Array:
     all k ≠ j; at least a thousandth of √P_jj. A function of the difference of two components, both
     of them known far less than it, varies over such lengths.
     """
-    variances = np.maximum(np.einsum("ii...->i...", cov), 0.0)
-    unit = np.where(variances > 0.0, variances, 1.0)
-    shared = cov * cov / unit / unit[:, None]
+    std = deviations(cov)
+    unit = np.where(std > 0.0, std, 1.0)
+    shared = (cov / unit / unit[:, None]) ** 2
     np.einsum("ii...->i...", shared)[...] = 0.0
-    found: Array = np.sqrt(variances * np.maximum(1.0 - shared.max(axis=1), 1e-6))
+    found: Array = std * np.sqrt(np.maximum(1.0 - shared.max(axis=1, initial=0.0), 1e-6))
     return found
 
 

@@ -59,17 +59,20 @@ class Taylor(ArrayLineariser):
 
 
 def _analytic(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    if mean.ndim == 1 and isinstance(function, BoundFunction):
+        value, slope = function.tangent(mean)
+        return Line(slope, value, None)
     return _tangent(function, mean, None)
 
 
 def _numerical(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    if mean.ndim == 1 and isinstance(function, BoundFunction):
+        value, slope = function.tangent(mean, cov)
+        return Line(slope, value, None)
     return _tangent(function, mean, cov)
 
 
 def _tangent(function: BoundFunction, mean: Array, cov: Array | None) -> Line:
-    if mean.ndim == 1 and isinstance(function, BoundFunction):
-        value, slope = function.tangent(mean, cov)
-        return Line(slope, value, None)
     x = components_last(mean, 1)
     if isinstance(function, BoundFunction):
         value, slope = function.tangent(x, None if cov is None else components_last(cov, 2))

@@ -422,3 +422,19 @@ ERRORS = [
 @pytest.mark.parametrize("case", ERRORS, ids=lambda case: case.name)
 def test_refusals(case):
     case.check()
+
+
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("flat", [True, False])
+def test_a_rule_of_points_is_refused_whichever_cpd_comes_first(first, flat):
+    """Beside a CPD expanded by Taylor, which can be linearised at any variance."""
+    a, b, z = pgm.variables("a b z")
+    by_slope = pgm.NonlinearGaussianCPD(a, a.previous, np.sin, cov=0.1)
+    by_points = pgm.NonlinearGaussianCPD(b, b.previous, np.sin, 0.1, lineariser=pgm.Unscented())
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(a, 0.0, np.inf if flat else 1.0), pgm.GaussianCPD(b, 0.0, np.inf)],
+        [by_slope, by_points] if first else [by_points, by_slope],
+        [pgm.LinearGaussianCPD(z, {a: 1.0, b: 1.0}, cov=0.1)],
+    )
+    with pytest.raises(pgm.LinearisationError, match="b.*at step 1 .* infinite variance"):
+        pgm.filter(model, {z: [[1.0], [2.0]]})

@@ -1,5 +1,7 @@
 """First-order expansion, with derivatives given, missing, or given for a part."""
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -7,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pgm
 from tests.dense import bound_function
 
+NUMBA = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
 X = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
 U = pgm.Variable("u", components=("v", "omega"))
 V = np.array([1.5, 0.3])
@@ -127,3 +130,29 @@ def test_a_range_between_two_places_of_which_neither_is_known(apart, traced, run
     due = 1.0 / (apart**-2 + (2.0 / np.sqrt(5.0)) ** 2 / 1e-4)
     variance = cov[..., 0, 0] + cov[..., 1, 1] - 2.0 * cov[..., 0, 1]
     assert_allclose(variance, np.full(runs, due), rtol=1e-5, atol=2e-9)
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+def test_a_bearing_at_the_landmark_is_one_run_or_many(compiled):
+    """Where a trace has no finite derivative its differences are over the same steps."""
+    z = pgm.Variable("z", components=("range", "bearing"), angles=("bearing",))
+
+    def see(x):
+        away = -x[..., :2]
+        bearing = np.arctan2(away[..., 1], away[..., 0]) - x[..., 2]
+        return np.stack([np.hypot(away[..., 0], away[..., 1]), bearing], axis=-1)
+
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(X, np.zeros(3), [4.0, 9.0, 1.0])],
+        [pgm.LinearGaussianCPD(X, {X.previous: 1.0}, cov=0.0)],
+        [pgm.NonlinearGaussianCPD(z, X, see, cov=[0.01, 0.01])],
+    )
+    one = pgm.filter(model, {z: [[0.1, 0.2]]}, compiled=compiled)[X]
+    seen = np.tile([[0.1, 0.2]], (3, 1, 1))
+    many = pgm.filter(model, {z: seen}, steps=1, compiled=compiled)[X]
+    robot = pgm.OnlineFilter(model, compiled=compiled)
+    online = robot.update(robot.predict(robot.initial()), {z: [0.1, 0.2]})[X]
+    for run in range(3):
+        assert_allclose(many.mean[run], one.mean, rtol=1e-12, atol=1e-12)
+        assert_allclose(many.cov[run], one.cov, rtol=1e-12, atol=1e-12)
+    assert_allclose(online.cov, one.cov[-1], rtol=1e-12, atol=1e-12)

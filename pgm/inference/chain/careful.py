@@ -454,7 +454,8 @@ def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
     """
     if not all(link.family.exact for link in plan.transition):
         for link in plan.transition:
-            cov = proper(link.family, step, cov)
+            proper(link.family, plan.first + step, cov)
+        cov = np.where(np.isfinite(cov), cov, 0.0)
         MomentChain(plan, ONCE, check=True).predict(step, Moments.of(plan, mean, cov))
     return transition(plan, slice(step - 1, step)).at(0)
 

@@ -54,7 +54,7 @@ class Tails(NamedTuple):
     open: Whether the axis goes on beyond that cell, (axes, 2).
     left: The shares of the belief that have left the bounds at the step, (axes, 2).
     before: The marginals' shares in these cells before the step's measurements, (axes, 2).
-    after: Those given the measurements taken in last, (axes, 2).
+    after: Those given the step's measurements, or those before if nothing was measured, (axes, 2).
     """
 
     axes: tuple[Axis, ...]
@@ -92,7 +92,8 @@ class Tails(NamedTuple):
                 beyond[k] = cells[k, 0] > 0, cells[k, 1] + 1 < axis.cells
             gone[k] = 0.0 if axis.angle else np.where(beyond[k], 0.0, left)
         waiting = self._replace(cells=cells, open=beyond, left=gone)
-        return waiting._replace(before=waiting._at(marginals))
+        shares = waiting._at(marginals)
+        return waiting._replace(before=shares, after=shares)
 
     def predicted(self, marginals: Sequence[Array], left: float) -> Tails:
         """The tails of a step's predicted belief; arguments as of `at`.

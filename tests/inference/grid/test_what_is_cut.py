@@ -7,6 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import pgm
+from pgm.inference.grid.cut_off import Tails
+from pgm.inference.grid.lattice import resolve
 
 place, reading = pgm.Variable("place"), pgm.Variable("reading")
 GRID = pgm.Grid({"place": (-40.0, 40.0, 800)})
@@ -146,3 +148,20 @@ def test_measurements_that_overflow_are_impossible():
         warnings.simplefilter("error")
         with pytest.raises(pgm.EvidenceError, match="reading at step 0"):
             pgm.filter(line(), read([1e200]), steps=1, belief=GRID)
+
+
+def test_a_fall_at_an_end_that_was_not_cut_is_counted_once():
+    """Motion leads away from a wall at the first cell over steps without measurements."""
+    lattice = resolve(GRID, (place,))
+    cells = lattice.axes[0].cells
+
+    def there(edge):
+        """A marginal with the share `edge` in its first cell, the rest in the second."""
+        found = np.zeros(cells)
+        found[:2] = edge, 1.0 - edge
+        return [found]
+
+    tails = Tails.begun(lattice.axes).at(there(0.5), 0.0)._replace(share=np.full((1, 2), 1e-6))
+    for edge in (0.05, 0.04, 0.03):
+        tails = tails.predicted(there(edge), 0.0)
+    assert_allclose(tails.share[0, 0], 1e-6 * 0.03 / 0.5)
