@@ -3,6 +3,9 @@
 A stack lies *by runs* where each entry (i, j) of its matrices is a row in memory, contiguous over
 the runs, or over steps and runs, while the axes stay (..., m, n). Products of many small matrices
 then go along these rows, which is faster than one product a matrix.
+
+Other arrays have the components first and the *batch*, any number of axes, mostly that of runs,
+last: vectors (n, *batch) and matrices (m, n, *batch).
 """
 
 from __future__ import annotations
@@ -39,13 +42,16 @@ def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
 
 
 def vacant(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """An uninitialised array of the shape and memory layout of `stacked`."""
+    """An uninitialised array (*lead, *shape), in memory with the last axis of `lead` fastest."""
     *before, runs = lead
     return _last_to(np.empty((*before, *shape, runs)), len(before))
 
 
 def _last_to(memory: Array, place: int) -> Array:
-    """A view with the last axis moved to `place`, made ten times as fast as by `moveaxis`."""
+    """A view of the array `memory` with its last axis moved to the place `place`.
+
+    It is made ten times as fast as by `moveaxis`.
+    """
     last = memory.ndim - 1
     return memory.transpose(*range(place), last, *range(place, last))
 
@@ -122,7 +128,10 @@ def room(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
 
 
 def contiguous(matrix: Array) -> Array:
-    """The matrices (..., m, n) in C order; if they lie by runs, a copy as `room` lays it out."""
+    """The matrices (..., m, n) made contiguous: in C order, or by runs if they lie by runs.
+
+    By runs they are copied, with all leading axes in one row in memory for each entry (i, j).
+    """
     if not by_runs(matrix):
         return np.ascontiguousarray(matrix)
     copy = room(matrix.shape[:-2], matrix.shape[-2:])
@@ -148,7 +157,7 @@ def multiply(a: Array, b: Array) -> Array:
 def times_transposed(a: Array, b: Array) -> Array:
     """The products A Bᵀ, (..., m, n), of stacked matrices A (..., m, k) and B (..., n, k).
 
-    This is the fastest product where both are laid out as by `contiguous`.
+    This is the fastest product where both are in C order, or both lie by runs.
     """
     many_a, many_b = by_runs(a), by_runs(b)
     if many_a and many_b:
@@ -181,7 +190,7 @@ def _along_runs(product: str, a: Array, b: Array, width: int) -> Array:
 
 
 def distinct(matrix: Array) -> Array:
-    """The matrix (m, n) that a stack (R, m, n) repeats as a broadcast view; else the stack."""
+    """The one matrix (m, n) of which a stack (R, m, n) is a broadcast view; else the stack."""
     return matrix[0] if matrix.ndim == 3 and matrix.strides[0] == 0 else matrix
 
 
@@ -225,9 +234,10 @@ def symmetric(matrix: Array) -> Array:
 
 
 def make_symmetric(matrix: Array) -> Array:
-    """Make a product that is symmetric but for rounding exactly so: (A + Aᵀ) / 2.
+    """Matrices (..., n, n) made exactly symmetric, where rounding has left them nearly so.
 
-    Where A lies by runs, its upper triangle is copied onto the lower one instead, in place.
+    The result is (A + Aᵀ) / 2; where A lies by runs, its upper triangle is copied onto the lower
+    one instead, in place.
     """
     if not by_runs(matrix):
         return symmetric(matrix)

@@ -1,8 +1,12 @@
 """The canonical form C(x; K, h, g) = exp(−½ xᵀK x + hᵀx + g) of a Gaussian factor, on arrays.
 
-K (..., n, n), called `precision`, is symmetric and need not be definite; h is (..., n), g (...).
-Where a result does not exist (an integral that diverges, an inverse of a singular matrix) it is
-NaN; the callers, who know the names of variables, raise.
+K (..., n, n), called `precision`, is symmetric and need not be definite; h is (..., n), g (...); a
+`Canonical` is the tuple (K, h, g). Where a result does not exist (an integral that diverges, an
+inverse of a singular matrix) it is NaN; the callers, who know the names of variables, raise.
+
+The *pivots* of a matrix A = L Lᵀ are the squares L_jj² of its lower triangular root. A pivot of at
+most 10⁻¹³ A_jj is rounding and counts as zero, and so does its column of L: component j is then
+*determined* by those before it.
 """
 
 from __future__ import annotations
@@ -171,7 +175,7 @@ def _split(root: Array, vector: Array) -> tuple[Array, Array]:
 
     R = `root` (..., n, n) is lower triangular with a zero column for each determined component. At
     determined components q is zero, and r is `vector` − R q, or zero where this difference is at
-    most 10⁻⁹ of the sizes of its terms, which is rounding. At all other components r is zero; it is
+    most 10⁻⁹ of |vector| + |R| |q|, which is rounding. At all other components r is zero; it is
     zero throughout for a vector in the range of R.
     """
     fixed = roots.determined(root)

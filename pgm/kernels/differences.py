@@ -22,9 +22,10 @@ def steps(x: Array, std: Array) -> Array:
 def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: Mask) -> Array:
     """The Jacobian (..., d, n) of a function at points x (..., n), by differences.
 
-    The function maps points (..., 4n, n) to their values (..., 4n, d) and is called once. The steps
-    are those of `steps` for the standard deviations `std` (..., n) of x. `angles` (d,) marks the
-    components of the values that are angles.
+    The function maps points (..., 4n, n) to their values (..., 4n, d) and is called once. The step
+    along each component is max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|), with the standard deviations `std` (...,
+    n) of x. `angles` (d,) marks the components of the values that are angles, whose differences are
+    wrapped to [−π, π).
     """
     return over(function, x, steps(x, std), angles)
 
@@ -52,9 +53,10 @@ def taken(x: Array, step: Array) -> Array:
 def along(function: Callable[[Array], Array], x: Array, moves: Array, angles: Mask) -> Array:
     """Twelve times the change of a function along moves (..., m, n) from points x (..., n).
 
-    Of each move v it is 12 J v = 8 (f(x + v) − f(x − v)) − (f(x + 2v) − f(x − 2v)), (..., d, m), up
-    to the fifth derivative of the function f, whose Jacobian is J: central differences of fourth
-    order. The function takes points (..., 4m, n); `angles` are as of `over`.
+    Of each move v it is 12 J v = 8 (f(x + v) − f(x − v)) − (f(x + 2v) − f(x − 2v)), (..., d, m),
+    but for terms in the fifth derivative of the function f, whose Jacobian is J. The function takes
+    points (..., 4m, n) to values (..., 4m, d); `angles` (d,) marks the components of the values
+    that are angles, whose differences are wrapped to [−π, π).
     """
     lead, (count, size) = x.shape[:-1], moves.shape[-2:]
     points = x[..., None, None, :] + _AROUND[:, None] * moves[..., None, :]

@@ -116,9 +116,8 @@ def eliminated(
     """The factors U (..., n, n) and D (..., n) of symmetric A = U diag(D) Uᵀ, U unit lower.
 
     A pivot of |D_j| ≤ `negligible` · |A_jj| is rounding: D_j and the entries of U below U_jj are
-    zero. With `rounding` (..., n), bounds ρ_j of the rounding in the A_jj, the limit is
-    `negligible` · ρ_j instead, to which elimination adds: ρ_j grows by U_jk² ρ_k for each earlier
-    pivot k.
+    zero. If `rounding` (..., n), bounds ρ_j of the rounding in the A_jj, is given, the limit is
+    `negligible` · ρ_j instead; the elimination of each earlier pivot k then adds U_jk² ρ_k to ρ_j.
     """
     left = _twofold(matrix).copy()
     size = left.shape[-1]
@@ -191,7 +190,7 @@ def _twofold(value: Any) -> Twofold:
 
 
 def _normal(high: Array, low: Array) -> tuple[Array, Array]:
-    """The sum of two floats as high and low parts that do not overlap; it takes |high| ≥ |low|."""
+    """The sum of two floats as high and low parts that do not overlap, if |high| ≥ |low|."""
     total = high + low
     return total, low - (total - high)
 

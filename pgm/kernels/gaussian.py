@@ -56,11 +56,12 @@ def deviations(cov: Array) -> Array:
 
 
 def deviations_given_another(cov: Array) -> Array:
-    """The deviation of each component given the one that says most of it, (n, *batch).
+    """The deviation of each component given the one other component that tells most about it.
 
-    Of covariances P (n, n, *batch) it is √(P_jj (1 − max ρ²_jk)) over the correlations ρ of j with
-    all k ≠ j; at least a thousandth of √P_jj. A function of the difference of two components, both
-    of them known far less than it, varies over such lengths.
+    Of covariances P (n, n, *batch) it is √(P_jj (1 − max_k ρ_jk²)), (n, *batch), with the
+    correlation ρ_jk of the components j and k ≠ j; at least a thousandth of √P_jj. This is the
+    length to take differences over where a function depends on the difference of two components
+    that is known far better than either of them.
     """
     std = deviations(cov)
     unit = np.where(std > 0.0, std, 1.0)
@@ -204,12 +205,13 @@ def extend(
 class Update(NamedTuple):
     """A belief N(mean, cov) given a measurement, and the measurement's log-density (*batch).
 
-    A measured component that the components before it determine adds nothing to the density; `left`
-    (d, *batch) has its distance from the value determined, and zero for all other components; None
-    if none is determined. `regular`: S is not nearly singular, which is to say that each of its
-    pivots is at least 10⁻⁶ of its diagonal entry, or, for a batch, more than `least` of it, the
-    argument of `update`. `mild`: the measurement is known to shrink no variance more than a
-    thousand times.
+    `mean` is (n, *batch), `cov` (n, n, *batch). A measured component that the components before it
+    determine adds nothing to the density; `left` (d, *batch) has its distance from the value
+    determined, and zero for all other components; None if none is determined. `regular`: whether S
+    is not nearly singular, which is to say that each of its pivots is at least 10⁻⁶ of its diagonal
+    entry. A batch that `along_runs` has updated counts as regular too: there each pivot is more
+    than `least` (the argument of `update`) of that entry, or the measurement is mild. `mild`:
+    whether the measurement is known to shrink no variance more than a thousand times.
     """
 
     mean: Array
@@ -242,8 +244,9 @@ def update(
     `out`, a mean and a covariance other than those given, may be overwritten with a batch's new
     moments. `exact` says that the noise may be singular: `moments` then computes the update, and
     tells zeros from rounding. `moments` also takes over where a pivot of S is at most 10⁻⁶ times
-    its diagonal entry, or, for a batch, at most `least` times. `sharp` is the result of
-    `along_runs.sharpness(noise, least)`, computed if None.
+    its diagonal entry, or, for a batch, at most `least` times. `sharp` (runs or 1,) is the bound of
+    det S below which a batch's measurements count as mild, shrinking no variance more than a
+    thousand times; it is computed from the noise if None.
     """
     if not exact:
         if cov.ndim > 2:
@@ -270,10 +273,11 @@ def update(
 def update_one(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
 ) -> tuple[Array, Array, float] | None:
-    """Condition one Gaussian: the new mean (n,), covariance (n, n) and log-density of `update`.
+    """Condition one Gaussian on a measurement: the new mean and covariance, and the log-density.
 
-    The arguments are those of `update`, without a batch. None if a pivot of S is at most 10⁻⁶ of
-    its diagonal entry.
+    They are (n,), (n, n) and a number. `mean` is m (n,), `cov` P (n, n), `matrix` H (d, n),
+    `residual` z − H m (d,) and `noise` R (d, d). None if a pivot of S is at most 10⁻⁶ of its
+    diagonal entry.
     """
     written = updating(len(mean), len(residual), NEARLY_SINGULAR)
     if written is not None:

@@ -237,10 +237,10 @@ def matrices(
 def along(matrix: Array, array: Array, axis: int, by: tuple[int, ...]) -> Array:
     """The array with each of its lines along `axis`, of source cells, multiplied by a matrix.
 
-    `matrix` is (n, target cells, source cells): one matrix for each of the n places along the other
-    axes `by`, which are given in ascending order, places in C order; n is one if `by` is empty.
-    Lines that differ only in further axes share a matrix. The result has the target cells along
-    `axis`.
+    `matrix` is (n, target cells, source cells). Each of the n places along the axes `by`, which are
+    ascending and do not contain `axis`, has a matrix of its own, in C order of the places; n is one
+    if `by` is empty. Lines that differ only in further axes share a matrix. The result has the
+    target cells along `axis`.
     """
     rest = tuple(k for k in range(array.ndim) if k not in (axis, *by))
     last = axis == array.ndim - 1 and by + rest + (axis,) == tuple(range(array.ndim))

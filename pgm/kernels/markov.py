@@ -166,7 +166,7 @@ class Blocks:
         rows[-1] = 1.0 / self.size
 
     def _in_order(self, found: Array) -> Array:
-        """Values (length, blocks, ...) of the steps within each block, as (steps, ...) in order."""
+        """Values (steps of a block, blocks, ...) as (steps, ...) in the order of all steps."""
         return found.swapaxes(0, 1).reshape(-1, *found.shape[2:])[: self.steps]
 
     def _starts(self, belief: Array) -> Array:

@@ -57,7 +57,8 @@ def update(
     The mean is m + G (z − H m) with the gain G = P Hᵀ S⁺; the covariance is (I − GH) P (I − GH)ᵀ +
     G noise Gᵀ. H is `matrix` (..., d, n), `residual` (..., d), `noise` (..., d, d). With `exact`,
     for a noise that may be singular, pivots of S and variances of the result are compared with the
-    summands that they are computed from, and are zero where they are only rounding.
+    summands that they are computed from, and are zero where they are only rounding. Without it,
+    pivots of S are compared with the diagonal of S alone, and variances of the result stay.
     """
     size = residual.shape[-1]
     cross = times_symmetric(matrix, cov)
@@ -200,10 +201,10 @@ def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
 
 
 def marginal_error(mean: Array, other: Array, std: Array) -> Array:
-    """The largest |mean − other| / s of two arrays of means (T, ..., n), as (...).
+    """The largest |mean − other| / s of two arrays of means (T, ..., n) of T steps, as (...).
 
-    The largest is over the first and the last axis. s is the standard deviation `std` (T, ..., n),
-    or max(|mean|, 1) where `std` is zero.
+    The largest is over the first and the last axis, those of steps and components. s is the
+    standard deviation `std` (T, ..., n), or max(|mean|, 1) where `std` is zero.
     """
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     largest: Array = (np.abs(mean - other) / unit).max(axis=(0, -1), initial=0.0)
@@ -213,10 +214,10 @@ def marginal_error(mean: Array, other: Array, std: Array) -> Array:
 def moved(mean: Array, other: Array, std: Array) -> Array:
     """How far an iteration has moved means from `other` to `mean`, m′ to m, (T, ..., n) both.
 
-    The move is the largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the first and the last axis,
-    (...), where s is the standard deviation `std`, or max(|m|, 1) where that is zero, and ε the
-    rounding unit of float64: it is zero for rounding alone. If rounding counted, means of 10⁸
-    standard deviations would never settle.
+    The move is the largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the T steps and the n
+    components, (...), where s is the standard deviation `std`, or max(|m|, 1) where that is zero,
+    and ε the rounding unit of float64: it is zero for rounding alone. If rounding counted, means of
+    10⁸ standard deviations would never settle.
     """
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     rounding = LAST_PLACES * np.maximum(np.abs(mean), np.abs(other))

@@ -75,12 +75,12 @@ def log_density(lower: Array, white: Array) -> Array:
 
 
 def off(lower: Array, left: Array, error: Array) -> Mask:
-    """Whether residuals, wrong by at most `error`, are off the range of L, (..., S).
+    """Whether residuals, wrong by at most `error` (..., S, d), are off the range of L, (..., S).
 
-    Off the range the density is zero. `left` (..., S, d) are the rests of the residuals at
-    determined components that `whitened` returns. A residual is off if some |left| exceeds |L⁻¹|
-    error, L having ones for its zero pivots, by more than `SLACK` standard deviations of the
-    component. `error` is (..., S, d).
+    Off the range the density is zero. `left` (..., S, d) is, at each determined component, the
+    residual less the value that the open components determine for it, and zero at open components.
+    A residual is off if some |left| exceeds the most that `error` can add to it, |L⁻¹| error, with
+    ones for the zero pivots of L, by more than 10⁻⁶ standard deviations of the component.
     """
     # What is left depends linearly on the residuals: by this matrix.
     spread = np.abs(solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))

@@ -100,10 +100,11 @@ def levels(segments: Segments, compose: Callable[[Segments, Segments], Segments]
 def prefixes(
     start: Beliefs, tree: Sequence[Segments], push: Callable[[Beliefs, Segments], Beliefs]
 ) -> Beliefs:
-    """Down the tree of `levels`: the values at the right ends of all segments, (T, R, ...).
+    """Down the tree of compositions: the values at the right ends of all segments, (T, R, ...).
 
-    `start` (1, R, ...) is the value at the left end of the first segment. From values at the left
-    ends of segments, ``push(values, segments)`` gives the values at their right ends.
+    `tree` has the levels of the tree, from the T segments themselves up to a single row. `start`
+    (1, R, ...) is the value at the left end of the first segment. From values at the left ends of
+    segments, ``push(values, segments)`` gives the values at their right ends.
     """
     found = in_chunks(push, start, tree[-1])
     for segments in reversed(tree[:-1]):
@@ -118,7 +119,10 @@ def prefixes(
 
 
 def _rows(parts: Any, steps: slice) -> Any:
-    """A named tuple of stacks cut to some steps, laid out as by `by_rows`; None stays None."""
+    """A named tuple of stacks cut to some steps, each component a row in memory.
+
+    What is None stays None.
+    """
     return _made(parts, [None if part is None else by_rows(part[steps]) for part in parts])
 
 

@@ -2,7 +2,8 @@ r"""Rays through a grid of cells: how far they get, the cells that they enter, s
 
 Cell (row, column) is the square [column, column + 1) × [row, row + 1): coordinates are in cells, x
 along a row and y along a column. A *stop* is a cell that ends rays, such as an obstacle; the other
-cells are free.
+cells are free. The *clearances* (rows + 2, columns + 2) are the distances of all cells to the
+nearest stop in the maximum norm, with a ring of further stops laid around the grid.
 
 A ray from p along the unit vector u leaves an axis-parallel box at the least t of the crossings
 (edge − p) / u of its axes. Going from the box of one cell to that of the next, it visits all cells
@@ -46,7 +47,7 @@ def clearances(stops: Mask) -> Cells:
 def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
     """The distances (n,) in cells at which rays enter a stop; infinite if none is within `most`.
 
-    `clear` is `clearances` of the stops. Rays begin at `points` (2, n), x and y in cells of the
+    `clear` are the clearances of the stops. Rays begin at `points` (2, n), x and y in cells of the
     grid without its ring, and go along the unit vectors `units` (2, n). To enter the ring, and so
     to leave the grid, is no hit.
     """
@@ -58,11 +59,12 @@ def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
 
 
 def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array) -> None:
-    """Put the distances of `cast` into `found` (n,), at rays that enter a stop within `most`.
+    """Put the distances at which rays enter a stop, within `most` cells, into `found` (n,).
 
-    The entries of all other rays stay; the arguments before `found` are those of `cast`. Each ray
-    is followed in a frame of its own, mirrored so that both its coordinates increase, from the edge
-    of one box of free cells to that of the next.
+    The entries of all other rays stay. `clear` are the clearances of the stops; rays begin at
+    `points` (2, n), x and y in cells of the grid without its ring, and go along the unit vectors
+    `units` (2, n). Each ray is followed in a frame of its own, mirrored so that both its
+    coordinates increase, from the edge of one box of free cells to that of the next.
     """
     height, width = clear.shape
     sizes, strides = np.array([[width], [height]]), np.array([[1.0], [width]])
@@ -98,10 +100,12 @@ def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array
 def _advance(rays: Array, step: Array) -> None:
     """Move rays, in place, to where they leave the square of free cells around their cells.
 
-    `rays` (13, n) has a ray in each column, in its own frame. Its rows are, for x and y each, where
-    the ray begins, its direction, the reciprocal of the direction, the stride of the flat grid and
-    the cell; then the flat index of cell (0, 0), the distance so far and the distance at which the
-    ray ends. The distance so far and the cell are changed.
+    `rays` (13, n) has a ray in each column, in a frame mirrored so that both its coordinates
+    increase. Its rows are, for x and y each, where the ray begins, its direction, the reciprocal of
+    the direction, the change of a cell's flat index from one cell to the next, and the cell; then
+    the flat index of cell (0, 0), the distance so far and the distance at which the ray ends. The
+    distance so far and the cell are changed.
+
     The square's edge ahead along each axis is `step` (n,) cells from the near edge of the ray's
     cell; the ray goes to the first of these two edges that it reaches.
     """

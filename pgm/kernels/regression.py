@@ -64,9 +64,10 @@ class Fit(NamedTuple):
 
 
 def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
-    """The matrix of the regression on points s (N, n), for a root without a zero column.
+    """The weighted regression on points s (N, n), as one matrix to multiply values Y (N, d) with.
 
-    The regression is that of `regress`, with the mean and covariance of s taken from the sample.
+    It holds for a root L without a zero column. The mean and covariance of s are those of the
+    sample.
     """
     count, size = s.shape
     s_mean = mean_weights @ s

@@ -101,11 +101,14 @@ def choose(active: Mask, new: Rows, old: Rows) -> Rows:
     each = active[:, None, None, None]
 
     def matrix(a: Array, b: Array) -> Array:
-        """The matrices `a` in active runs and `b` in others; `a` where runs share them."""
+        """The matrices `a` in the runs that `active` marks, `b` in all others.
+
+        Where runs share a matrix, it is that of `a`.
+        """
         return a if shared else np.where(each, a, b)
 
     def right(a: Array, b: Array) -> Array:
-        """The right sides `a` in active runs and `b` in others."""
+        """The right sides `a` in the runs that `active` marks, and `b` in all other runs."""
         return np.where(active if shared else each, a, b)
 
     chosen = Rows(matrix(new.matrix, old.matrix), right(new.right, old.right))

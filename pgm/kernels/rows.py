@@ -29,7 +29,11 @@ CONTRADICTION = 1e-7
 
 
 class Rows(NamedTuple):
-    """A stack of factors: A (..., k, n) and r (..., k, N); C (..., m, n), c (..., m, N) or None."""
+    """A stack of factors exp(−½ ‖A x − r‖²) Π δ(C x − c).
+
+    `matrix` is A (..., k, n), `right` r (..., k, N), `exact` C (..., m, n) and `exact_right` c
+    (..., m, N), None both if there are no exact relations.
+    """
 
     matrix: Array
     right: Array
@@ -61,7 +65,10 @@ class Eliminated(NamedTuple):
 
 
 def eliminate(factor: Rows, count: int) -> Eliminated:
-    """Integrate the first `count` variables x out of a factor over (x, s), keeping p(x | s)."""
+    """Integrate the first `count` variables x out of a factor over (x, s), keeping p(x | s).
+
+    The result has the conditional p(x | s) and the integral, the factor over s that is left.
+    """
     if factor.exact is None or factor.exact_right is None or not factor.exact.shape[-2]:
         return _eliminate_proper(factor.matrix, factor.right, count)
     return _eliminate_exact(factor.matrix, factor.right, factor.exact, factor.exact_right, count)
@@ -105,9 +112,10 @@ def largest_first(correlation: Array) -> Integers:
 def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
     """Integrate the first `count` variables x out of rows without exact relations.
 
-    A QR factorisation makes the rows [E F; 0 G; 0 0], with right sides [e; g; q]: the rest is G
-    with g, and given all other variables s, x is E⁻¹ (e − F s) + noise of covariance E⁻¹ E⁻ᵀ. The
-    log-scale is ½ count ln 2π − ln |det E| − ½ ‖q‖². NaN where E is singular but for rounding.
+    A QR factorisation makes the rows [E F; 0 G; 0 0], with right sides [e; g; q]: the integral, a
+    factor over all other variables s, has the rows G with right sides g, and given s, x is E⁻¹ (e −
+    F s) + noise of covariance E⁻¹ E⁻ᵀ. The integral's log-scale is ½ count ln 2π − ln |det E| − ½
+    ‖q‖². NaN where E is singular but for rounding.
     """
     size = matrix.shape[-1]
     factor = triangular(matrix, right)
@@ -153,8 +161,9 @@ def _eliminate_exact(
     """Integrate the first `count` variables x out of rows with exact relations C_x x + C_s s = c.
 
     With the singular value decomposition C_x = U S Vᵀ, the relations determine x by s along V₁, the
-    directions of nonzero singular values; along all other directions x is left to the rows, as in
-    `_eliminate_proper`. The relations in which no x is left, U₂ᵀ (C_s s − c) = 0, go to the rest.
+    directions of nonzero singular values; along all other directions x is integrated out of the
+    rows by a QR factorisation. The relations that remain without any x, U₂ᵀ (C_s s − c) = 0, are
+    those of the factor over s that is left.
     """
     sepset = matrix.shape[-1] - count
     known = np.concatenate([exact[..., count:], exact_right], axis=-1)
@@ -199,7 +208,8 @@ def _independent(
     that c is computed from. Returns the new C and c, with rows of zeros for what is left out; the
     sum of ln of the singular values of C that they were divided by, (...); the mask (..., N) of
     right sides that miss an implied relation by more than 10⁻⁷ `size`, a contradiction; and the
-    largest of 1 and all 1 / singular value, infinite where what is implied may be independent.
+    largest of 1 and all 1 / singular value, infinite where a relation left out as implied by others
+    may be independent of them.
     """
     independent, solved, left, log_size, doubt = _solved(exact, right)
     far = np.abs(left).max(axis=-2, initial=0.0)

@@ -92,8 +92,8 @@ def regression(cross: Array, cov: Array) -> Array:
 def gain(cross: Array, lower: Array, cov: Array | None = None) -> Array:
     """The gain C P⁺, P = L Lᵀ, of a cross-covariance C, (..., m, n), with rows in the range of P.
 
-    `cov`, if given, is P itself: where its root is NaN by rounding, the gain is that of
-    `regression`.
+    `cov`, if given, is P itself: where its root is NaN by rounding, the gain is computed from the
+    eigenvalues of P.
     """
     result = transpose(solve(lower, transpose(cross)))
     if cov is not None:

@@ -1,7 +1,11 @@
 """Matrices of p(child | parent) as linear maps: dense, sparse, and Kronecker products of both.
 
-A map is applied along one axis of an array, for all other axes at once: forward, an axis of parents
-becomes one of children; backward, one of children becomes one of parents.
+A map is applied along one axis of an array, for all other axes at once: `forward`, an axis of
+parents becomes one of children; `backward`, one of children becomes one of parents. `logs` does
+either (the second if `back` is true) for logarithms: its semiring's sum, ln Σ exp or the maximum,
+takes the place of the sum over parents or children. Of an array of parents' states, `draw` returns
+a state of the child for each, in an array of the same shape. Of m children's states, `parents`
+returns the columns p(child | ·) as an array (m, parents).
 """
 
 from __future__ import annotations
@@ -239,8 +243,9 @@ class Sparse(Transition):
 class Product(Transition):
     """The Kronecker product of maps: the state has several axes, and each factor acts on one axis.
 
-    States are numbered by flat indices in C order: of parents over `before`, the numbers of parents
-    of the factors, and of children over `after`.
+    States are numbered by flat indices, in C order of their indices along the axes: a state of the
+    parents has an axis for each factor, of the lengths `before`, and so has a state of the
+    children, of the lengths `after`.
     """
 
     def __init__(self, factors: Sequence[Transition]) -> None:
@@ -292,7 +297,10 @@ class Product(Transition):
         return found
 
     def _parts(self, parent: Integers, child: Integers) -> tuple[Any, Any]:
-        """The indices along the factors' axes: a tuple for flat `parent`, a tuple for `child`."""
+        """The indices along the factors' axes that flat indices mean, an array for each factor.
+
+        The first tuple returned is that of the parents' indices, the second that of the children's.
+        """
         return unravelled(parent, self.before), unravelled(child, self.after)
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:

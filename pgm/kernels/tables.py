@@ -164,7 +164,7 @@ def _per_table(stacked: Stacked, axes: int) -> Stacked:
 
 
 def _exponents(values: Array) -> tuple[Array, Array]:
-    """The mantissas and powers of two of values; for zero the power is `NOWHERE`."""
+    """The mantissas and powers of two of values; for zero the power is −10⁶, below all others."""
     mantissa, power = np.frexp(values)
     return mantissa, np.where(values > 0.0, power, NOWHERE)
 

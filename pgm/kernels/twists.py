@@ -31,7 +31,10 @@ def motions(twists: Array, share: Array | float = 1.0) -> Array:
 
 
 def twists(steady: Array) -> Array:
-    """The twists (..., 3) of steady motions (..., 3), which must turn by less than `WHOLE`."""
+    """The twists (..., 3) of steady motions (..., 3), which must turn by less than a whole turn.
+
+    A turn within a millionth of a whole turn is too much: there the twist would be huge.
+    """
     half = 0.5 * steady[..., 2]
     chord = turned(steady[..., :2], -half) / _sinc(half)[..., None]
     return np.concatenate([chord, steady[..., 2:]], axis=-1)

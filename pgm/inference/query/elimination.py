@@ -1,10 +1,12 @@
 """Summing variables out for a query, for many runs at once; impossible evidence is refused.
 
-The factors of an elimination are numbered: first the CPDs' tables, then the evidence weights of
-variables with soft evidence or observed in some runs alone, as in the scopes of the
-`EliminationPlan`, then the result of each step of the plan. The scope of a table is a tuple of
-variables, given by their places in the plan's order. A table has an axis for each variable of its
-scope, and a last axis of runs: (sizes..., runs or 1).
+An `EliminationPlan` has the order of the hidden variables, those asked for last, and a list of
+*steps*: each multiplies some tables, its *factors*, and sums the product over the first variables
+of its scope; the last step makes the joint of the variables asked for. The factors are numbered:
+first the CPDs' tables, then the evidence weights of variables with soft evidence or observed in
+some runs alone, then the results of the steps. The *scope* of a table is a tuple of variables,
+given by their places in the plan's order. A table has an axis for each variable of its scope, and a
+last axis of runs: (sizes..., runs or 1).
 """
 
 from __future__ import annotations
@@ -30,10 +32,10 @@ from pgm.variables import Discrete
 
 
 def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
-    """The joint probabilities of the variables asked for, (sizes..., runs or 1), in plan order.
+    """The joint probabilities of the variables asked for, given evidence, (sizes..., runs or 1).
 
-    NaN in runs of impossible evidence. If any number under- or overflows, all is computed again
-    with logarithms.
+    The variables are in the plan's order. Runs of impossible evidence have NaN. If any number
+    under- or overflows, all is computed again with logarithms.
     """
     try:
         with np.errstate(all="raise"):
@@ -49,7 +51,10 @@ def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
 
 
 def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) -> Array:
-    """The table after all steps of a plan, (sizes..., runs or 1), in entries of a semiring."""
+    """The joint of the variables asked for, up to a factor in each run, (sizes..., runs or 1).
+
+    Its entries are numbers or logarithms, as `semiring` has them.
+    """
     tables = Tables(plan, evidence, semiring)
     for step in plan.steps:
         tables.do(step)
@@ -57,7 +62,11 @@ def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) ->
 
 
 class Tables:
-    """The tables of an elimination under way, (sizes..., runs or 1); `last` is the newest."""
+    """The tables of an elimination, made step by step from a plan and evidence.
+
+    Their entries are numbers or logarithms, as a semiring has them. `last` is the table that the
+    last step done has made, (sizes..., runs or 1).
+    """
 
     last: Array
 
@@ -70,10 +79,11 @@ class Tables:
         self._count = len(plan.scopes)
 
     def do(self, step: Step) -> None:
-        """Multiply the factors of a step and sum over its first axes: that makes one more factor.
+        """Multiply the factors of a step and sum over the first `step.summed` axes of the product.
 
-        Steps are to be done in the order of the plan, each once. Without logarithms the new table
-        is divided by its largest entry in each run, since only ratios matter.
+        The result is one more factor. Steps are to be done in the order of the plan, each once. If
+        entries are numbers, not logarithms, the new table is divided by its largest entry in each
+        run, since only ratios matter.
         """
         product: Array | None = None
         for factor in step.factors:
@@ -136,10 +146,11 @@ class Tables:
         return reduced
 
     def _weights(self, variable: Discrete) -> Array:
-        """The weights (states, runs or 1) that the evidence gives a variable of `plan.weighted`.
+        """The weights (states, runs or 1) that the evidence gives the states of a variable.
 
-        They are the soft weights; or, for a variable observed in some runs alone, one for the state
-        observed and zero for its other states, and all ones in runs without an observation.
+        They are the weights of its soft evidence; or, for a variable observed in some runs alone,
+        one for the state observed and zero for its other states, and all ones in runs without an
+        observation.
         """
         soft = self.evidence.weights.get(variable)
         if soft is not None:
@@ -195,7 +206,8 @@ def _contradiction(plan: EliminationPlan, run: int) -> tuple[list[Discrete], Sta
 
     The elimination is done again up to the first table that is zero throughout. Returns the
     variables whose evidence went into that table, first those with hard, then those with soft
-    evidence; and the variables of the table before its sum.
+    evidence; and the variables of the product that the table is the sum of, all of whose joint
+    states are impossible.
     """
     evidence = some_runs(plan.requisite.evidence, slice(run, run + 1))
     tables = Tables(plan, evidence, LOG_SUM_PRODUCT)

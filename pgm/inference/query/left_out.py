@@ -111,9 +111,9 @@ def _state(variable: Discrete, evidence: BoundStates) -> int | Integers:
 def _has_zero(family: Family, evidence: BoundStates) -> bool:
     """Whether a CPD's table has a zero after known states that are equal in all runs are put in.
 
-    A variable that is unknown, or whose state is given by run, counts with all its states. A table
-    above the limit of memory, of a CPD given by its structure, as a sparse matrix is, is not
-    examined: the answer is then False.
+    A variable that is unknown, or whose state is given by run, counts with all its states. Where a
+    CPD is stored in a shorter form, such as a sparse matrix, and its full table would be above the
+    limit of memory, the table is not examined: the answer is then False.
     """
     cpd, unknown = family
     if cpd._maps and math.prod(sizes(discrete(cpd.scope))) > limits.LIMIT:

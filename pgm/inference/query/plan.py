@@ -1,6 +1,9 @@
 """The order in which the variables of a query are summed out, and the products that this takes.
 
-Variables are given by their place in the order; a *scope* is an ascending tuple of places.
+A variable is *hidden* if it has several states and is not observed in all runs. Hidden variables
+are given by their place in the order; a *scope* is an ascending tuple of places. Tables are
+numbered: first the CPDs' tables, then the evidence weights of variables with soft evidence or
+observed in some runs alone, then the results of the plan's steps.
 """
 
 from __future__ import annotations
@@ -26,8 +29,7 @@ LARGE = 2**16
 class Step:
     """A product of tables over `scope`, summed over the first `summed` variables of it.
 
-    `factors` are the numbers of the tables, the smallest table first; numbers count the tables of
-    `EliminationPlan.scopes`, then the results of the plan's steps. `summed` may be zero.
+    `factors` are the numbers of the tables, the smallest table first. `summed` may be zero.
     """
 
     factors: tuple[int, ...]
@@ -59,7 +61,8 @@ class EliminationPlan:
     def of(cls, requisite: Requisite, wanted: States) -> EliminationPlan:
         """The plan in the order of min-fill weighted by numbers of states, `wanted` variables last.
 
-        Where that costs more than `LARGE`, plain min-fill is tried too, and the cheaper is taken.
+        If the tables of all its steps together have more than 2¹⁶ entries for one run, plain
+        min-fill is tried too, and the plan of fewer entries is taken.
         """
         hidden = requisite.hidden
         place = {v: k for k, v in enumerate(hidden)}
@@ -92,9 +95,10 @@ class EliminationPlan:
     ) -> EliminationPlan:
         """The plan in weighted min-fill order: variables of stage 0 first, which are summed out.
 
-        Variables of stage 1, those asked for, come last. The vertices of the graph `adjacent` are
-        places in `requisite.hidden`, as are the variables of the CPDs' tables in `families`.
-        `weights` (numbers of states, or ones) and `stages` have a number for each vertex.
+        Variables of stage 1, those asked for, come last. Here variables are numbers, their places
+        in `requisite.hidden`: they are the vertices of the graph `adjacent`, and `families` has
+        those of each CPD's table. `weights` (numbers of states, or ones) and `stages` have an entry
+        for each variable.
         """
         found = min_fill(adjacent, weights, stages)
         position = [0] * len(found)
@@ -154,12 +158,13 @@ class EliminationPlan:
 
 
 def _steps(scopes: Sequence[tuple[int, ...]], sizes: Sequence[int], hidden: int) -> list[Step]:
-    """The steps of bucket elimination for tables over `scopes`: the first `hidden` are summed out.
+    """The steps of bucket elimination, which sums the first `hidden` variables out one by one.
 
-    `sizes` are the numbers of states of all variables. Each table waits in the bucket of the first
-    of its variables; a step multiplies the tables of a bucket, and its result goes to a later
-    bucket. A result alone in its bucket is summed over one more variable by the step that makes it.
-    The last step multiplies the tables that are left, and sums over nothing.
+    `scopes` are those of the tables to begin with, `sizes` the numbers of states of all variables.
+    Each table waits in the bucket of the first of its variables; a step multiplies the tables of a
+    bucket, and its result goes to a later bucket. A result alone in its bucket is summed over one
+    more variable by the step that makes it. The last step multiplies the tables that are left, and
+    sums over nothing.
     """
     buckets: list[list[int]] = [[] for _ in range(hidden + 1)]
     held = list(scopes)
@@ -169,7 +174,7 @@ def _steps(scopes: Sequence[tuple[int, ...]], sizes: Sequence[int], hidden: int)
     made: list[Step] = []
 
     def entries(factor: int) -> int:
-        """The number of entries of the table of a factor."""
+        """The number of entries, for one run, of the table with the number `factor`."""
         return math.prod([sizes[k] for k in held[factor]])
 
     for place in range(hidden):

@@ -1,4 +1,8 @@
-"""Queries: the joint of some variables of a discrete network given evidence."""
+"""Queries: the joint of some variables of a discrete network given evidence.
+
+The *requisite* part of a network is the CPDs and the evidence on which the answer depends. An
+*elimination plan* says in which order the other variables of this part are summed out.
+"""
 
 from __future__ import annotations
 
