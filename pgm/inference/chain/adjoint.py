@@ -16,6 +16,9 @@ to 4.7).
 
 With a flat prior (infinite variances) the mean is an affine function m + D δ of an unknown vector δ
 (q components; see `careful`), and so is r.
+
+A slice (n components) holds the *states* and the hidden controls of a step; only the states act on
+the next slice. Arrays of one slice have the runs first.
 """
 
 from __future__ import annotations
@@ -55,11 +58,11 @@ _CLOSE = 1e-12
 class Later(NamedTuple):
     """The message of later measurements to a belief over a slice: r as a function of δ, and N.
 
-    `vector` has the columns [r R] (runs, n, 1 + q) of r + R δ; `matrix` is N (runs, n, n). As in a
-    `Belief`, `rounding` B (runs, n, n) bounds the rounding error E of N, −B ≤ E ≤ B in the order of
-    semidefinite matrices, and `drift` (runs, n, n) is taken for the covariance of the rounding
-    error of r. `blurred` (runs,) is the largest share of its innovation variance S that may be
-    rounding, over all later measurements.
+    `vector` has the columns [r R] (runs, n, 1 + q) of r + R δ; `matrix` is N (runs, n, n).
+    `rounding` B (runs, n, n) bounds the rounding error E of N, −B ≤ E ≤ B in the order of
+    semidefinite matrices; `drift` (runs, n, n) is the covariance of the rounding error of r, as if
+    that were random. Of each later measurement's innovation variance S a share may be rounding;
+    `blurred` (runs,) is the largest of these shares.
     """
 
     vector: Twofold
@@ -174,9 +177,10 @@ class CarefulSmoothed:
 
     @property
     def error(self) -> Array:
-        """The largest error of a mean by rounding, filtered or smoothed, (runs,).
+        """The largest rounding error of a mean, filtered or smoothed, at any step, (runs,).
 
-        It is in standard deviations, as `Belief.error` counts them.
+        An error is divided by the standard deviation of its component, or, if larger, by 10⁻⁹ of
+        the largest standard deviation that was predicted for the component up to that step.
         """
         largest: Array = np.max([each.belief.error(each.parts) for each in self.slices], axis=0)
         return np.maximum(largest, self.careful.error)
@@ -188,10 +192,10 @@ class CarefulSmoothed:
 
     @cached_property
     def point(self) -> Point:
-        """The smoothed moments as a point of linearisation.
+        """The smoothed moments, as a point at which CPDs can be linearised.
 
-        They are those of the slices, and, unless `layout.single` says that no CPD needs them, the
-        covariances of `pairs`.
+        They are the moments of the slices and the covariances of `pairs`. The latter are None if
+        one CPD makes the whole slice of the whole slice before, which does not need them.
         """
         pairs = None if self.layout.single else self.pairs()
         return Point(self.beliefs.mean, self.beliefs.cov, pairs, self.proper)
@@ -286,11 +290,11 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
     """Cross-covariances of slice s with slice `second`, (runs, n, n), by s = `first`..second − 1.
 
     Rows are of slice s, columns of `second`. Both slices know the measurements up to the last of
-    `slices`; the part that δ adds is not in the cross-covariances. With P the filtered covariance
-    at s, and Φ the product of the A and 1 − G h that carry the error there to the prediction at
-    `second`, of covariance P⁻, they are P Φᵀ (1 − N P⁻), N being the message of the measurements
-    from `second` on. In runs in which Bayes' rule found slice s, its gain G times the
-    cross-covariance of slice s + 1 takes their place.
+    `slices`; the covariances are those given δ. With P the filtered covariance at s, P⁻ the
+    predicted one at `second`, N the message of the measurements from `second` on, and Φ the product
+    of the A and 1 − G h that carry an error at s to the prediction at `second`, the
+    cross-covariance is P Φᵀ (1 − N P⁻). In runs in which slice s was found by Bayes' rule, with the
+    gain G, it is G times the cross-covariance of slice s + 1.
     """
     begin = slices[0].step
     move, predicted, _ = careful.steps[second]

@@ -6,9 +6,11 @@ also be *spurious*, or of a *new* thing that is no candidate. At the belief N(μ
 sighting z that is linearised with candidate m_j as ẑ_j + H_j (x − μ) + e, e ~ N(0, R_j), has the
 innovation ν_j = z − ẑ_j with covariance S_j = H_j P H_jᵀ + R_j. Candidates whose ν_jᵀ S_j⁻¹ ν_j
 exceeds the χ² quantile of the candidates' gate, a probability, are ruled out. Of the others the one
-of largest ln w_j + ln N(ν_j; 0, S_j) is chosen, for each sighting by itself or for all of a step
-together (`joint_compatibility.py`). The belief is conditioned on the step's sightings that are not
-open first, then on those of one open sensor after another, with the candidates chosen.
+of largest ln w_j + ln N(ν_j; 0, S_j) is chosen. The user gives a sensor's `association`: with
+"likelihood" each sighting is decided by itself, with "joint" all of a step together
+(`joint_compatibility.py`); "sum", a sum over the candidates, is refused here. The belief is
+conditioned on the step's sightings that are not open first, then on those of one open sensor after
+another, with the candidates chosen.
 """
 
 from __future__ import annotations
@@ -95,8 +97,9 @@ def associated_at(
     """Associate the open sightings of one step, at its predicted `belief`.
 
     `bound` has the measurements of that step alone, as its step 0; `step` is the step's number in
-    the chain, for CPDs that depend on time and for the texts of errors. `gate` and the refusal of
-    sensors whose `association` is "sum" are those of `associated`.
+    the chain, for CPDs that depend on time and for the texts of errors. `gate` is the filter's gate
+    for all sightings, None for no gate. An EvidenceError refuses sensors whose `association` is
+    "sum".
     """
     pending = [_Pending(reading, gate) for reading in bound.readings if reading.unknown is not None]
     known = tuple(reading for reading in bound.readings if reading.unknown is None)
@@ -124,12 +127,15 @@ def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
 class _Pending:
     """The open sightings of one sensor, and the associations of those decided so far.
 
+    `reading` has all sightings of the sensor at all steps, one *row* a sighting, sorted by step; it
+    names the unknown parent and its candidates. An EvidenceError refuses the association "sum".
+    `gate` is that of the filter, None for no gate.
+
     The lists `probability`, `values` and `taken` have an array for each sighting decided so far, in
-    the order of the reading. `probability` (runs, k + 2) is that of the sighting being of each
+    the order of the rows. `probability` (runs, k + 2) is that of the sighting being of each
     candidate, spurious, or of a new thing. `values` (runs, p) is the chosen value of the unknown
     parent, of p components. `taken` (runs, d) marks which of the sighting's d components were used
-    as measurements. The `reading` must have an `unknown`; an EvidenceError refuses one whose
-    `association` is "sum". `gate` is that of the filter, None for no gate.
+    as measurements.
     """
 
     def __init__(self, reading: Reading, gate: Asked | None) -> None:
@@ -149,7 +155,7 @@ class _Pending:
         self.taken = list[Array]()
 
     def rows(self, step: int) -> range:
-        """The rows of the reading that are sightings of a step, a range that may be empty."""
+        """The rows of the sensor's sightings at a step, a range that may be empty."""
         first, last = np.searchsorted(self.reading.step, [step, step + 1]).tolist()
         return range(first, last)
 
@@ -170,7 +176,8 @@ class _Pending:
         new sighting is ∝ its declared density. Where all k + 2 are zero the sighting is spurious.
         The likeliest of the k + 2 is chosen for each sighting, or, if the sensor's `association` is
         "joint", for all together. Spurious and new sightings do not change the belief. The lists of
-        the class grow by an entry for each row. Errors are those of `_innovations` and `_jointly`.
+        the class grow by an entry for each row. A NumericalError refuses an S_j that is not
+        positive definite, an EvidenceError a joint choice among too many hypotheses.
         """
         runs, unknown = bound.runs, self.unknown
         pairs = _innovations(
@@ -304,7 +311,8 @@ def _taken(
     """The belief over the slice at `step`, conditioned on measurements of that step, `readings`.
 
     Each reading has its sightings at a step 0; `step` is the step's number in the chain. `gate`
-    decides which sightings are used, None for all. Of `bound` only the runs are used.
+    decides which sightings are used, None for all. Of the evidence `bound` only the number and the
+    axes of the runs are used.
     """
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)

@@ -6,7 +6,7 @@ conditional of the states at t given the slice at t + 1 and the measurements up 
 belief at T is the smoothed one there, and is pushed back through these conditionals.
 
 The reversed chain exists even where messages in information form (`messages.py`) do not, as for a
-static state that is measured without noise. Stacks have the steps first and the runs second.
+static state that is measured without noise. Arrays have the steps first and the runs second.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ def transition(plan: ChainPlan) -> Conditional:
 
 
 def between_slices(plan: ChainPlan) -> Conditional:
-    """The conditionals of each slice given the whole slice before, of matrices (T, runs, n, n).
+    """The transition as conditionals of slices at t given whole slices at t − 1, t = 1..T.
 
-    They are those of `transition`, with columns of zeros for the earlier controls.
+    Their matrices are (T, runs, n, n); columns of the earlier controls are zero.
     """
     found = transition(plan)
     layout = plan.layout
@@ -76,9 +76,10 @@ def between_slices(plan: ChainPlan) -> Conditional:
 
 
 def about(conditional: Conditional, reference: Array) -> Conditional:
-    """The conditionals of `between_slices`, for x[t] − reference[t] in place of the slices x[t].
+    """The same conditionals, over x[t] − reference[t] in place of the slices x[t].
 
-    `reference` is (T+1, runs, n).
+    `conditional` has p(x[t] | x[t − 1]) for t = 1..T, of matrices (T, runs, n, n); `reference` is
+    (T+1, runs, n).
     """
     matrix, offset, cov = conditional
     return Conditional(matrix, apply(matrix, reference[:-1]) + offset - reference[1:], cov)
@@ -178,7 +179,7 @@ class Reverse:
 
 
 class _Step(NamedTuple):
-    """The arguments of `kernels.moments.reverse`, for the transitions from steps t to t + 1.
+    """What Bayes' rule needs to reverse the transitions from steps t to t + 1, t = 0..T − 1.
 
     `mean` (T, runs, m) and `cov` (T, runs, m, m) are the filtered moments of the states at t, of m
     components. `matrix` (T, runs, n, m) and the covariance `noise` (T, runs, n, n) are those of the
@@ -298,8 +299,8 @@ def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
 def pairs(beliefs: Beliefs, reverse: Reverse, steps: slice | int) -> Beliefs:
     """Smoothed moments of the pairs (states at t − 1, slice at t), from those of the slices.
 
-    `steps` picks values of t − 1, from 0 to T − 1. Moments are (steps, runs, ...) for a slice of
-    them, and (runs, ...) for an int.
+    `steps` picks values of t − 1, which is from 0 to T − 1, by a Python slice or an int. Moments
+    are (picked steps, runs, ...), or (runs, ...) for an int.
     """
     conditional = Conditional(*(part[steps] for part in reverse.states))
     slice_mean, slice_cov = beliefs.mean[1:][steps], beliefs.cov[1:][steps]

@@ -1,7 +1,8 @@
 """Messages and cluster beliefs of a balanced tree.
 
-Its leaves are the clusters of the chain of slices. Every other cluster stands for a *segment*, the
-steps after a up to b, and holds the states at a, at b and at a step between (`BalancedGraph`).
+Its leaves are the clusters 0 to T of the chain of slices. Every other cluster stands for a
+*segment*, the steps after a up to b, and holds the states at a, at b and at a step between
+(`BalancedGraph`). The leaf of a step t > 0 is a segment of one step, from t − 1 to t.
 """
 
 from __future__ import annotations
@@ -70,8 +71,8 @@ class BalancedPosterior(ChainPosterior):
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its hidden variables, unnormalised.
 
-        Its integral is a density of measurements: after smoothing of all measurements, after
-        filtering of the measurements up to the cluster's step or the end of its segment.
+        Its integral is the density of the measurements that it knows. After smoothing these are all
+        measurements; after filtering they are those up to the last step of the cluster's segment.
 
         Raises
         ------
@@ -140,10 +141,10 @@ class BalancedPosterior(ChainPosterior):
         return canonical.shift(precision, h, g + whole.g[0], np.concatenate(ends, axis=-1))
 
     def _leaves(self, first: int, last: int) -> Element:
-        """The single steps `first` + 1 to `last` as segments: an `Element` with a row for each.
+        """The single steps `first` + 1 to `last` as segments, a row for each.
 
         The row of step t is p(x[t], measurements at t | x[t − 1]), x being the states less their
-        filtered means.
+        filtered means: an affine conditional of x[t] and a likelihood over x[t − 1].
         """
         conditionals = transition(self._plan)
         size, runs = self.graph.layout.state_size, self._plan.runs

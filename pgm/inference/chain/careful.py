@@ -77,9 +77,10 @@ class Careful:
 
     @property
     def error(self) -> Array:
-        """The largest error of a filtered mean by rounding, (runs,).
+        """The largest rounding error of a filtered mean, at any step, (runs,).
 
-        It is in standard deviations, as `Belief.error` counts them.
+        An error is divided by the standard deviation of its component, or, if larger, by 10⁻⁹ of
+        the largest standard deviation that was predicted for the component up to that step.
         """
         largest: Array = np.max([step.taken.belief.error() for step in self.steps], axis=0)
         return largest
@@ -105,7 +106,7 @@ def sweep(
     begin: Begin | None = None,
     gated: gate.Asked | None = None,
 ) -> tuple[Careful, Status]:
-    """The forward pass over all steps of a plan, and the status of its linearisations.
+    """The forward pass over all steps of a plan, and whether its linearisations settled.
 
     With a schedule each CPD is linearised at its incoming belief, the plan stores the
     linearisation, and the schedule's gates reject sightings; `anchor` and `gated` are then not
@@ -182,7 +183,8 @@ def update(
 
     `step` is the step's number in the chain, and `known` the belief predicted to that step, without
     δ (q = 0). Returns the belief, the iterated update that led to it, and the readings as
-    linearised last. A NumericalError refuses the beliefs and measurements that `sweep` refuses.
+    linearised last. A NumericalError refuses beliefs that are indefinite or not finite, and
+    measurements that contradict a certain belief.
     """
     nothing = Twofold.zeros((plan.runs, 1, 1))
     mean, spread = rounded_belief(known, solved(nothing))
@@ -214,7 +216,7 @@ class CarefulUpdate:
 
     @property
     def means(self) -> Array:
-        """The mean with an axis of one step in front, (1, runs, n), as a `Solution` has it."""
+        """The mean (1, runs, n), with an axis of one step in front."""
         return self.mean[None]
 
     @property
@@ -240,8 +242,8 @@ class CarefulUpdate:
 class CarefulReading(UpdateProblem[CarefulUpdate]):
     """The measurements of a step as an iterated update of a belief in twice the digits.
 
-    `belief` is the predicted one; `information` is Σ [v V]ᵀ[v V] / S over the measurements of the
-    steps before, as in `Begin`.
+    `belief` is the predicted one; `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S over all
+    scalar measurements of the steps before, [v V] being the row of one's innovation.
     """
 
     belief: Belief
@@ -260,12 +262,13 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         *,
         gated: gate.Asked | None = None,
     ) -> CarefulReading:
-        """The update of a predicted belief by the measurements at `step`, a row of the plan.
+        """The update of a predicted belief by the measurements at `step`.
 
-        `mean` (runs, n) and `spread` are the moments of `belief` in float64, δ being estimated from
-        `information`. With a schedule the schedule's gates reject sightings, and `gated` is not
-        used. Without one the plan's linearisations are used, and the gates `gated` reject
-        sightings, None for no gates. Gates decide in this call alone, not at later linearisations.
+        `step` counts from the plan's first, which is 0. `mean` (runs, n) and `spread` are
+        the moments of `belief` in float64, δ being estimated from `information`. With a schedule
+        the schedule's gates reject sightings, and `gated` is not used. Without one the plan's
+        linearisations are used, and the gates `gated` reject sightings, None for no gates. Gates
+        decide in this call alone, at the predicted belief, not again at later linearisations.
         """
         chain, at = MomentChain(plan, schedule, gated=gated), Moments.of(plan, mean, spread.shown)
         parts = chain.readings(step)
@@ -283,9 +286,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
         """Linearise one sensor at moments of the slice, (n, *batch) and (n, n, *batch).
 
-        Variances may be infinite; a LinearisationError refuses a lineariser that needs finite ones
-        (see `proper`). Runs that are not `active` (runs,) keep their linearisation; None means that
-        all are active.
+        `batch` is () for one run, (runs,) for several. Where variances are infinite, a
+        LinearisationError refuses a nonlinear sensor, except with `Taylor`, which does not use
+        them. Runs that are not `active` (runs,) keep their linearisation; None means that all are
+        active.
         """
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
@@ -297,10 +301,11 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
         """The belief given the measurements as they are linearised at present.
 
-        An anchor measures all components of the slice: the belief is conditioned on it last, and
-        the log-density leaves it out; None for no anchor. An indefinite predictive covariance, a
-        log-density that is not finite, and a measurement that contradicts a certain belief are
-        refused with a NumericalError.
+        An anchor, by which a step control holds a solution near a point, is a measurement of all
+        components of the slice. The belief is conditioned on it last, and the log-density leaves it
+        out; None for no anchor. An indefinite predictive covariance, a log-density that is not
+        finite, and a measurement that contradicts a certain belief are refused with a
+        NumericalError.
         """
         belief, information, parts = self.belief, self.information, self.measured
         runs, size = belief.largest.shape
@@ -347,7 +352,7 @@ def prior_mean(plan: ChainPlan) -> Array:
     """The prior means of the states' m components, (runs, m).
 
     A component of infinite variance has the mean that the prior declares. Nonlinear CPDs of the
-    prior are linearised in the plan, or refused beside a flat prior, as by `start`.
+    prior are linearised in the plan; beside a flat prior a LinearisationError refuses them.
     """
     states = plan.layout.state_places
     if not is_flat(plan):
@@ -384,10 +389,10 @@ def start(plan: ChainPlan, *, linearise: bool) -> Belief:
 
 
 def transition(plan: ChainPlan, rows: slice) -> Move:
-    """Affine conditionals of slices given the slices before, from the transition of the plan.
+    """The transition of a plan, linearised: affine conditionals of slices given the slices before.
 
-    `rows` picks steps, row t − 1 being of step t. Parts are (rows or 1, runs or 1, ...); the
-    columns of the earlier controls are zero.
+    `rows` picks steps, row t − 1 being of step t. The result's arrays are (rows or 1, runs or 1,
+    ...); its columns of the earlier slice's controls, which do not act on the next, are zero.
     """
     layout = plan.layout
     found = _conditional(plan.transition, rows, layout.state_size, layout.slice_size)
@@ -399,9 +404,10 @@ def transition(plan: ChainPlan, rows: slice) -> Move:
 def _conditional(links: list[Link], rows: slice, front: int, size: int) -> Move:
     """All CPDs of the links as one affine conditional, of a vector's end given its beginning.
 
-    Parents and children stand in a vector of `front` + `size` components, each child after its
-    parents; the first `front` are given, the rest are the children's. Parts are (rows or 1, runs or
-    1, ...). Each component of infinite noise variance becomes one of δ, with noise of unit
+    A link is a CPD at all its steps, with the places of its parents and its child in a vector of
+    `front` + `size` components. Each child stands after its parents; the first `front` components
+    are given, the rest are the children's. `rows` picks steps; the result's arrays are (rows or 1,
+    runs or 1, ...). Each component of infinite noise variance becomes one of δ, with noise of unit
     variance.
     """
     families = [link.family for link in links]
@@ -450,7 +456,8 @@ def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
     """The transition to a step, linearised at the belief over the slice before.
 
     `step` counts from the plan's first, which is 0. The belief has the moments `mean` (runs, n) and
-    `cov` (runs, n, n); infinite variances are treated as in `proper`.
+    `cov` (runs, n, n). If entries of `cov` are infinite, a LinearisationError refuses nonlinear
+    CPDs, except with `Taylor`, whose formula does not use the covariance.
     """
     if not all(link.family.exact for link in plan.transition):
         for link in plan.transition:
@@ -461,11 +468,12 @@ def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
 
 
 def proper(family: Family, step: int, cov: Array) -> Array:
-    """A covariance that a CPD can be linearised at, from one with infinite entries, `cov`.
+    """The covariance at which a CPD is linearised, from `cov`, which may have infinite entries.
 
-    `cov` (over the slice or the parents) is returned as it is for a linear CPD, and if all entries
-    are finite. For `Taylor`, whose formula does not use the covariance, infinite entries become
-    zero. For any other lineariser a LinearisationError, whose text names the `step`, refuses them.
+    `cov` is over the slice or the CPD's parents. It is returned as it is for a linear CPD, and if
+    all entries are finite. For `Taylor`, whose formula does not use the covariance, infinite
+    entries become zero. Any other lineariser is refused with a LinearisationError, whose text names
+    the `step`.
     """
     improper = ~np.isfinite(cov)
     if family.exact or not improper.any():

@@ -65,8 +65,8 @@ class Belief(NamedTuple):
     def first(cls, columns: Twofold, cov: Twofold, rounding: float, drift: float) -> Belief:
         """A belief whose variances may be off by a share `rounding`, and means by a share `drift`.
 
-        The shares are those of each variance and mean itself, and both bounds are diagonal. The
-        `largest` variances are the belief's own.
+        Its two bounds are diagonal: `rounding` times each variance, and the square of `drift` times
+        each mean. The `largest` variances are the belief's own.
         """
         variance = variances(cov.hi)
         moved = diagonal((drift * columns.hi[..., 0]) ** 2)
@@ -136,10 +136,11 @@ class Belief(NamedTuple):
 
 
 def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
-    """Arrays (runs, ...) broadcast from run axes `before` to `after`, and flattened again.
+    """Repeat arrays of some runs for more runs, by the rules of broadcasting.
 
-    The axes are tuples of lengths, whose products are the numbers of runs. `value` is an array, a
-    `Twofold`, None, or a named tuple of these, which may be nested.
+    The shapes `before` and `after` lay the runs out along several axes: their products are the
+    numbers of runs. The arrays themselves are (runs, ...), with one axis of runs, before and after.
+    `value` is an array, a `Twofold`, None, or a named tuple of these, which may be nested.
     """
     if isinstance(value, np.ndarray):
         own = value.shape[1:]
@@ -152,9 +153,9 @@ def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
 def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
     """The columns [m D] (..., n, 1 + q), with zeros where entries of D are only rounding.
 
-    An entry of D counts as rounding if it is below 10⁻²⁶ of the sum of its summands' absolute
-    values. Each array of `summed`, (..., n, 1 + q), has one summand of every entry, or the sum of
-    the absolute values of several.
+    The entries of `columns` were found as sums; one of D counts as rounding if it is below 10⁻²⁶ of
+    the sum of its summands' absolute values. Each array of `summed`, (..., n, 1 + q), has one
+    summand of every entry, or the sum of the absolute values of several.
     """
     if columns.shape[-1] == 1:
         return columns
@@ -209,7 +210,7 @@ class Move(NamedTuple):
     columns: Twofold
 
     def at(self, row: int) -> Move:
-        """The conditional at one row of the first axis, without that axis."""
+        """The conditional at one place of the first axis, that of steps, without the axis."""
         return Move(*(part[row] for part in self))
 
 
@@ -390,10 +391,10 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
     """The measurements of a step as D scalars z = h x + e with independent errors e.
 
     Returns the rows [h z] (runs, D, n + 1), the errors' variances (runs, D), and the mask (runs, D)
-    of the scalars that were measured; rows of the rest are zero. `parts` has an entry for each
-    sensor, and `width` is n. h is over the slice, and the CPD's offset is subtracted from z. With a
-    noise covariance R = U diag(r) Uᵀ that has correlations, U being unit lower triangular, rows are
-    multiplied by U⁻¹.
+    of the scalars that were measured; rows of the rest are zero. `parts` has the linearised
+    measurements of each sensor, and `width` is n. h is over the slice, and the CPD's offset is
+    subtracted from z. With a noise covariance R = U diag(r) Uᵀ that has correlations, U being unit
+    lower triangular, rows are multiplied by U⁻¹.
     """
     height = sum(len(seen.value) for seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))
@@ -418,5 +419,8 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array (own axes, *batch) as (runs or 1, own axes); `own` is the number of own axes."""
+    """An array (..., runs), or (...) without an axis of runs, as (runs, ...) or (1, ...).
+
+    `own` is the number of its axes other than that of runs.
+    """
     return array[None] if array.ndim == own else components_last(array, own)

@@ -61,9 +61,9 @@ def is_flat(plan: ChainPlan) -> bool:
 def is_ordinary(mean: Array, cov: Array, share: float = _TOLD) -> bool:
     """Whether float64 has digits enough for beliefs of means (..., n), covariances (..., n, n).
 
-    Covariances are finite, each component keeps over 1 / `MODERATE` of its variance given those
-    before it, and the rounding ε |m| of a mean is at most the part `share` of its standard
-    deviation.
+    They are enough if covariances are finite, each component keeps over 1 / `MODERATE` of its
+    variance given those before it, and the rounding ε |m| of each mean is at most the part `share`
+    of its standard deviation, 10⁻⁸ unless given.
     """
     if not np.isfinite(cov).all() or not roots.is_regular(cov, 1.0 / MODERATE):
         return False
@@ -74,8 +74,9 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits.
 
     `smoothed` are the smoothed covariances (T+1, runs, n, n), or None after a filter; the plan is
-    as it was linearised for the pass. Of a `Filtered`, which has no predicted covariances, only the
-    means are judged, and `closest`, the least share of a variance that its sweep has found left.
+    as it was linearised for the pass. A `Filtered` is a pass that kept no predicted covariances: of
+    it only the means are judged, and `closest`, the smallest share of a variance that its sweep
+    found left, given other components or after a measurement.
     """
     with np.errstate(all="ignore"):  # a ratio of what is not finite is no moderate one
         if swept.far and _means_sink(swept, both=smoothed is not None):

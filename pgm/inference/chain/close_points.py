@@ -21,6 +21,9 @@ where P_t⁻ and P_t are a component's variances before and after the measuremen
 maxima are over the components: the part of a predicted variance that is not new, and the part that
 a measurement leaves. √ν_t is the error of step t. All smoothed beliefs are sums of filtered ones
 and later measurements, and no worse in their own standard deviations.
+
+A *family* is a CPD at all its *rows*: the steps of a transition, or the measurements of a sensor; a
+prior has one row.
 """
 
 from __future__ import annotations
@@ -53,8 +56,8 @@ def error(plan: ChainPlan, swept: Forward | Filtered) -> Array | None:
     plan : ChainPlan
         As it was linearised for the pass.
     swept : Forward or Filtered
-        The forward pass. Of a `Filtered` its `whole` is used, a second pass, where the answer
-        depends on it.
+        The forward pass. A `Filtered` has kept no predictions; they are found by a second pass,
+        its `whole`, where the answer depends on them.
     """
     times = largest(families(plan))
     if not times:
@@ -89,14 +92,14 @@ def of_step(
 ) -> Array | None:
     """The `error` (runs,) after a step of an online filter, from the decimal digits left before it.
 
-    `before` and `after` are the beliefs that the step went from and to. `digits` (*runs) is −log₁₀
-    of the error before the step, None as long as no digits were lost. A step predicts, if `plan`
-    has a transition, or else updates: ρ is then the first or the second of its two factors. Slopes
-    are not at hand: the share of the step is taken to be ε c |m| / σ of the component that is
-    farthest from zero in any run, and zero if no rule has weights that cancel. `place` (runs,) is a
-    further share, that of rounding the means to float64, which `last_places.of_step` finds; the
-    float 0.0 if it is too small to count. The result is None if the error is at most 10⁻⁹ in all
-    runs.
+    `before` and `after` are the beliefs that the step went from and to. `digits` is −log₁₀ of the
+    error before the step for each run, in an array whose shape is the user's axes of runs; None as
+    long as no digits were lost. If `plan` has a transition, the step predicts, and ρ is the first
+    of its two factors alone; else the step updates, and ρ is the second. Slopes are not at hand:
+    the share of the step is taken to be ε c |m| / σ of the component that is farthest from zero in
+    any run, and zero if no rule has weights that cancel. `place` (runs,) is a further share, that
+    of rounding the means to float64 (`last_places.of_step`); the float 0.0 if it is too small to
+    count. The result is None if the error is at most 10⁻⁹ in all runs.
     """
     times = largest(families(plan))
     if not times and digits is None and isinstance(place, float):
@@ -111,7 +114,7 @@ def of_step(
 
 
 def families(plan: ChainPlan) -> list[Family]:
-    """The families (CPDs at all steps) of prior, transition, and sensors with measurements."""
+    """The families of the prior, the transition, and the sensors that have measurements."""
     links = [link.family for link in (*plan.prior, *plan.transition)]
     return links + [sensor.family for sensor in plan.read]
 

@@ -6,6 +6,10 @@ mean that its CPD expects at the parents' belief.
 
 Linear CPDs with singular noise are obeyed exactly by all trajectories of finite cost, onto which
 others are projected (`exact_relations`).
+
+A *family* is a CPD at all its *rows*: the steps of a transition, or the measurements of a sensor; a
+prior has one row. A *link* is a family of the prior or the transition, with the places of parents
+and child in the vector of their components. A child has d components.
 """
 
 from __future__ import annotations
@@ -36,8 +40,8 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
     """The cost of the trajectory of means `at.mean` (T+1, runs, n), (runs,).
 
     Linearisers that take expectations over a belief take them with the covariances of `at`. Where a
-    belief `plan.begin` takes the prior's place, the first slice has its cost under that. A noise
-    that is indefinite is refused with a NumericalError.
+    belief `plan.begin` takes the prior's place, the first slice has its cost under that belief. A
+    noise that is indefinite is refused with a NumericalError.
     """
     total = np.zeros(plan.runs)
     if plan.begin is not None:
@@ -116,8 +120,8 @@ def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
 def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
     """The cost of a sensor's measurements whose noise is correlated within a step, (runs,).
 
-    `left` has the residuals (k, runs, d) of the measurements `rows`. A step counts only if all its
-    measurements are among these rows.
+    `left` has the residuals (k, runs, d) of the k measurements `rows`. Those of a step make one
+    vector, with one covariance; a step counts only if all its measurements are among the rows.
     """
     runs, height = left.shape[1:]
     first, last, _ = rows.indices(len(sensor.values))
@@ -139,11 +143,11 @@ def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
 
 
 def weighted(family: Family, residual: Array, cov: Array) -> Array:
-    """The sum of rᵀ C⁺ r over the first axis, (runs,), for residuals r of covariances C.
+    """The sum of rᵀ C⁺ r over k residuals r of a CPD, with their covariances C, (runs,).
 
-    `residual` is (k, runs, d), `cov` are the C, (k, runs, d, d). Components of infinite variance,
-    and those that earlier ones determine, do not count. An indefinite C is refused with a
-    NumericalError that names the CPD.
+    `residual` has the r, (k, runs, d), `cov` the C, (k, runs, d, d). Components of infinite
+    variance do not count, nor do those that the components before them determine, where C is
+    singular. An indefinite C is refused with a NumericalError that names the CPD.
     """
     total = squares(residual, cov)
     if total is None:
@@ -157,10 +161,10 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
 
 
 def squares(residual: Array, cov: Array) -> Array | None:
-    """The sum of rᵀ C⁺ r over the first axis, (runs,), for residuals r of covariances C.
+    """The sum of rᵀ C⁺ r over k residuals r with their covariances C, (runs,).
 
-    `residual` is (k, runs, d), `cov` (k, runs, d, d). The result is None if any covariance is
-    indefinite or, but for infinite variances, not finite; `weighted` raises an error instead.
+    `residual` has the r, (k, runs, d), `cov` the C, (k, runs, d, d). Components of infinite
+    variance do not count. The result is None if, without these, any C is indefinite or not finite.
     """
     flat = np.isinf(np.einsum("...ii->...i", cov))
     if flat.any():

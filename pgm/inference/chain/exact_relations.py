@@ -95,7 +95,7 @@ def _obeyed(relations: list[Relation], mean: Array) -> Mask:
 
 
 def _equations(relations: list[Relation], mean: Array, unit: Array, weight: float) -> Tridiagonal:
-    """The normal equations of the moves ξ that minimise |ξ|² + w Σ |residual|², (T+1, runs, n).
+    """The normal equations of the moves ξ (T+1, runs, n) that minimise |ξ|² + w Σ |residual|².
 
     ξ is in units of `unit` (runs, n), w is `weight`; each row of a relation is scaled to unit
     length in these units. `mean` (T+1, runs, n) is the trajectory that moves by ξ.
@@ -169,9 +169,11 @@ def _left_open(family: Family, noise: Array) -> Array | None:
 
 
 def _row(link: Link, free: Array, width: int) -> tuple[Array, Array]:
-    """The relation of a link: coefficients (rows, runs, d, width) and right side (rows, runs, d).
+    """The relation (I − L L⁺) (y − F p) = (I − L L⁺) b of a CPD y = F p + b + noise at its rows.
 
-    `free` is I − L L⁺; `width` the length of the vector in which parents and child stand.
+    Rows are steps. `free` is I − L L⁺, L Lᵀ being the noise covariance; `link` has F and b, and the
+    places of parents p and child y in a vector of length `width`. Returns the coefficients of that
+    vector, (rows, runs, d, width), and the right side, (rows, runs, d).
     """
     family = link.family
     row = np.zeros((*family.shape[:3], width))

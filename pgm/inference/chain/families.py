@@ -1,7 +1,8 @@
 """The smoothed beliefs of each CPD's family, of all its rows at once.
 
 A family is a CPD with its hidden parents and its child. A transition has a row for each step, a
-sensor for each of its sightings (measurements at a step), and a prior has one row.
+sensor for each of its sightings (measurements at a step), and a prior has one row. A *slice* is the
+vector of a step's states and hidden controls; only the states act on the next slice.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ class FamilyBelief(NamedTuple):
     """The joint belief (rows, runs, n) of a CPD's hidden parents and, if hidden, its child.
 
     The n components are the hidden parents', then a hidden child's; the child of a sensor is not
-    hidden. `mean` is (rows, runs, n), `cov` (rows, runs, n, n). `values` (rows, runs or 1, d) are
-    the measurements of a sensor, None for another CPD; `taken`, a mask of the same shape, marks the
-    components that were measured, None for all.
+    hidden. `family` is the CPD at its rows, `mean` is (rows, runs, n), `cov` (rows, runs, n, n).
+    `values` (rows, runs or 1, d) are the measurements of a sensor, None for another CPD; `taken`, a
+    mask of the same shape, marks the components that were measured, None if all were.
     """
 
     family: Family
@@ -62,9 +63,10 @@ def family_beliefs(posterior: ChainPosterior) -> dict[CPD, FamilyBelief]:
 
 
 def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
-    """The belief of a family, whose components stand at the places `chosen` in `moments`.
+    """The belief of a family, read from the moments of larger vectors that hold its components.
 
-    Its fields `values` and `taken` are None.
+    `moments` are those of one vector for each row, such as its slice; `chosen` are the places of
+    the family's components in it. The result's `values` and `taken` are None.
     """
     mean, cov = moments.mean[..., chosen], block(moments.cov, chosen, chosen)
     return FamilyBelief(family, mean, cov, None, None)

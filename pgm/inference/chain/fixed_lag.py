@@ -56,9 +56,8 @@ class Lagged:
 
     `forward` is the forward pass with the last linearisations. With one linearisation, `reverse` is
     the chain reversed in float64, or else `careful` the pass in twice the digits; with more, both
-    are None, and `windows` has what the windows found. `error` (runs,) is the largest error of a
-    mean by rounding, in standard deviations (`Belief.error`), where anything was solved in twice
-    the digits; else None.
+    are None, and `windows` has what the windows found. `error` (runs,) is the largest rounding
+    error of a mean, in standard deviations, if anything was solved in twice the digits; else None.
     """
 
     forward: Forward
@@ -77,8 +76,8 @@ def slides(plan: ChainPlan, schedule: FixedLag) -> bool:
 def smooth(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     """The beliefs with one linearisation, that of the filter, in float64; and their status.
 
-    `plan` is over all steps, and keeps the linearisation. The status is converged only if the model
-    is exact (`ChainPlan.exact`).
+    `plan` is over all steps, and keeps the linearisation. The status is converged only if every CPD
+    is affine and no measurement has robust noise.
     """
     ahead, _ = forward.run(plan, schedule.first)
     reverse = Reverse.make(plan, ahead)
@@ -87,7 +86,11 @@ def smooth(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 
 def carefully(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
-    """`smooth` in twice the digits: the beliefs with one linearisation, and their status."""
+    """The beliefs with one linearisation, the filter's, in twice the digits; and their status.
+
+    The plan keeps the linearisation. The status is converged only if every CPD is affine and no
+    measurement has robust noise.
+    """
     swept, _ = careful.sweep(plan, schedule.first)
     made = CarefulSmoothed.of(plan, swept, schedule.lag)
     found = Lagged(swept.forward, made.beliefs, careful=swept, error=made.error)
@@ -173,11 +176,11 @@ class _Record:
             self.error = error if self.error is None else np.maximum(self.error, error)
 
     def _keep_open(self, new: slice, ahead: Forward, begun: int) -> None:
-        """Keep the `Diffuse` covariances of the predictions at the steps `new`, if there are any.
+        """Keep which directions a flat prior has left unknown in the predictions at steps `new`.
 
-        `ahead` is the forward pass of a window, whose rows from `begun` on are these steps. Where
-        it has none, but a window before had, its `predicted_cov` is kept as one without open
-        directions.
+        `ahead` is the forward pass of a window, whose rows from `begun` on are these steps. Nothing
+        is kept until some window has an unknown direction; from then on the covariances of all
+        windows are kept as `Diffuse` ones, with or without unknown directions.
         """
         if ahead.diffuse is not None and self.diffuse is None:
             shape, size = self.forward.mean.shape, ahead.diffuse.open.shape[-1]
@@ -273,8 +276,8 @@ class Window:
 class SingleStep(NamedTuple):
     """One step of a filter, the newest of a window: its plan, linearised, and its forward pass.
 
-    `error` (runs,) is the largest error of a mean by rounding, in standard deviations
-    (`Belief.error`), where the step took twice the digits; else None.
+    `error` (runs,) is the largest rounding error of a mean, in standard deviations, if the step
+    took twice the digits; else None.
     """
 
     plan: ChainPlan
@@ -288,8 +291,8 @@ def filter_step(
     """Filter one step of a plan, its transition and its measurements, from `begin`.
 
     `begin` is the belief at the step before, given its measurements; None for step 0, which has the
-    prior in place of a transition. The step is filtered in twice the digits where float64 has too
-    few.
+    prior in place of a transition. Unless a schedule is given, each CPD is linearised once. The
+    step is filtered in twice the digits where float64 has too few.
     """
     first = max(step - 1, 0)
     alone, begin = _cut(plan, first, step, begin)
@@ -338,9 +341,10 @@ def iterate_window(
 def _cut(
     plan: ChainPlan, first: int, last: int, begin: Beginning | None
 ) -> tuple[ChainPlan, Beginning | None]:
-    """The plan of the steps first..last, and the belief that it begins with, for each of its runs.
+    """The plan of the steps first..last, and the belief that it begins with.
 
-    None for `begin`, and then in the result, is the prior.
+    This is `begin`, given the measurements of step `first`; if `begin` has one run, the result has
+    it for each run of the plan. None means that the plan begins with the prior; so does the result.
     """
     if begin is None:
         return plan.window(first, last), None

@@ -51,11 +51,11 @@ class Forward:
 
     `predicted_mean` and `predicted_cov` are those before measurements. Controls at step 0 are zero.
     `log_density` (T+1, runs) is ln p of each step's measurements given those of the steps before.
-    `closest` is the smallest share of a variance that is left given other components, or after a
-    measurement, as a `Watch` finds it; zero if none has. `far` says that a mean may be 10⁸ standard
-    deviations from zero; it is true also if that was not checked. `diffuse` has the covariances
-    before measurements along their known and their unknown directions, None unless a flat prior
-    leaves some unknown.
+    `closest` is the smallest share that is left of a component's variance, given the components
+    before it or after a measurement; zero if it was not looked for. `far` says that a mean may be
+    10⁸ standard deviations from zero; it is true also if that was not checked. `diffuse` has the
+    covariances before measurements along their known and their unknown directions, None unless a
+    flat prior leaves some unknown.
     """
 
     predicted_mean: Array
@@ -90,10 +90,13 @@ class Forward:
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """The moments of a forward sweep after measurements alone; a second sweep finds the predicted.
+    """The known beliefs of a forward sweep; a second sweep finds the predicted beliefs if asked.
 
-    Fields are as of `Forward`. `plan` is the one that was swept, and `schedule` that of the second
-    sweep.
+    `mean` (T+1, runs, n) and `cov` (T+1, runs, n, n) are the known moments, and `log_density`
+    (T+1, runs) is ln p of each step's measurements given those of the steps before. `plan` is the
+    one that was swept, and `schedule` that of the second sweep. `closest` is the smallest share
+    that is left of a component's variance, given the components before it or after a measurement.
+    `far` says that a mean may be 10⁸ standard deviations from zero, or that this was not checked.
     """
 
     plan: ChainPlan
@@ -106,7 +109,7 @@ class Filtered:
 
     @cached_property
     def whole(self) -> Forward:
-        """All beliefs, by a second sweep, which leaves its linearisations in the plan."""
+        """Known and predicted beliefs, by a second sweep, whose linearisations the plan keeps."""
         return run(self.plan, self.schedule)[0]
 
 
@@ -191,7 +194,8 @@ class _Record:
         """A context for a sweep, after which the first step whose belief is not finite is refused.
 
         If the sweep itself raises an error, an earlier step that is not finite is refused instead.
-        `refuse` raises the error; `schedule` is as there.
+        The error names the CPD or sensor to blame. `schedule` is that of the sweep, None for the
+        plan's linearisations.
         """
         retain()
         try:
@@ -204,7 +208,10 @@ class _Record:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all numbers are finite; of `cov` only the last row is tested, as NaN persists."""
+        """Whether all numbers are finite.
+
+        Of the covariances only those of the last step are tested, as NaN goes on to all later ones.
+        """
         total = self.mean.sum() + self.cov[-1].sum() + self.log_density.sum()
         return bool(np.isfinite(total + sum(part.sum() for part in self.predicted)))
 
@@ -277,10 +284,11 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
 def filtered(
     plan: ChainPlan, schedule: Filtering, room: Room | None = None
 ) -> tuple[Filtered, Status]:
-    """The beliefs after measurements alone, as `run` would find them, and the status of the pass.
+    """The known beliefs of the forward pass, without the predicted ones, and the pass's status.
 
-    The plan keeps no linearisations. `room` has the arrays for means (T+1, runs, n) and covariances
-    (T+1, runs, n, n) that are filled; None for new ones.
+    Each CPD is linearised at its incoming belief; the plan keeps no linearisations. `room` has the
+    arrays for means (T+1, runs, n) and covariances (T+1, runs, n, n) that are filled; None for new
+    ones.
     """
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
@@ -306,8 +314,9 @@ def _swept(
     Runs that machine code gives up, and plans that it cannot sweep, are swept by NumPy. `known` has
     means, covariances and log-densities, `predicted` means and covariances, or nothing if they are
     not to be kept. Without a schedule the plan's linearisations are used; with one, `keep` says
-    whether the plan stores the new linearisations. The result is the record of all runs: residuals,
-    convergence, `closest` and `far`.
+    whether the plan stores the new linearisations. The result tells how the sweep went: residuals
+    and convergence of its iterations by run, the smallest share that is left of a variance given
+    other components or after a measurement, and whether a mean may be far from zero.
     """
     rest = known, predicted
     found = compiled.forward(plan, schedule, *rest, keep=keep)
@@ -344,10 +353,13 @@ def _stepwise(
     *,
     keep: bool,
 ) -> Swept:
-    """`_swept` by NumPy.
+    """Sweep by NumPy, not by machine code, into the arrays `known` and `predicted`.
 
-    All runs are swept together, or, if `predicted` is empty, in parts of at most `MOST` runs, whose
-    arrays stay in the processor's cache.
+    `known` has means, covariances and log-densities, `predicted` means and covariances. All runs
+    are swept together, or, if `predicted` is empty, in parts of at most `MOST` runs, whose arrays
+    stay in the processor's cache. Without a schedule the plan's linearisations are used; with one,
+    `keep` says whether the plan stores the new ones. The result tells how the sweep went: residuals
+    and convergence of its iterations by run, and the smallest share of a variance that was left.
     """
     parts, closest, converged = 1, 0.0 if predicted else 1.0, np.ones(plan.runs, dtype=bool)
     if not predicted:
@@ -366,10 +378,11 @@ def _stepwise(
 
 
 def _joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
-    """Residuals of all runs, an array (`count`,) for each iteration, with those of `runs` put in.
+    """The residuals `record` of all `count` runs, with those of the runs `runs` put in, `part`.
 
-    `record` has an array (`count`,) an iteration, `part` one of the runs `runs` alone. The shorter
-    of the two lists repeats its last array, or zeros if it has none.
+    Both lists have an array for each iteration, of the length `count` or that of `runs`; so has the
+    result, (`count`,) each. The shorter list repeats its last array; an empty `record` counts as
+    zeros, and an empty `part` changes nothing.
     """
     longest = max(len(record), len(part))
     found = [each.copy() for each in record + (record[-1:] or [np.zeros(count)]) * longest]

@@ -10,7 +10,8 @@ nothing is known yet, given a flat prior, are not judged, and are no degrees of 
 `diffuse`.
 
 The gates that a user has `Asked` for are one probability for all sensors, or a mapping from gated
-sensors' variables to theirs.
+sensors' variables to theirs. Arrays of a step have the runs last: `batch` is () for one run, and
+(runs,) for several.
 """
 
 from __future__ import annotations
@@ -50,10 +51,11 @@ def require_sensors(model: DynamicBayesianNetwork, gate: object) -> None:
 
 
 def prepare(plan: ChainPlan, gate: Asked | None) -> None:
-    """Give each sensor that has a gate a `GateRecord`, and a mask `taken` that gates write to.
+    """Give each sensor that has a gate an empty record of decisions, and a mask to be written to.
 
-    Sensors that have a record keep it; None for `gate` does nothing. A gate for a variable that is
-    no sensor is refused with an EvidenceError.
+    The mask, `taken`, marks the measured components that are not rejected. Sensors that have a
+    record keep it; None for `gate` does nothing. A gate for a variable that is no sensor is refused
+    with an EvidenceError.
     """
     if gate is None:
         return
@@ -102,10 +104,12 @@ def _decided(
     cov: Array,
     diffuse: Diffuse | None,
 ) -> Measured:
-    """Gate the sightings of one sensor at a step, as `decide` does; `gate` is the probability.
+    """Gate the sightings of one sensor at a step; `gate` is the probability.
 
-    Returns the linearisation `seen` with rejected sightings masked out. The squares νᵀS⁻¹ν
-    (sightings, *batch) are recorded, NaN where nothing was measured.
+    Returns the linearisation `seen` with rejected sightings masked out. The belief has the mean
+    (n, *batch) and the covariance (n, n, *batch), or `diffuse`, runs first, where a flat prior
+    leaves a direction unknown. Rejections and squares νᵀS⁻¹ν, (sightings, *batch), are recorded;
+    a square is NaN where nothing was measured.
     """
     one_run = mean.ndim == 1 and diffuse is None
     if one_run and seen.taken is None and len(seen.value) == part.sensor.height:

@@ -25,9 +25,9 @@ from pgm.variables import Variable
 class Innovated(ABC):
     """Base of results that hold a forward pass; its properties are computed when asked for.
 
-    `_planned` is the plan as it stands, whose linearisations may not all be kept. `associations`
-    are, by the sensor's variable, the decisions about sightings (single measurements of a sensor)
-    of unknown identity, such as of which landmark of a map.
+    `_planned` is the plan of the pass, in which the pass may have left no linearisations.
+    `associations` are, by the sensor's variable, the decisions about sightings (single measurements
+    of a sensor) of unknown identity, such as of which landmark of a map.
     """
 
     _planned: ChainPlan
@@ -41,7 +41,10 @@ class Innovated(ABC):
     @property
     @abstractmethod
     def _plan(self) -> ChainPlan:
-        """The plan `_planned`, with the linearisations of the forward pass."""
+        """The plan `_planned` with the linearisations of the forward pass.
+
+        If that pass left none in it, it is made again first.
+        """
 
     @cached_property
     @quiet()
