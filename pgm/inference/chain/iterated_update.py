@@ -5,12 +5,13 @@ measurement by a sensor, of which a step may have several. The predicted belief 
 is conditioned on the sightings of its step, z = h(x) + noise. `iterate` linearises h at a point (a
 `Point`, whose mean is (1, runs, n)), solves the linear problem, and goes on at the solution. In a
 sweep arrays have their components first and the runs last, (n, *batch), `batch` being () for one
-run and (runs,) for several.
+run and (runs,) for several. A *plan* has the CPDs with their evidence, and stores how they were
+linearised. The *branch* of a measured angle is its value among those that differ by whole turns.
 
 A sighting with robust noise counts as a Gaussian of covariance R / w, R being the noise covariance
 and w the sighting's weight. Its *surplus* is the robust log-density less that of this Gaussian. An
-*anchor* is a further measurement of all components, no evidence, by which a step control
-(Levenberg–Marquardt) holds a tried solution near a point.
+*anchor* is an artificial measurement of all components, by which a step control
+(Levenberg–Marquardt) holds a tried solution near a point; it does not count as evidence.
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ U = TypeVar("U", bound=Solution)
 class IteratedUpdate(Generic[U]):
     """The belief at a step after its last linearisation, and how the iteration went.
 
-    `mean` (runs, n) is that of `solution`, or the one that a step control kept. `residuals` has for
+    `solution` is the belief found with the last linearisation, with the measurements' log-density.
+    `mean` (runs, n) is its mean, or the one that a step control kept instead. `residuals` has for
     each relinearisation the largest distance of a mean from where it was linearised, in standard
     deviations, (runs,). `converged` (runs,) marks runs that settled, or had nothing to iterate.
     """
@@ -81,7 +83,8 @@ class UpdateProblem(ABC, Generic[U]):
     """The update of a predicted belief with the measurements of its step, for `iterate`.
 
     `parts` has the step's sightings, one `Reading` for each sensor that has any; `step` is the
-    step's number for errors; `mean` (n, *batch) and `cov` (n, n, *batch) are the predicted moments.
+    step's number, which errors name; `mean` (n, *batch) and `cov` (n, n, *batch) are the predicted
+    moments. A solution, of type `U`, is a belief with the measurements' log-density.
     """
 
     def __init__(self, parts: Sequence[Reading], step: int, mean: Array, cov: Array) -> None:
@@ -248,7 +251,10 @@ class MomentUpdate(UpdateProblem[Updated]):
 
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """A sweep's array (..., *batch), with `own` axes of components, as a point's (1, runs, ...)."""
+    """An array of a sweep, (..., *batch), as a `Point` has it, (1, runs, ...).
+
+    `own` is the number of axes before those of the batch.
+    """
     if array.ndim == own:
         return array[None, None]
     return components_last(array, own)[None]

@@ -10,11 +10,14 @@ by Σ ln w + ln N(ν; 0, S).
 The search conditions the belief on each pairing before it goes on to the next sighting, so that
 squares νᵀS⁻¹ν and log-densities add up over the pairings. A branch of the search is abandoned if it
 cannot reach as many pairings as the best hypothesis so far, or as many but no likelier ones, or if
-its square is beyond any gate ahead (Neira & Tardós, 2001).
+its square would be beyond the gate even with the components of all further sightings (Neira &
+Tardós, 2001). The search of a run looks at no more than `NODES`, 20,000, whole or partial
+hypotheses.
 
 P is the predicted covariance of the slice, the n components of all hidden variables of the step;
 H is the slope of a linearised sensor over the slice, and R the covariance of its noise; w is the
-prior probability of a candidate. A gate is given by the probability of its χ² quantile.
+prior probability of a candidate. A gate is given by the probability of its χ² quantile. Candidates
+are numbered from 0, and `NOTHING`, −1, stands in place of one where a sighting is paired with none.
 """
 
 from __future__ import annotations
@@ -50,14 +53,17 @@ class Pairs(NamedTuple):
 
 
 class TooManyError(Exception):
-    """Raised when a run's search has looked at `NODES` hypotheses; the argument is the run."""
+    """Raised when the search of a run is not done after `NODES` hypotheses.
+
+    The argument is the number of the run.
+    """
 
 
 def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
-    """The number of each sighting's candidate in the best hypothesis, (k, runs), or `NOTHING`.
+    """The best hypothesis of each run: the number of each sighting's candidate, (k, runs).
 
-    `cov` is P (runs, n, n), `gate` a probability. Raises TooManyError for a run with more than
-    `NODES` hypotheses to look at.
+    It is `NOTHING` for a sighting that is paired with none. `cov` is P (runs, n, n), `gate` a
+    probability. Raises TooManyError for a run with more than `NODES` hypotheses to look at.
     """
     every = int(pairs.size.sum(axis=0).max(initial=0))
     limits = np.concatenate([[0.0], mahalanobis.square_within(gate, np.arange(1, every + 1))])
@@ -123,13 +129,14 @@ def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Arr
 
 
 class _Search:
-    """The search for the best hypothesis of one run, by branch and bound; `best` (k,) is it.
+    """The search for the best hypothesis of one run, by branch and bound.
 
-    `pairs` are those of all runs, `run` is the number of this one, and `cov` its P (n, n);
-    limits[j] is the χ² quantile of j degrees of freedom. Depth i of the search decides about
-    sighting order[i]: choices[i] are its compatible candidates; ahead[i] counts the components of
-    the sightings from depth i on, and most[i] bounds the score Σ ln w + ln N(ν; 0, S) that these
-    sightings can still add. `found` has the number of pairings in `best`, and its score.
+    `best` (k,) has the result: each sighting's candidate, or `NOTHING`; `found` has the number of
+    its pairings and its score, Σ ln w + ln N(ν; 0, S). `pairs` are those of all runs, `run` is the
+    number of this one, and `cov` its P (n, n); limits[j] is the χ² quantile of j degrees of
+    freedom. Depth i of the search decides about sighting order[i]: choices[i] are its compatible
+    candidates; ahead[i] counts the components of the sightings from depth i on, and most[i] bounds
+    the score that these sightings can still add.
     """
 
     def __init__(self, pairs: Pairs, cov: Array, limits: Array, run: int) -> None:

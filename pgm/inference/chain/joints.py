@@ -25,15 +25,16 @@ def joint_moments(
 ) -> tuple[Array, Array]:
     r"""Mean (runs, n) and covariance (runs, n, n) of variables at steps, in the order given.
 
-    `variables` are hidden ones, each with a step, no two the same (`require_at_steps`); n counts
-    their components. `reverse` has the reversed transitions. `beliefs` are the slices' moments
-    given all measurements, or after a filter those up to their step; only the belief at the latest
-    step wanted is read. With the gain A_t of the slice x_t given x_{t+1}, the covariance of the
-    slice at s with those of all later steps is that of its successor, moved back once:
+    `variables` are hidden ones, each with a step, no two the same; n counts their components.
+    `reverse` has the reversed transitions. `beliefs` are the slices' moments given all
+    measurements, or after a filter those up to their step; only the belief at the latest step
+    wanted is read. With the gain A_t of the slice x_t given x_{t+1}, the covariance of the slice at
+    s with those of all later steps is that of its successor, moved back once:
 
-        cov(x_s, x_t) = A_s cov(x_{s+1}, x_t),    t > s,
+        cov(x_s, x_t) = A_s cov(x_{s+1}, x_t),    t > s.
 
-    so that going back once, from the latest step wanted, gives all rows, each in one product.
+    One pass back from the latest step wanted finds the covariances of each variable with all later
+    ones in this way, by one product a step.
     """
     steps = [variable.step for variable in variables if variable.step is not None]
     order = sorted(range(len(variables)), key=steps.__getitem__)

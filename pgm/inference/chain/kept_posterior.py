@@ -29,8 +29,8 @@ from pgm.variables import Variable
 class KeptPosterior(Posterior):
     """A posterior of which only the marginals of some hidden variables, at all steps, are kept.
 
-    `filter`, `smooth` and `infer` return it with ``keep=[x]``. As of a `ChainPosterior`,
-    ``posterior[x]`` has means (..., T+1, d) of a state and (..., T, d) of a hidden control, and
+    `filter`, `smooth` and `infer` return it with ``keep=[x]``. ``posterior[x]`` has means
+    (..., T+1, d) of a state and (..., T, d) of a hidden control, of d components, and
     ``posterior[x.at(3)]`` is the marginal at one step. Leading axes are runs.
 
     Attributes
@@ -43,11 +43,12 @@ class KeptPosterior(Posterior):
     log_evidence : ndarray
         (...): the value ln p(measurements), in nats.
     log_evidence_kind : str
-        As of `ChainPosterior`: ``exact``, ``linearised`` or ``laplace``; with robust noise
-        ``bound``, ``linearised bound`` or ``unnormalised``.
+        ``exact``; ``linearised``, of the linearised model; or ``laplace``, at the fixed point of
+        Taylor relinearisation. With robust noise a lower ``bound``, a ``linearised bound``, or
+        ``unnormalised``, if a density has no finite integral.
     associations : mapping of Variable to Associations
-        By sensor: which candidate each measurement was taken to be of, if the evidence left that
-        open, by `unknown`.
+        By sensor: the candidate, such as a landmark, that each measurement was taken to be of,
+        where the evidence left that open, by `unknown`.
 
     Raises
     ------
@@ -105,7 +106,7 @@ class KeptPosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`, as of `ChainPosterior`: exact, linearised, laplace, ..."""
+        """The kind of `log_evidence`, one of those that the class lists, such as ``exact``."""
         return self._log_evidence_kind
 
     @property
@@ -115,7 +116,7 @@ class KeptPosterior(Posterior):
 
     @property
     def filtered(self) -> Marginals:
-        """The forward pass is not kept: raises EvidenceError, with advice how to get it."""
+        """The forward pass is not kept: raises an EvidenceError that says how to filter."""
         here = self.kind == FILTERED
         what = "are posterior[x] here" if here else "are kept by pgm.filter(..., keep=[x])"
         raise EvidenceError(f"{self._missing('the forward pass')}; filtered marginals {what}")

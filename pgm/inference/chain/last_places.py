@@ -55,14 +55,15 @@ def error(
     ----------
     plan : ChainPlan
     swept : Forward or Filtered
-        The forward pass; one that is `Filtered` is made again, whole, where more of it is needed.
+        The forward pass. A `Filtered` one, which lacks the predicted moments, is made again where
+        these are needed.
     smoothed : Beliefs or None
         The means and covariances of a smoother; None of a filter.
     careful : bool
         Whether the passes were made in twice the digits, and their means rounded at the end.
     measured : bool
-        Whether the status has digits already, so that there is always an answer; else it is None
-        where no ½ u(m)/σ exceeds 10⁻⁶.
+        Whether the status counts digits already, for another reason. The result is then always an
+        array; else it is None where no ½ u(m)/σ exceeds 10⁻⁶.
     """
     every = [] if smoothed is None else [(smoothed.mean, smoothed.cov)]
     if measured or swept.far:
@@ -135,7 +136,10 @@ def of_beliefs(mean: Array, cov: Array, largest: Array) -> Array:
 
 
 def _old(plan: ChainPlan, ahead: Forward) -> Array:
-    """The largest share max 1 − Q/P⁻_t of predicted variances that is not new noise, (T, runs)."""
+    """The largest share of a predicted variance that is not new noise, max 1 − Q/P⁻_t, (T, runs).
+
+    `ahead` is the forward pass of the plan, of T steps.
+    """
     front, spread = plan.layout.state_size, variances(ahead.predicted_cov)[1:]
     new = np.zeros(spread.shape)
     for link in plan.transition if plan.steps else ():
@@ -144,9 +148,10 @@ def _old(plan: ChainPlan, ahead: Forward) -> Array:
 
 
 def _back(ahead: Forward, smoothed: Beliefs, widest: Array) -> Array:
-    """The largest √ν_t of a smoother's pass back in float64, (runs,).
+    """The largest √ν_t of all steps of a smoother's pass back in float64, with ρ′_t, (runs,).
 
-    `widest` (runs, n) are the largest variances that the components had.
+    `ahead` is the forward pass, `smoothed` the smoother's beliefs, and `widest` (runs, n) are the
+    largest variances that the components had.
     """
     after = variances(smoothed.cov)
     stays = ratio(variances(ahead.cov)[:-1], variances(ahead.predicted_cov)[1:]) ** 2

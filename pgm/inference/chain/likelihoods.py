@@ -99,13 +99,14 @@ class Readings:
         return Likelihood(added, h)
 
     def log_density(self, known: Array, predicted: Moments) -> Array:
-        """The log-density of each step's measurements given earlier ones, less `Known.evidence`.
+        """The part of each step's log-density that is not in the `evidence` that `know` finds.
 
-        It adds up, to (T+1, runs), ln N(z − h(x⁺); 0, R) of whitened measurements at the means x⁺
-        given the measurements up to their step, the surplus of robust ones, and the log-density of
-        each of the `stacks` under the predictions. `known` (T+1, runs, n) are the x⁺ and
-        `predicted` the moments before a step's measurements, both counted from the reference. The
-        plan has to be linearised as it was when these readings were made.
+        The sum of both is ln p of the step's measurements given earlier ones. This part adds up, to
+        (T+1, runs), ln N(z − h(x⁺); 0, R) of whitened measurements at the means x⁺ given the
+        measurements up to their step, the surplus of robust ones, and the log-density of each of
+        the `stacks` under the predictions. `known` (T+1, runs, n) are the x⁺ and `predicted` the
+        moments before a step's measurements, both counted from the reference. The plan has to be
+        linearised as it was when these readings were made.
         """
         total = np.zeros(known.shape[:2])
         for each in self._whitened:
@@ -196,7 +197,8 @@ class Whitened:
         def said(rows: slice, counts: Integers) -> tuple[Array, Array]:
             """HᵀR⁻¹H and HᵀR⁻¹ν of each step, summed over its measurements: (steps, runs, ...).
 
-            ν = z − h(reference); for `rows` and `counts` see `_by_step`.
+            `rows` are the measurements of some consecutive steps, and `counts` (steps,) tells how
+            many each of these has; ν is z less its expected value at the reference.
             """
             matrix = self.sensor.family.matrix[rows]
             if self.sensor.taken is not None:
@@ -223,7 +225,11 @@ class Whitened:
         taken = self.sensor.taken
 
         def density(rows: slice, counts: Integers) -> tuple[Array]:
-            """Σ ln N(z − h(x); 0, R) of each step, (steps, runs)."""
+            """Σ ln N(z − h(x); 0, R) of each step, (steps, runs), x being the slice's mean.
+
+            `rows` are the measurements of some consecutive steps, and `counts` (steps,) tells how
+            many each of these has.
+            """
             left = self._residual(rows, mean)
             scale = self.scale if len(self.scale) == 1 else self.scale[rows]
             if taken is not None:
@@ -256,7 +262,10 @@ def _surplus(sensor: Sensor) -> Array:
 
 
 def shortened(array: Array) -> Array:
-    """An array (steps, runs, ...), with either axis cut to length one where it is broadcast."""
+    """An array (steps, runs, ...), each of these two axes cut to length one if it is broadcast.
+
+    Such an axis repeats the same numbers in memory, with a stride of zero.
+    """
     for axis in (0, 1):
         if array.strides[axis] == 0 and array.shape[axis] > 1:
             array = array.take([0], axis=axis)

@@ -1,6 +1,7 @@
 """Marginals of the hidden variables of a chain over all steps, cut out of the beliefs over slices.
 
-A slice is the vector of all hidden variables of a step.
+A slice is the vector of all hidden variables of a step; a chain has the steps 0..T. The template of
+a variable ``x.at(3)`` is ``x``.
 """
 
 from __future__ import annotations
@@ -26,6 +27,9 @@ from pgm.variables import Variable
 @dataclass(frozen=True, eq=False, repr=False)
 class Marginals(Shown, NoArray):
     """The marginals of hidden variables over all steps, by variable.
+
+    They are cut out of `beliefs`, the moments of all slices, in which the variables stand as
+    `layout` says. Runs are one axis there, and the user's axes `lead` in the marginals.
 
     Attributes
     ----------

@@ -4,7 +4,10 @@ Messages are for users who ask for them: marginals and joints come from the reve
 canonical form (K, h, g) is exp(−½ xᵀK x + hᵀx + g); K is (..., n, n), h (..., n) and g (...).
 *About* the filtered means it is a function of the deviation of x from its filtered mean. A *slice*
 is the vector of all hidden variables of a step, states and controls. Cluster 0 is over the states
-at step 0, cluster t over the states at t − 1 and the slice at t; T is the last step.
+at step 0, cluster t over the states at t − 1 and the slice at t; T is the last step. An *element*
+describes a segment of consecutive steps: the conditional of the states at its end given those at
+its start and its measurements, with the likelihood of these measurements over the states at its
+start.
 """
 
 from __future__ import annotations
@@ -89,7 +92,10 @@ class _Message(NamedTuple):
 
 
 def _passed(message: _Message, segment: Element) -> _Message:
-    """The message at the first step of a segment, carried back from that at its last step."""
+    """The message at the start of a segment, from `message`, that at its end.
+
+    `segment` is the element of the segment, whose measurements the result includes.
+    """
     K, h, g = canonical.backward(*segment[:3], *message)
     assert segment.g is not None
     return _Message(K + segment.K, h + segment.h, g + segment.g)
@@ -98,8 +104,8 @@ def _passed(message: _Message, segment: Element) -> _Message:
 def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
     """The elements p(x[t], z[t] | x[t − 1]) of steps 1..T about the filtered means, (T, runs, ...).
 
-    x are the states and z a step's measurements. The factors p(x[t] | x[t − 1], z[t]) and
-    p(z[t] | x[t − 1]) are those of `absorbed`, here in batched calls.
+    x are the states and z a step's measurements. An element consists of the factors
+    p(x[t] | x[t − 1], z[t]) and p(z[t] | x[t − 1]), found here for all steps in batched calls.
     """
     layout = plan.layout
     select = np.eye(layout.slice_size)[layout.state_places]
@@ -128,9 +134,9 @@ def absorbed(
 ) -> tuple[Conditional, Canonical | None]:
     """p(x[t] | x[t − 1], z[t]) and the likelihood p(z[t] | x[t − 1]) of a step t, `later`.
 
-    x are the states, z the measurements; `conditionals` are those of `backward.transition`, for all
-    steps. Both results are about the filtered means, and have (runs, ...) arrays; the likelihood is
-    None without measurements.
+    x are the states, z the measurements. Row t − 1 of `conditionals` (T, runs, ...) is the slice at
+    t given the states at t − 1. Both results are about the filtered means, and have (runs, ...)
+    arrays; the likelihood is None without measurements.
     """
     layout = plan.layout
     select = np.eye(layout.slice_size)[layout.state_places]

@@ -1,12 +1,16 @@
 """The forward pass of a chain in moment form: predict a slice, and condition it on measurements.
 
 A *slice* is the vector of all hidden variables of a step, states and controls, of n components; a
-*pair* is the vector of the states of the step before, then the slice. The transition's CPDs write
-their children into the pair one after another. Arrays have their components first and the runs
-last: a belief over a slice has the moments (n, *batch) and (n, n, *batch), with `batch` () for one
-run and (runs,) for several. A *sighting* is one measurement by a sensor, of which a step may have
-several. Angles live on one unwrapped chart: where a function wraps an angle, it is moved by whole
-turns to within half a turn of the same angle a step before.
+*pair* is the vector of the states of the step before, then the slice. The steps are 0..T. The
+transition's CPDs write their children into the pair one after another. A *link* is a CPD with the
+places of its parents and its child in a vector, the states for the prior and the pair for the
+transition. Arrays have their components first and the runs last: a belief over a slice has the
+moments (n, *batch) and (n, n, *batch), with `batch` () for one run and (runs,) for several. A
+*sighting* is one measurement by a sensor, of which a step may have several.
+
+Angles live on one unwrapped chart: where a function wraps an angle, it is moved by whole turns to
+within half a turn of the same angle a step before. The latter stands in the pair at one of the
+places `link.before`, if the child has angles that depend on themselves a step before.
 """
 
 from __future__ import annotations
@@ -36,9 +40,10 @@ class MomentChain:
     With a `schedule` each CPD is linearised at its incoming belief, and the sensors of a step again
     as the schedule says; new linearisations are stored in the plan if `keep` is set. The schedule's
     gate leaves out measurements too far from their prediction. Without a schedule the
-    linearisations stored in the plan are used, and `gated` gives the gates, None for none. An
-    `anchor` is a further measurement of all components at each step, no evidence, which holds
-    beliefs near a point. `room(step)` gives the mean and the covariance that the update of a step
+    linearisations stored in the plan are used, and `gated` has the probabilities of gates: one for
+    all sensors, a mapping from sensors to theirs, or None for no gates. An `anchor` is an
+    artificial measurement of all components at each step, which holds beliefs near a point and does
+    not count as evidence. `room(step)` gives the mean and the covariance that the update of a step
     may write into. `check` linearises once at each step, and refuses what is not finite:
     linearisations with LinearisationError, predictions with NumericalError. `residuals` has for
     each relinearisation of a step's sensors the largest distance, over all steps, of a mean from
@@ -129,8 +134,8 @@ class MomentChain:
     def predicted(self, ats: Sequence[At], step: int, belief: Moments) -> Moments:
         """Moments of the slice at a step, predicted by the transition from the slice before.
 
-        `ats` are the transition's CPDs with their evidence, as of `motion`; `step` is the step's
-        number in errors, and `belief` has the moments of the slice before.
+        `ats` are the transition's CPDs with their evidence, as `motion` returns them; `step` is the
+        number that errors name, and `belief` has the moments of the slice before.
         """
         layout, (mean, cov, _) = self.plan.layout, belief
         if self.states is not None:
@@ -156,8 +161,8 @@ class MomentChain:
     ) -> tuple[Moments, Array | float]:
         """The belief given some measurements of its step, and their log-density (*batch).
 
-        `parts` are the sightings by sensor, as of `readings`; `step` is the step's number in
-        errors, plan.first + t, and `belief` the predicted one.
+        `parts` are the sightings by sensor, as `readings` returns them; `step` is the number that
+        errors name, that of the plan's first step plus t, and `belief` the predicted one.
         """
         mean, cov, _ = belief
         schedule = self.schedule
@@ -220,19 +225,20 @@ class MomentChain:
         return Moments(shown, last.known.cov, False), last.log_density
 
     def _at(self, link: Link, row: int) -> At:
-        """A CPD with the evidence of a row of its family, to be linearised if there is a schedule.
+        """A CPD with the evidence of a step: `row` is t − 1 of the transition to t, 0 of the prior.
 
-        Without one it has its stored linearisation.
+        With a schedule it is yet to be linearised, else it has its stored linearisation.
         """
         if self.linearises:
             return link.family.at(row, row + 1)
         return link.family.stored_at(row, row + 1)
 
     def _extend(self, link: Link, at: At, step: int, mean: Array, cov: Array) -> None:
-        """Write a CPD's child into the joint moments that its parents stand in, in place.
+        """Write a CPD's child into the joint moments of what stands before it, in place.
 
-        `mean` and `cov` are of the vector that `link` has its places in: the states for the prior,
-        the pair for the transition. `step` is its number in errors.
+        `mean` and `cov` are the moments of the vector in which `link` has its places. The parents'
+        are there already; the child's mean, covariance, and covariances with all other components
+        are added. `step` is the number that errors name.
         """
         parents = mean[link.parents]
         matrix, value, noise, bare = self._linearised(
@@ -250,8 +256,8 @@ class MomentChain:
 
         Returns F (d, m, *batch), the child's mean F μ + b (d, *batch), the covariance of n with the
         approximation error (d, d, *batch), and the components without noise. `before` is the vector
-        in which the places `link.before` stand: angles that a function wraps are moved to within
-        half a turn of those there.
+        with the states of the step before: an angle that the function wraps is moved to within half
+        a turn of its value there.
         """
         family, bare = link.family, link.family.bare
         line = family.line(at, mean, cov)
@@ -277,7 +283,8 @@ class MomentChain:
 def turns_far(link: Link, before: Array, value: Array) -> bool:
     """Whether some angle of a child is more than half a turn from where it was a step before.
 
-    `value` (d, *batch) is the child's, `before` the vector with the places `link.before`.
+    `value` (d, *batch) is the child's. `before` is the pair, or the states of the step before
+    alone: at the places `link.before` it has the same angles a step before.
     """
     if value.ndim == 1:
         for new, old in link.turning:
@@ -292,10 +299,10 @@ def turns_far(link: Link, before: Array, value: Array) -> bool:
 def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
     """The value (d, *batch) of a CPD without the whole turns by which its function wraps angles.
 
-    `before` is the vector with the places `link.before`, where the same angles stand as they were a
-    step before. The function wraps an angle if the angle's value stays the same when all angles at
-    `link.before` are moved by a whole turn. A wrapped angle is moved to within half a turn of
-    itself a step before; others stay.
+    `before` is the pair, or the states of the step before alone: at the places `link.before` it has
+    the same angles a step before. The function wraps an angle if the angle's value stays the same
+    when all angles at these places are moved by a whole turn. A wrapped angle is moved to within
+    half a turn of itself a step before; others stay.
     """
     assert at.function is not None
     turned = value[link.angles] - before[link.before]

@@ -31,8 +31,8 @@ class Means:
 
     That is one over the diagonal of the information matrix, at most the marginal variance. Where
     machine code or a smoother has found the means, it is the marginal variance. `readings` are the
-    measurements about the reference, None of machine code. `pair` counts the components of a pair:
-    the states of the step before, and the slice.
+    measurements about the reference, None if machine code has found the means. `pair` is the number
+    of components of a pair: of the states of the step before, and of the slice.
     """
 
     means: Array

@@ -5,10 +5,11 @@ A *slice* is the vector of all hidden variables of a step, of n components. Each
 at the slice before (`kernels.elements`). Elements of neighbours compose to the element of a longer
 segment; the belief at step 0, pushed through the segment up to step t, is the prediction at t.
 Slices are counted from a *reference*, a trajectory (T+1, runs, n) near the beliefs, for T steps, so
-that large coordinates cost no digits. An *anchor* is a further measurement of all components at
+that large coordinates cost no digits. An *anchor* is an artificial measurement of all components at
 each step, by which a step control holds the solution near a point. *Stacks* are the measurements of
-singular or correlated noise (`vector`). Where composing segments would lose digits the pass is made
-step by step, by `forward`.
+singular or correlated noise (`vector`). The *branch* of a measured angle is its value among those
+that differ by whole turns. Where composing segments would lose digits the pass is made step by
+step, by `forward`.
 """
 
 from __future__ import annotations
@@ -57,9 +58,9 @@ class Scanned:
     the reference.
 
     `agrees` says that composing segments loses no digits, in the backward pass either: each belief
-    follows from the one before it to 10⁻⁷ standard deviations, and each variance keeps at least a
-    share of 1 / `certificate.GENTLE`, given the components before it in the slice and through each
-    step's measurements.
+    follows from the one before it to 10⁻⁷ standard deviations, and more than 2.5·10⁻⁷ of each
+    variance is left, given the components before it in the slice as well as after the measurements
+    of a step, unless these leave exactly zero.
     """
 
     predicted_mean: Array
@@ -86,11 +87,11 @@ def filtered(
     anchor: Anchor | None = None,
     readings: Readings | None = None,
 ) -> Ahead:
-    """The forward pass with stored linearisations, like `forward.stored`, by a parallel scan.
+    """The forward pass with the linearisations that the plan stores, by a parallel scan.
 
     Elements are counted from the `reference` (T+1, runs, n), a trajectory near the beliefs.
     `readings` are the measurements about it; None has them made here. Where composing segments
-    would lose digits, the sequential `forward.stored` makes the pass instead. NumericalError where
+    would lose digits, the result is that of a pass made step by step. NumericalError where
     a step has no element: a covariance is indefinite or not finite, or an exact measurement is of
     what is certain already.
     """
@@ -100,12 +101,12 @@ def filtered(
 
 
 def run(plan: ChainPlan) -> Ahead:
-    """The forward pass of an affine model, as `forward.run` gives it, by scans about a reference.
+    """The forward pass of an affine model, by scans about a reference.
 
     The first reference is a guess of the means. If it is more than 10⁴ standard deviations from the
     beliefs found, or puts a measured angle on another branch than the prediction does, the scan is
     repeated about the means found. After five scans, or where composing segments would lose digits,
-    `forward.run` makes the pass, step by step.
+    the pass is made step by step instead, by `forward.run`.
     """
     moves = between_slices(plan)
     reference = _guess(plan, moves)
@@ -183,10 +184,10 @@ def _solve(
     """The forward pass by a scan, about the reference of `readings`.
 
     `moves` are the transitions between slices (T, runs, ...), `first` is the solution of step 0.
-    The beliefs before measurements are the prefixes of the elements of all steps, and those after
-    them follow by `know`. Whether they can be trusted is found by predicting each anew from the one
-    before, since rounding in sharp elements would show there, and by the certificate: see
-    `Scanned.agrees`.
+    The beliefs before measurements are the prefixes of the elements of all steps; `know` conditions
+    them on the measurements. The result's `agrees` tells whether they can be trusted: if each is
+    found again when it is predicted from the one before, where rounding in sharp elements would
+    show, and if neither measurements nor correlations leave too little of a variance.
     """
     reference = readings.reference
     near = about(moves, reference)
@@ -231,9 +232,9 @@ def _solve(
 
 
 def _read(predicted: Moments, readings: Readings) -> Moments:
-    """Condition beliefs on the measurements of their steps, from the moments before, `predicted`.
+    """The moments of beliefs after the measurements of their steps, from those before, `predicted`.
 
-    Both are about the reference of `readings`, (T+1, runs, ...).
+    The moments before and after are about the reference of `readings`, (T+1, runs, ...).
     """
     mean, cov, _ = in_chunks(
         know, Belief(*predicted, np.zeros(predicted.mean.shape[:2])), readings.likelihood
@@ -309,7 +310,8 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
     The element of step t has the `likelihood` (T+1, runs, ...) of step t − 1 and the transition to
     t, but not the likelihood of t. The `stacks`, measurements of singular or correlated noise, are
     in the element of their own step. The measurements of step 0 are left out: they are in the
-    belief from which all begins. `moves` are the transitions, as of `about`.
+    belief from which all begins. `moves` are the transitions (T, runs, ...) between slices, counted
+    from the reference.
     """
     precision = room(moves.matrix.shape[:2], moves.matrix.shape[2:])
     h = room(moves.offset.shape[:2], moves.offset.shape[2:])

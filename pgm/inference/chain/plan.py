@@ -42,7 +42,7 @@ class Link:
     For the prior that is the vector of states, for the transition the pair. `angles` are the
     components of the child that are angles, `before` the places in that vector of the same angles
     one step before; both are empty for an affine CPD, and where the child does not depend on
-    itself.
+    itself a step before.
     """
 
     family: Family
@@ -61,6 +61,8 @@ class Link:
 class ChainPlan:
     """A chain of slices with its evidence, ready to be swept.
 
+    `layout` tells where variables stand in a slice and in a pair; `prior`, `transition` and
+    `sensors` are the model's CPDs with their evidence and linearisations, parents before children.
     `steps` is T; `runs` are flattened from the user's axes `lead`. `first` is the number of the
     first step, which is not zero online and for a window; `begin` is the belief there given its
     measurements, (n, *batch) and (n, n, *batch), where that takes the prior's place, else None.
@@ -269,9 +271,10 @@ class ChainPlan:
 def _sensor(
     family: Family, place: Place, reading: Reading, layout: SliceLayout, steps: int
 ) -> Sensor:
-    """The sensor of a family with its measurements; `steps` is T.
+    """The sensor made of its family and of `reading`, its measurements as the evidence has them.
 
-    EvidenceError for a measurement at step 0 of a control, which does not exist there.
+    `place` tells where the hidden parents of its CPD stand in the slice, and `steps` is T.
+    EvidenceError for a measurement of a control at step 0, where controls do not exist.
     """
     number = int(family.step[0]) if family.step.size else 1
     for parent in family.hidden:

@@ -61,8 +61,8 @@ class ChainPosterior(Innovated, Posterior):
         By sensor, (*runs, M): the weight w of each of its M measurements, which counts as a
         Gaussian of covariance `cov` / w.
     associations : mapping of Variable to Associations
-        By sensor: which candidate each measurement was taken to be of, if the evidence left that
-        open, by `unknown`.
+        By sensor: the candidate, such as a landmark, that each measurement was taken to be of,
+        where the evidence left that open, by `unknown`.
 
     Examples
     --------
@@ -140,7 +140,8 @@ class ChainPosterior(Innovated, Posterior):
     def filtered(self) -> Marginals:
         """Marginals given the measurements up to each step: the forward pass.
 
-        For an iterated fixed lag, those of each window at its newest step.
+        A fixed-lag smoother that iterates slides a window of lag + 1 steps along the chain: then
+        they are the marginals of each window at its newest step.
         """
         beliefs = Beliefs(self._swept.mean, self._swept.cov)
         return self._marginals(beliefs if self._windows is None else self._windows.newest, FILTERED)
@@ -161,7 +162,7 @@ class ChainPosterior(Innovated, Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`: exact, linearised or laplace; of robust noise a bound."""
+        """The kind of `log_evidence`, one of those that the class lists, such as ``exact``."""
         settled = bool(self.status.converged.all())
         return evidence_kind(self._planned, fixed=settled and self.kind == SMOOTHED)
 
@@ -222,7 +223,7 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def _careful_slices(self) -> list[adjoint.Smooth] | None:
-        """All slices given all measurements, in twice the digits.
+        """The beliefs over the slices given all measurements, in twice the digits, one a step.
 
         None if the pass was in float64, or did not smooth.
         """

@@ -1,9 +1,11 @@
-"""The measurements of a step: linearised at a belief, and taken in; the batch is last.
+"""The measurements of a step: linearised at a belief, and taken in.
 
 A *slice* is the vector of all hidden variables of a step, of n components; a *sighting* is one
 measurement by a sensor, of which a step may have several. The k sightings of a sensor at a step, of
 d components each, are stacked to one vector of D = k d. Components stand first and runs last,
-(D, *batch), `batch` being () for one run. A *plan* (`ChainPlan`) stores linearisations.
+(D, *batch), `batch` being () for one run and (runs,) for several. A *plan* (`ChainPlan`) stores
+linearisations. The *branch* of an angle is its value among those that differ by whole turns. An
+*exact* sensor is one whose noise is singular.
 
 A sighting of robust noise counts as a Gaussian of covariance R / w, w being its weight. A
 *graduated* loss of such noise begins wide, and is sharpened from one weighing to the next until it
@@ -67,9 +69,10 @@ class Moments(NamedTuple):
         return cls(components_first(mean, 1), components_first(cov, 2))
 
     def held(self, anchor: Anchor, step: int) -> Moments:
-        """The belief given also an anchor's measurement of all components: its row `step`.
+        """The belief given also what an anchor measures at a step, in its row `step`.
 
-        An anchor holds beliefs near a point, for a step control.
+        An anchor is an artificial measurement of all components of the slices, by which a step
+        control holds beliefs near a point.
         """
         mean, cov = anchor.hold(step, *self.by_run)
         if self.mean.ndim == 1:
@@ -89,7 +92,7 @@ def update(
 ) -> tuple[Moments, Array | float]:
     """The belief given linearised sightings of a step, and their log-density (*batch).
 
-    `step` is the step's number in errors, and `belief` the predicted one. The moments may be
+    `step` is the number that errors name, and `belief` the predicted one. The moments may be
     written into the mean and covariance `room`; None makes new ones. Where the joint predictive
     covariance is nearly singular, as with sharp measurements of a wide belief, exact sensors are
     taken in together and the other sightings one by one, which is equal but for rounding.
@@ -125,11 +128,11 @@ def update(
 def _absorb(
     parts: Sequence[Measured], step: int, belief: Moments, least: float, room: Room | None = None
 ) -> tuple[Moments, Array | float] | None:
-    """`update` with the sightings as one vector; None if their covariance S is nearly singular.
+    """The result of `update` with all sightings taken in as one vector, or None.
 
-    S is nearly singular if a component, given those before it, has less than the share `least` of
-    its variance in S. Only with `NEARLY_SINGULAR` for `least` is None returned; with a smaller
-    `least` there is always a result.
+    None means that their predictive covariance S is nearly singular: some component, given those
+    before it, keeps less than the share `least` of its variance in S. That is returned only for a
+    `least` of `NEARLY_SINGULAR`, 10⁻⁶; with a smaller one there is always a result.
     """
     mean, cov, _ = belief
     sharp, first = None, parts[0]

@@ -1,7 +1,8 @@
 """Errors that refuse beliefs and measurements, and name the CPD and the step to blame.
 
 Components stand first and runs last, (n, *batch), `batch` being () for one run and (runs,) for
-several.
+several. `step` is the number of the step to name, and `parts` are the linearised measurements of
+that step, one part a sensor.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ _MAGNIFIED = 1e3
 
 
 def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
-    """Raise the NumericalError for an indefinite or infinite covariance of some measurements."""
+    """Raise the NumericalError for a predictive covariance of `parts`, indefinite or not finite.
+
+    It blames the first sensor that is not linearised by Taylor's rule; if there is none, the first.
+    """
     names = ", ".join(seen.sensor.variable.name for seen in parts)
     blamed = [seen.sensor for seen in parts if not seen.sensor.family.taylor]
     sensor = blamed[0] if blamed else parts[0].sensor
@@ -51,9 +55,10 @@ def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
 def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
     """Raise NumericalError if a measurement contradicts a value that an exact model determines.
 
-    `left` (D, *batch) is how far each stacked component is from the determined value, zero where
-    none is; `mean` (n, *batch) is that of the predicted slice. Rounding of the numbers summed up,
-    and of a linearisation, is allowed.
+    `left` (D, *batch) is how far each component of `parts`, D in all, is from its determined value,
+    zero where none is determined; `mean` (n, *batch) is that of the predicted slice, the vector of
+    the step's hidden variables. Rounding of the numbers summed up, and of a linearisation, is
+    allowed.
     """
     allowed, rounded = [], []
     for seen in parts:
@@ -92,8 +97,7 @@ def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
     """Raise NumericalError if a covariance (d, d, *batch) predicted by a CPD is indefinite.
 
     This is tested only for a CPD whose linearisation's error may have an indefinite covariance.
-    With `finite` a covariance that is not finite is refused, too. `step` is the step's number in
-    the error.
+    With `finite` a covariance that is not finite is refused, too.
     """
     family, whole = link.family, bool(np.isfinite(cov).all())
     proper = family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2)))

@@ -1,4 +1,4 @@
-r"""A bound of the rounding in smoothed covariances, for the certificate of digits (`certificate`).
+r"""A bound of the rounding in smoothed covariances, for the test whether float64 has digits enough.
 
 Bayes' rule reverses a transition y = A x + c + n, n ~ N(0, Q), from a slice x (the vector of all
 hidden variables of a step) to the next slice y, with the gain G = P Aᵀ P_y⁻¹, and the backward pass
@@ -12,8 +12,8 @@ measurements say nothing (P_y′ = P_y). An error δG of the gain still changes 
 the transpose. With the standard deviations σ under P, σ_Q under Q and σ_y′ under P_y′, rounding by
 ε = 2.2·10⁻¹⁶ changes P Aᵀ by ε σ aᵀ and P_y = A P Aᵀ + Q by ε a aᵀ, a = |A| σ + σ_Q, hence G by up
 to ε g aᵀ |P_y⁻¹|, g = σ + |G| a: much, where components of y hardly vary given all others, as with
-a motion whose noise has few directions. The ratios of the certificate compare a variance with that
-given the components *before* it alone, and do not show this.
+a motion whose noise has few directions. The other ratios of that test (`certificate`) compare a
+variance with that given the components *before* it alone, and do not show this.
 
 The error of P′ is bounded by E in the order of semidefinite matrices. Errors go back as covariances
 do: with the bound E_y for P_y′,
@@ -23,7 +23,7 @@ do: with the bound E_y for P_y′,
 for any τ > 0, since 2 |u v| ≤ τ u² + v²/τ. With correlations C of P_y the term that a step adds is
 at most some ε (tr C⁻¹)² of P in that order, and as G P_y Gᵀ ≤ P, it never grows in units of P: the
 sum over the later steps is a bound that costs little, and where it is enough the sweep need not be
-made.
+made. The steps are 0..T.
 """
 
 from __future__ import annotations
@@ -105,11 +105,12 @@ def _swept(
 ) -> float:
     """The largest share of a smoothed variance that the bound E comes to, by a sweep back.
 
-    It is over the runs that are `doubtful` (T, runs) at some step. The sweep begins at the last
-    doubtful step; the errors that steps after it add are bounded by the shares of P in `added`
-    (T, runs), as of `accumulated`. The result is infinity, and the sweep ends, where a share is
-    beyond `TOLD`. `moves` are the transitions between slices, and covariances are those of
-    `keeps_digits`.
+    It is infinite as soon as a share exceeds 10⁻⁷. `added` (T, runs) is the bound that costs
+    little: the rounding of all later steps, as a share of P. `doubtful` (T, runs) marks where it
+    comes to more than 10⁻⁷ of a smoothed variance; only runs with such a step are swept, from the
+    last of these steps back, beyond which E is the cheap bound. `moves` are the transitions between
+    slices. `predicted`, `known` and `smoothed` (T+1, runs, n, n) are the slices' covariances before
+    the measurements of their steps, after them, and given all.
     """
     runs, size = np.flatnonzero(doubtful.any(axis=0)), predicted.shape[-1]
     end = int(np.flatnonzero(doubtful.any(axis=1))[-1]) + 1

@@ -1,8 +1,10 @@
 """Weighing all measurements of robust noise at once; weights as results show them.
 
 A *sighting* is one measurement by a sensor, of which a step may have several; those of a sensor
-have M rows, sorted by step. A sighting with robust noise counts as a Gaussian of covariance R / w,
-w being its weight. Its surplus is the robust log-density less that of this Gaussian.
+have M rows, sorted by step, and d components each. The steps are 0..T; a *slice* is the vector of
+all hidden variables of a step, of n components. A sighting with robust noise counts as a Gaussian
+of covariance R / w, w being its weight. Its *surplus* is the robust log-density less that of this
+Gaussian.
 """
 
 from __future__ import annotations
@@ -42,11 +44,12 @@ def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:
 def squares(
     sensor: Sensor, mean: Array, cov: Array, first: int, error: Array | None = None
 ) -> Array:
-    """The squares νᵀR⁻¹ν of a sensor's residuals by its linearisation, (M, runs).
+    """The squares νᵀR⁻¹ν of a sensor's residuals ν by its linearisation, (M, runs).
 
-    With a rule that takes expectations they are expected under the beliefs, and Ω, `error` (M,
-    runs, d, d), is the covariance of its approximation error, None for zero. `mean` (T+1, runs, n)
-    and `cov` (T+1, runs, n, n) are the beliefs over the slices, the first of them at step `first`.
+    `mean` (T+1, runs, n) and `cov` (T+1, runs, n, n) are the beliefs over the slices, the first of
+    them at step `first`. By Taylor's rule ν is the residual of the means; with a lineariser that
+    takes expectations the squares are expected under the beliefs, and `error` (M, runs, d, d) is
+    the covariance of its approximation error, None for zero.
     """
     family, parents, places = sensor.family, sensor.parents, sensor.family.step - first
     residual = sensor.moved - family.value(slice(None), gather(mean, places)[..., parents])
@@ -121,9 +124,12 @@ class Weights(EachSensor[Array]):
 
 
 def evidence_kind(plan: ChainPlan, *, fixed: bool) -> str:
-    """The kind of a log-evidence, as `ChainPosterior` explains: exact, linearised, laplace, ...
+    """The kind of a log-evidence in words.
 
-    `fixed` says that the plan is linearised at a fixed point of a smoother.
+    With Gaussian noise it is ``exact`` if all CPDs are affine; ``laplace`` if all are linearised by
+    Taylor's rule, and `fixed` says that this was at a fixed point of a smoother; else
+    ``linearised``. With robust noise it is ``unnormalised`` if a density has no finite integral;
+    else ``bound``, a lower one, if all CPDs are affine, and ``linearised bound`` if not.
     """
     affine = all(family.exact for family in plan.families)
     if not plan.robust:

@@ -1,9 +1,9 @@
 """Running a schedule on a chain of slices, in float64 and in twice the digits.
 
-A *slice* is the vector of all hidden variables of a step, of n components. A pass along the chain
-is done in float64 first. Where it fails, or the `certificate` finds that rounding has left too few
-digits, it is done again in pairs of float64, which have twice the digits. A *balanced tree*
-(`pgm.Balanced`) solves for all steps at once, by scans.
+A *slice* is the vector of all hidden variables of a step, of n components; the steps are 0..T. A
+pass along the chain is done in float64 first. Where it fails, or the `certificate` finds that
+rounding has left too few digits, it is done again in pairs of float64, which have twice the digits.
+A *balanced tree* (`pgm.Balanced`) solves for all steps at once, by scans.
 """
 
 from __future__ import annotations
@@ -56,8 +56,9 @@ from pgm.tracing import Judge, judged
 class Solver(ABC):
     """A solver of chains by one kind of schedule.
 
-    `starts` says whether a user may give means at which everything is linearised first. Making a
-    solver for a balanced tree with a schedule that has a gate raises GraphError.
+    `starts` says whether a user may give means at which everything is linearised first. A solver is
+    made for a graph and a schedule; if the graph is a balanced tree, and the schedule has a gate
+    that rejects measurements, that raises GraphError.
     """
 
     starts: ClassVar[bool] = False
@@ -75,8 +76,9 @@ class Solver(ABC):
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
         """The posterior computed in float64.
 
-        `start` (T+1, runs, n) are means of the slices for the first linearisation, or None; `room`,
-        or None, are two arrays (T+1, runs, ...) in which a filter may leave means and covariances.
+        `start` (T+1, runs, n) are means of the slices for the first linearisation, or None. `room`
+        is a pair of arrays (T+1, runs, ...) in which a filter may leave means and covariances; with
+        None it makes its own.
         """
 
     @abstractmethod
@@ -101,6 +103,9 @@ class Solver(ABC):
     ) -> ChainPosterior:
         """The posterior made of these results, its status completed.
 
+        `kind` tells which measurements its beliefs know, and `swept` is the forward pass. After
+        smoothing `smoothed` are the beliefs, `reverse` is the reversed chain, if it has been made,
+        and `windows` are the results of sliding windows; `careful` is the pass in twice the digits.
         The status gets the digits that rounding leaves, and whether machine code made the sweeps.
         `error` (runs,) is the rounding error of means, in standard deviations, which costs digits;
         None where it is not measured.
@@ -156,8 +161,8 @@ class LagSolver(Solver):
     """The solver for fixed-lag smoothing: backward messages over a lag.
 
     Where CPDs are linearised again, a window, the last lag + 1 steps, slides along the chain, and
-    each window is solved in float64 or in pairs of float64, as its digits need. Making a solver for
-    a balanced tree raises GraphError.
+    each window is solved in float64 or in pairs of float64, as its digits need. To make this solver
+    for a balanced tree raises GraphError.
     """
 
     def __init__(self, graph: DynamicGraph, schedule: FixedLag) -> None:
@@ -173,7 +178,10 @@ class LagSolver(Solver):
         return self._lagged(plan, fixed_lag.smooth)
 
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        """The posterior in pairs of float64; sliding windows choose this for themselves."""
+        """The posterior in pairs of float64, except where windows slide.
+
+        Each window then chooses float64 or pairs for itself.
+        """
         return self._lagged(plan, fixed_lag.carefully)
 
     def _lagged(
@@ -266,7 +274,8 @@ def run(
     """The posterior of a chain given its evidence, by a schedule, smoothing if that is None.
 
     `start` maps hidden variables to means for the first linearisation; an EvidenceError refuses it
-    unless the schedule smooths all at once. `room` is as of `Solver.solve`. A fixed lag of 0 is a
+    unless the schedule smooths all at once. `room` is a pair of arrays (T+1, runs, ...) in which a
+    filter may leave means and covariances; with None it makes its own. A fixed lag of 0 is a
     filter. NumPy's warnings are silenced, since results that are not finite are refused at the end;
     the status tells how many digits are lost, of which the caller warns. Functions may be replaced
     by traces, programs recorded from a call; where one proves wrong, all is done again.

@@ -3,7 +3,8 @@
 A *sighting* is one measurement by a sensor, of which a step may have several. A sensor has M
 sightings, the *rows*, sorted by step, of d components each. The k sightings of a step together have
 D = k d components. Arrays by row are (M, runs, ...), the runs of length one where all have the
-same. A *slice* is the vector of all hidden variables of a step, of n components.
+same. A *slice* is the vector of all hidden variables of a step, of n components. The *branch* of a
+measured angle is its value among those that differ by whole turns.
 """
 
 from __future__ import annotations

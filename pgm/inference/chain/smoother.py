@@ -1,11 +1,18 @@
 """Iterated smoothing: sweep forward and back, relinearise everything, sweep again.
 
 A *slice* is the vector of all hidden variables of a step, of n components; a *pair* is the vector
-of the states of the step before, then the slice. *Dead reckoning* is the prior's mean carried on by
-the transition's functions, without measurements. An *anchor* is a further measurement of all
+of the states of the step before, then the slice. The steps are 0..T. A *sighting* is one
+measurement by a sensor. `iterate` linearises a problem at a *point*, given means and covariances of
+the slices, solves it, and goes on at the solution. *Dead reckoning* is the prior's mean carried on
+by the transition's functions, without measurements. An *anchor* is an artificial measurement of all
 components at each step, by which a step control (Levenberg–Marquardt) holds the solution near a
-point. Where no CPD needs covariances, as with `Taylor`, smoothing is Gauss–Newton for the means:
-their normal equations may be solved alone (`newton`), and covariances follow by a pass at the end.
+point.
+
+A *solver* (plan, reference, anchor) smooths a chain with the linearisations that its plan has, and
+with an anchor, if that is not None. The *reference* is a trajectory (T+1, runs, n) near the
+beliefs, from which slices may be counted, so that large coordinates cost no digits. Where no CPD
+needs covariances, as with `Taylor`, smoothing is Gauss–Newton for the means: their normal equations
+may be solved alone (`newton`), and covariances follow by a pass at the end.
 """
 
 from __future__ import annotations
@@ -269,7 +276,7 @@ def _compiled(
 
 
 def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """A `Chain.solver`: smooth step by step, with the linearisations that the plan has.
+    """A solver: smooth step by step, in float64.
 
     `reference` is not used.
     """
@@ -277,15 +284,15 @@ def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
 
 
 def _scanned(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """A `Chain.solver`: smooth by a parallel scan, with the linearisations that the plan has.
+    """A solver: smooth by a parallel scan, in float64.
 
-    Slices are counted from `reference` (T+1, runs, n), a trajectory near the beliefs.
+    Slices are counted from `reference`.
     """
     return Smoothed.of(plan, parallel.filtered(plan, reference, anchor))
 
 
 def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> CarefulSmoothed:
-    """A `Chain.solver`: smooth in pairs of float64, with the linearisations that the plan has.
+    """A solver: smooth step by step, in pairs of float64.
 
     `reference` is not used.
     """
@@ -301,11 +308,11 @@ def _is_long(plan: ChainPlan) -> bool:
 
 
 def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """A `Chain.solver`: smooth by a parallel scan, or by `swept` where a scan does not serve.
+    """A solver: smooth by a parallel scan, or step by step where a scan does not serve.
 
     A scan does not serve where measurements have singular or correlated noise, and where a step has
     no element of the scan, since a covariance is indefinite or not finite. Slices are counted from
-    `reference` (T+1, runs, n).
+    `reference`.
     """
     readings = Readings.of(plan, reference)
     if readings.stacks:
@@ -323,9 +330,7 @@ class Chain(Generic[Either]):
     """A chain as a problem for `iterate`: linearised at any point, and solved.
 
     `at` (T+1, runs, n) are the means of the slices at which the plan was linearised last, which
-    `linearise` and `begin` set. `solver(plan, reference, anchor)` smooths the plan with the
-    linearisations that it has: `solve` hands it `at` as the reference, a trajectory near the
-    beliefs, and an anchor or None.
+    `linearise` and `begin` set. `solve` calls the `solver` with `at` as the reference.
     """
 
     plan: ChainPlan
@@ -390,12 +395,15 @@ class Chain(Generic[Either]):
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """A problem for `iterate`: a chain's means alone, by the normal equations of Gauss–Newton."""
+    """A problem for `iterate`: means alone, by the normal equations of the linearised `chain`."""
 
     chain: Chain[Smoothed]
 
     def linearise(self, at: Point, active: Mask | None) -> None:
-        """Linearise every CPD at a point, in the active runs; see `Chain.linearise`."""
+        """Linearise every CPD of the chain at a point, and weigh the robust sightings there.
+
+        Runs that are not `active` (runs,) keep their linearisations; None means all.
+        """
         self.chain.linearise(at, active)
 
     def settled(self) -> Mask | bool:
@@ -421,11 +429,15 @@ class _Means:
         return Means(solution.means, solution.point.std**2, Readings.of(plan, at), pair)
 
     def cost(self, at: Point) -> Array:
-        """The cost of a trajectory of means, (runs,); see `Chain.cost`."""
+        """The cost of a trajectory of means (T+1, runs, n): −2 ln p less its constants, (runs,)."""
         return self.chain.cost(at)
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means projected onto the solutions of the exact CPDs; see `Chain.feasible`."""
+        """Means (T+1, runs, n) projected onto the solutions of the exact CPDs.
+
+        Exact CPDs are the linear ones of singular noise. Where rounding leaves a run off their
+        solutions, it gets the means of `found`.
+        """
         return self.chain.feasible(mean, found)
 
 

@@ -1,10 +1,12 @@
-"""The measurements of a step, or of each of all steps, as one vector; a step's batch is last.
+"""The measurements of a step, or of each of all steps, as one vector.
 
 A *slice* is the vector of all hidden variables of a step, of n components; a *sighting* is one
 measurement by a sensor, of which a step may have several. The k sightings of a sensor at a step, of
 d components each, are stacked to D = k d components. At one step arrays have their components first
 and the runs last, (D, *batch), `batch` being () for one run and (runs,) for several; of many steps
-they are (steps, runs, D).
+they are (steps, runs, D). The *branch* of an angle is its value among those that differ by whole
+turns. A sensor is *grouped* if the sightings of a step are linearised as one vector; their errors
+are then correlated.
 """
 
 from __future__ import annotations
@@ -63,7 +65,7 @@ class Measured(NamedTuple):
         )
 
     def each(self) -> list[Measured]:
-        """The sightings one by one; all as one if grouped, since their errors are correlated."""
+        """The sightings one by one, or, if the sensor is grouped, all of them as they are."""
         height = self.sensor.height
         count = len(self.value) // height
         if count == 1 or self.sensor.family.grouped:
@@ -139,10 +141,12 @@ def _masked(seen: Measured, mean: Array) -> Vector:
 
 
 class Stack(NamedTuple):
-    """The measurements of G steps that have equally many of each sensor, by step as one vector.
+    """The measurements of G steps, stacked to a vector z = H x + b + noise over each step's slice.
 
-    `steps` (G,) are their numbers; `matrix` is H (G, runs, D, n), and the rest as of `Vector`:
-    `residual` (G, runs, D), `noise` (G, runs, D, D), `missing` (G, runs).
+    Each sensor has as many sightings at one of these steps as at any other. `steps` (G,) are the
+    steps' numbers. `matrix` is H (G, runs, D, n), `residual` (G, runs, D) is z − E[z] at the
+    slices' means, and `noise` (G, runs, D, D) a covariance. A missing component has H = 0, no
+    residual, and unit variance; `missing` (G, runs) counts them.
     """
 
     steps: Integers
@@ -153,10 +157,11 @@ class Stack(NamedTuple):
 
 
 def stacks(plan: ChainPlan, sensors: list[Sensor], reference: Array) -> list[Stack]:
-    """The sensors' measurements of all steps: a `Stack` for those with equally many of each sensor.
+    """The measurements of some sensors at all steps: one `Stack` for all steps of equal counts.
 
-    They have the linearisations that are stored in the plan, and their residuals are at the slices'
-    means `reference` (T+1, runs, n). Steps without measurements are left out.
+    Two steps are in the same stack if each sensor has as many sightings at the one as at the other;
+    steps without any are left out. The measurements have the linearisations that are stored in the
+    plan, and their residuals are at the slices' means `reference` (T+1, runs, n), for T steps.
     """
     if not sensors:
         return []
@@ -172,9 +177,11 @@ def stacks(plan: ChainPlan, sensors: list[Sensor], reference: Array) -> list[Sta
 def _stack(
     plan: ChainPlan, sensors: list[Sensor], steps: Integers, counts: Integers, reference: Array
 ) -> Stack:
-    """The stack of some steps (G,) with equally many sightings: counts[i] of sensors[i].
+    """The stack of some steps (G,), at each of which sensors[i] has counts[i] sightings.
 
-    Sensors stand below one another, with the covariances between the sightings of a step.
+    In the vector of a step the sensors follow one another; the covariances between the errors of a
+    grouped sensor's sightings are in `noise`. Residuals are at the slices' means `reference`
+    (T+1, runs, n), for T steps.
     """
     heights = [int(count) * s.moved.shape[-1] for s, count in zip(sensors, counts, strict=True)]
     size, shape = plan.layout.slice_size, (steps.size, plan.runs)

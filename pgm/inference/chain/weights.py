@@ -77,11 +77,11 @@ class Weights:
         cov: Array | None = None,
         error: Array | None = None,
     ) -> Array:
-        """The squares rᵀ R⁻¹ r of residuals (k, runs, d), (k, runs); expected, given a covariance.
+        """The squares s (k, runs) of residuals r (k, runs, d): rᵀ R⁻¹ r, or what is expected of it.
 
-        `matrix` is H (k, runs, d, m), `cov` P (k or 1, runs, m, m) of the belief over the parents'
-        m components: both, or neither. `error` is Ω (k, runs, d, d), None for zero. Missing
-        components do not count.
+        They are expected under the belief of covariance P if H and P are given: `matrix` is
+        H (k, runs, d, m), `cov` P (k or 1, runs, m, m) over the parents' m components. `error` is
+        Ω (k, runs, d, d), None for zero. Missing components do not count.
         """
         if self.taken is not None:
             residual = np.where(self.taken, residual, 0.0)
