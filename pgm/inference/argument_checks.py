@@ -38,7 +38,7 @@ def require_lineariser(lineariser: Any) -> None:
 
 
 def require_gaussian(cpds: Iterable[CPD], beliefs: str) -> None:
-    """Refuse a CPD that is not Gaussian, for beliefs that are made of its mean and covariance."""
+    """Refuse CPDs that are not Gaussian, for beliefs that are a mean and a covariance."""
     for cpd in cpds:
         if not isinstance(cpd, ConditionalGaussian):
             raise ModelError(
@@ -50,10 +50,10 @@ def require_gaussian(cpds: Iterable[CPD], beliefs: str) -> None:
 
 
 def require_plain(cpds: Iterable[CPD]) -> None:
-    """Refuse robust noise of CPDs that are no sensors of a dynamic network, for Gaussian beliefs.
+    """Refuse CPDs with robust noise; `cpds` are those that are no sensors of a dynamic network.
 
-    Gaussian beliefs handle robust noise by weighting the residuals of measurements, and so take it
-    of a dynamic network's sensors alone, which the caller leaves out of `cpds`.
+    Gaussian beliefs handle robust noise by weighting the residuals of measurements. Only the
+    sensors of a dynamic network may therefore have it, and the caller leaves them out of `cpds`.
     """
     for cpd in cpds:
         if isinstance(cpd, ConditionalGaussian) and cpd.noise is not None:

@@ -3,7 +3,8 @@
 A *sighting* is one measurement of a sensor; there may be several at a step. An *open* sighting is
 one whose sensor has a parent that the evidence leaves unknown (`pgm.unknown`). It is of one of k
 candidates, which are values (k, d) of that parent, or of none of them: *spurious*, or of a *new*
-thing. Probabilities (..., k + 2) are in that order.
+thing. Probabilities (..., k + 2) are in that order. A `Reading` has all sightings of one sensor,
+sorted by step, with the sensor's CPD.
 """
 
 from __future__ import annotations
@@ -82,12 +83,12 @@ class Associations(Shown, Immutable):
         return np.asarray(~np.isnan(self.probability).any(axis=-1))
 
     def judged(self, *, gated: bool) -> tuple[Mask, Mask]:
-        """Two masks (M, runs) for the test whether a belief is lost: strange and judged sightings.
+        """The masks (M, runs) of strange and of judged sightings, for the test of a lost belief.
 
-        A measured sighting is *strange* if it was taken for no candidate. The *judged* sightings
-        are those among which the test counts the strange ones: every measured one of a sensor
-        without a gate, and only the strange ones of a sensor with a gate (`gated`), since the
-        record of the gate counts all others.
+        A measured sighting is *strange* if it was taken for no candidate. The test compares the
+        number of strange sightings with that of *judged* ones. All measured sightings of a sensor
+        without a gate are judged. Of a sensor with a gate (`gated`) only the strange ones are
+        marked as judged, since the gate's own record counts all others.
         """
         measured = self.measured.reshape(-1, len(self.step)).T
         strange = measured & (self.candidate < 0).reshape(-1, len(self.step)).T
@@ -131,7 +132,7 @@ def is_open(bound: BoundEvidence) -> bool:
 
 
 def by_density(bound: BoundEvidence) -> BoundEvidence:
-    """The same evidence with each open sensor's CPD replaced by a mixture over its candidates.
+    """The same evidence; each sensor with open sightings has a mixture over candidates as its CPD.
 
     It is for grids and particles, which evaluate densities. Sightings that are to be associated
     all together (``association="joint"``) raise an `EvidenceError`: only Gaussian beliefs do that.
@@ -156,7 +157,8 @@ def by_density(bound: BoundEvidence) -> BoundEvidence:
 def unidentified(reading: Reading, parent: Variable, unknown: Unknown) -> UnidentifiedCPD:
     """The CPD of a sensor's open sightings: a mixture over the candidates for a parent.
 
-    `parent` is the parent whose value the evidence leaves open, and `unknown` its candidates.
+    `reading` has the sensor's own CPD, `parent` is the parent whose value the evidence leaves open,
+    and `unknown` has the candidates with their prior probabilities.
     """
     return UnidentifiedCPD(
         reading.cpd,
@@ -174,9 +176,9 @@ def collected(
 ) -> tuple[Variable, Associations]:
     """The sensor of a reading, and its `Associations` in the order of the user's evidence.
 
-    `rows` yields for each sighting, in the order of `reading`, which is by step, the probabilities
-    (runs, `candidates` + 2); `candidates` is the number k. `lead` is the shape of the user's
-    leading axes of runs, to which the axis of runs is reshaped.
+    `candidates` is the number k. `rows` yields the probabilities (runs, k + 2) of one sighting
+    after another, in the order of `reading`. In the result the axis of runs has become the user's
+    axes of runs, whose shape is `lead`.
     """
     ordered = np.empty((int(np.prod(lead)), len(reading.step), candidates + 2))
     for place, row in zip(reading.order.tolist(), rows, strict=True):

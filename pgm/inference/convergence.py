@@ -81,10 +81,10 @@ def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
 
 
 def _diverged(status: Status, schedule: Loopy) -> bool:
-    """Whether in some run that did not settle messages diverged, so that no more were sent.
+    """Whether messages diverged, so that no more were sent, in some run that did not settle.
 
-    The run's last residual is then not finite, or more than 10⁴ times its least; or the schedule
-    stopped before its last round, which it does for no other reason while a run is unsettled.
+    They did if the run's last residual is not finite or more than 10⁴ times its least. They also
+    did if the schedule stopped early: with an unsettled run it stops for no other reason.
     """
     record = status.residuals.reshape(len(status.residuals), -1)[:, ~status.converged.reshape(-1)]
     grown = ~np.isfinite(record[-1]) | (record[-1] > GROWN * record.min(axis=0))
@@ -92,7 +92,7 @@ def _diverged(status: Status, schedule: Loopy) -> bool:
 
 
 def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
-    """The warning's text where messages on a graph have not settled or diverged, with advice."""
+    """The warning's text where messages on a graph have diverged or not settled, with advice."""
     last, of = _last(status)
     if _diverged(status, schedule):
         began = f"messages diverged{of}, and were stopped after {status.iterations} rounds"
@@ -150,7 +150,7 @@ def _of_linearisations(status: Status, schedule: Filtering | FixedLag | Calibrat
 
 
 def _otherwise(schedule: Filtering | FixedLag | Calibration) -> str:
-    """Advice, in words, on how to reach a fixed point otherwise than by more iterations."""
+    """Advice, in words, on other ways to a fixed point than more iterations."""
     ways = []
     damping = getattr(schedule, "damping", None)
     if isinstance(damping, LevenbergMarquardt):

@@ -16,28 +16,31 @@ from pgm.inference.argument_checks import require_count
 class LevenbergMarquardt(InCode):
     """Steps that never raise the cost: full ones where they lower it, else held back.
 
-    A point x of means, where CPDs y = f(x) + n, n ~ N(0, R), are linearised, has the cost
+    A step leads from one point of linearisation to the next. A point is means x at which the CPDs
+    y = f(x) + n, n ~ N(0, R), are linearised. The cost of a point is
 
         sum of rᵀ Q⁻¹ r over all CPDs,  r = y − E[f(X)],  X ~ N(x, P),
 
     with the beliefs' covariances P and Q = R + (error of the linearisation) held fixed. Under
-    `Taylor` it is twice the negative log-density of x and the measurements, but for a constant. A
-    full step that raises it is taken back, and tried again with a measurement x = (the point) + n
-    added, n ~ N(0, diag(P)/λ), λ growing from try to try; if no try lowers the cost the means stay.
-    A posterior's means are those of the last point accepted, its covariances those of the last
-    linearisation, without the added measurement.
+    `Taylor` the cost is twice the negative log-density of x and the measurements, but for a
+    constant. The full step takes the means of the solution of the linearised model. If they raise
+    the cost, the model is solved again with a further measurement that holds x near the old point:
+    (the old point) = x + n, n ~ N(0, diag(P)/λ). λ grows from try to try; if no try lowers the
+    cost, the means stay. A posterior's means are those of the last point accepted, its covariances
+    those of the last linearisation, without the further measurement.
 
-    It suits `Taylor`, and rules as exact as `GaussHermite`. With few sigma points the slope of the
-    linearisation is only nearly the derivative of E[f(X)], so that close to a fixed point no step
-    may lower the cost: the means stay some hundredths of a standard deviation short of it, and
-    `status` says not converged; a number as damping gets there.
+    This damping suits `Taylor`, and rules as exact as `GaussHermite`. With few sigma points the
+    slope of the linearisation is only nearly the derivative of E[f(X)]. Close to a fixed point it
+    may then be that no step lowers the cost: the means stay some hundredths of a standard deviation
+    short of the fixed point, and `status` says that they have not converged. A damping that is a
+    number reaches it.
 
     A smoother's step from the filter's linearisation to its first solution is not controlled. The
-    first step from a start, or from dead reckoning on a `Balanced` tree, is: the cost of the start
-    is never exceeded. A start that does not obey the exact CPDs (linear, with singular noise) has
-    no finite cost: its projection onto them takes its place. In a filter, the predicted mean has
-    none if it contradicts an exact measurement: the mean of the predicted belief given the exact
-    measurements alone takes its place.
+    first step from a user's start, or from dead reckoning on a `Balanced` tree, is controlled: the
+    cost of the start is never exceeded. A start that does not obey the exact CPDs (linear, with
+    singular noise) has no finite cost: its projection onto them takes its place. In a filter the
+    predicted mean has no finite cost if it contradicts an exact measurement: the mean of the
+    predicted belief given the exact measurements alone takes its place.
 
     Parameters
     ----------

@@ -1,4 +1,24 @@
-"""Filtering and smoothing: a dynamic network is compiled, and a schedule run on its graph."""
+"""Filtering and smoothing: a dynamic network is compiled, and a schedule run on its graph.
+
+The options of all functions are these, in a few words; `filter` and `infer` tell more:
+
+- `lineariser` is for the nonlinear CPDs that have none of their own.
+- `steps` is T, the last step, where no plain array in the evidence tells it.
+- `iterations` is the most linearisations that are made, `tolerance` how many standard deviations
+  means may still move when these end early, and `damping` the share of the old point of
+  linearisation that is kept, or a control of each step by its cost.
+- `gate` is the probability within which a measurement is taken in.
+- `start` has means at which everything is linearised first.
+- `lag` is the number of later steps whose measurements each belief knows; None for all.
+- `method` is `Balanced()` for a balanced tree in place of a chain.
+- `keep` names the variables whose marginals are kept; None for all.
+- `executor` is a pool of processes or threads that works on parts of the runs.
+- `belief` is a `Grid` or `Particles` in place of Gaussians.
+- `compiled` says whether sweeps run in machine code; with None they do where they are long.
+- `progress` says whether bars show how far the work is.
+- `impossible` says what is done with runs whose evidence has probability zero, if the network is
+  of tables: ``"raise"`` refuses the evidence; ``"allow"`` gives such runs NaN.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +54,7 @@ if TYPE_CHECKING:
 
 
 class _Options(TypedDict, total=False):
-    """The options of `filter` that it takes with every kind of belief."""
+    """The options that `filter` takes with every kind of belief; for each see the module."""
 
     lineariser: Lineariser
     steps: int | None
@@ -47,7 +67,7 @@ class _Options(TypedDict, total=False):
 
 
 class _SmootherOptions(_Options, total=False):
-    """The options of `smooth` that it takes with every kind of belief."""
+    """The options that `smooth` takes with every kind of belief; for each see the module."""
 
     start: Start | None
     lag: int | None
@@ -122,21 +142,35 @@ def filter(
     ----------
     model : DynamicBayesianNetwork
     evidence : mapping of Variable
-        As for `infer`.
+        Values of sensors and inputs, by variable: arrays (..., T, d) of the steps 1 to T,
+        `constant` or `sightings`. Leading axes are runs; see `infer`.
     lineariser : Lineariser, optional
-        `Taylor()` if not given.
+        For every nonlinear CPD that has none of its own; `Taylor()` if not given.
     steps : int, optional
         T, the last step: needed if the evidence has no plain array, whose length would tell it.
-    iterations, tolerance, damping, gate
-        See `Filtering`.
+    iterations, tolerance, damping
+        The most linearisations of a step's sensors; how many standard deviations means may still
+        move when these end early; and the share of the old point of linearisation that is kept,
+        or a `LevenbergMarquardt`. See `Filtering`.
+    gate : float or mapping of Variable to float, optional
+        The probability within which measurements are taken in, of all sensors or of some; see
+        `Filtering`.
     compiled : bool or Compiled, optional
-        As for `compile`.
-    keep, executor, belief, progress
-        As for `infer`.
+        Whether the sweep along the chain runs in machine code, by Numba. If not given, it does
+        where the chain is long enough for that to be quicker; see `compile`.
+    keep : collection of Variable, optional
+        The variables whose marginals are kept, so that many runs fit in memory; see `infer`.
+    executor : concurrent.futures.Executor, optional
+        A pool of processes or threads that works on parts of the runs; see `infer`.
+    belief : Grid or Particles, optional
+        Beliefs on a grid, or by particles, in place of Gaussians.
+    progress : bool or callable
+        Whether bars show how far the work is, or a function that is told; see `infer`.
     impossible : str
-        For a network of tables, as for `infer`: with ``"allow"``, a run of which a measurement has
-        probability zero given those before has a log-evidence of −∞, and NaN for its filtered
-        beliefs from that step on, and for the smoothed ones at all steps.
+        For a network of tables, what is done with a run of which a measurement has probability
+        zero given those before: ``"raise"`` an error, or ``"allow"`` it. The run then has a
+        log-evidence of −∞, and NaN for its filtered beliefs from that step on, and for the
+        smoothed ones at all steps.
 
     Returns
     -------
@@ -258,29 +292,44 @@ def smooth(
     Parameters
     ----------
     model : DynamicBayesianNetwork
-    evidence, lineariser, steps
-        See `filter`.
+    evidence : mapping of Variable
+        Values of sensors and inputs, by variable: arrays (..., T, d) of the steps 1 to T,
+        `constant` or `sightings`. Leading axes are runs; see `infer`.
+    lineariser : Lineariser, optional
+        For every nonlinear CPD that has none of its own; `Taylor()` if not given.
+    steps : int, optional
+        T, the last step: needed if the evidence has no plain array, whose length would tell it.
     start : mapping of Variable to array_like, optional
-        As for `infer`; not with a lag.
+        Means (..., T+1, d) of states, (..., T, d) of hidden controls, at which everything is
+        linearised first; not with a lag.
     lag : int, optional
         The number of later steps whose measurements each belief knows; see `FixedLag`.
-    iterations, tolerance, damping, gate
-        See `Smoothing` and `FixedLag`.
+    iterations, tolerance, damping
+        The most linearisations; how many standard deviations smoothed means may still move when
+        these end early; and the share of the old point of linearisation that is kept, or a
+        `LevenbergMarquardt`. See `Smoothing` and `FixedLag`.
+    gate : float or mapping of Variable to float, optional
+        The probability within which measurements are taken in, of all sensors or of some; see
+        `Smoothing`.
     method : Balanced, optional
-        See `compile`: `Balanced()` solves on a balanced tree, and starts from dead reckoning, which
-        saves the filter's sweep. If not given, it is a chain of slices, whose first linearisation
-        is the filter's. The later ones, of all steps at once, are solved for in about 2 log₂ T
-        rounds, as on a balanced tree, where that is faster (from 64 steps on, if the components of
-        a slice times the runs are 200 at the most) and costs no digits (no noise-free or grouped
-        measurements, none that shrink a variance more than 4·10⁶ times); else, and always in
-        machine code, step by step along the chain.
+        `Balanced()` solves on a balanced tree, and starts from dead reckoning, which saves the
+        filter's sweep. If not given, the graph is a chain of slices, whose first linearisation is
+        the filter's. Each later linearisation is of all steps at once. It is solved for in about
+        2 log₂ T rounds, as on a balanced tree, where that is faster (from 64 steps on, if the
+        components of a slice times the runs are 200 at the most) and costs no digits (without
+        measurements that are noise-free, that are linearised jointly with others of their step,
+        or that shrink a variance more than 4·10⁶ times). Else, and always in machine code, it is
+        solved for step by step along the chain.
     keep, executor, belief, compiled, progress, impossible
-        See `filter`.
+        The variables whose marginals are kept; a pool that works on parts of the runs; a `Grid` or
+        `Particles` in place of Gaussians; whether sweeps run in machine code; whether bars show how
+        far the work is; and what is done with evidence of probability zero. See `filter`.
 
     Returns
     -------
     ChainPosterior, or another
-        See `filter`.
+        ``posterior[x]`` has the smoothed means (..., T+1, d) of a state, (..., T, d) of a hidden
+        control. For tables, and with ``keep`` or ``belief``, it is of another class; see `filter`.
 
     Warns
     -----
@@ -335,7 +384,7 @@ def send_over_time(
     progress: Progress = False,
     impossible: str = RAISE,
 ) -> TemporalPosterior:
-    """Compile a network and run a schedule on it; the other arguments are those of `smooth`.
+    """Compile a network, run a schedule on it, and return the posterior.
 
     No `ConvergenceWarning` is given here: `filter` and `smooth` give it themselves.
     """

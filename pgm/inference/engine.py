@@ -1,7 +1,20 @@
 """Running a schedule of messages on a cluster graph, with the kind of beliefs that it takes.
 
 Beliefs are tables of discrete variables, or Gaussians of continuous ones. Of a dynamic network of
-continuous variables they may also be *point masses*: the cells of a grid, or particles.
+continuous variables they may also be *point masses*: the cells of a grid, or particles. The
+arguments of all functions are these, in a few words; `infer` tells more:
+
+- `schedule` says which messages are sent in which order, and how often CPDs are linearised.
+- `lineariser` is for the nonlinear CPDs that have none of their own.
+- `start` has means at which everything is linearised first.
+- `keep` names the variables of a dynamic network whose marginals are kept; None for all.
+- `executor` is a pool of processes or threads that works on parts of the runs.
+- `memory` is the number of bytes that the tables of all runs may take.
+- `belief` is a `Grid` or `Particles`, for point masses; None for tables or Gaussians.
+- `progress` says whether bars show how far the work is.
+- `impossible` says what is done with runs whose evidence has probability zero, if the network is
+  discrete: ``"raise"``, the default, refuses the evidence; ``"allow"`` gives such runs NaN.
+- `bound` is the evidence, checked and laid out by CPD and step.
 """
 
 from __future__ import annotations
@@ -60,7 +73,7 @@ def online_points(
     """The online filter whose beliefs are a grid or particles.
 
     A lineariser, schedule or lag other than the default is refused by a `ModelError`, since such a
-    filter has no use for it; so is a model that `require_points` refuses.
+    filter has no use for it. So is a model that is no dynamic network of continuous variables.
     """
     require_points(belief, model)
     asked = None if schedule == ONCE else schedule
@@ -86,9 +99,9 @@ def require_points(belief: Any, model: Any) -> None:
 
 
 def require_no_others(belief: PointMasses, lineariser: Any, **given: Any) -> None:
-    """Refuse arguments that only Gaussian beliefs have a use for, beside a grid or particles.
+    """Refuse arguments that are for Gaussian beliefs alone, where `belief` is a grid or particles.
 
-    `given` are arguments by name, each of which has to be None, as if left out; the lineariser has
+    `given` are such arguments by name, and each has to be None, as if left out. The lineariser has
     to be `Taylor()`, the default. The error is a `ModelError`.
     """
     named = [name for name, value in given.items() if value is not None]
@@ -115,10 +128,10 @@ def runner(
 ) -> Callable[..., TemporalPosterior]:
     """The function that runs a schedule of a dynamic network with one kind of beliefs.
 
-    It takes, in this order, the graph, the bound evidence, and the schedule, lineariser, start,
-    keep and executor of `infer`, and returns the posterior: of a grid or particles if `belief` is
-    one, else of tables if the model is discrete, where `impossible` is as for `infer`, else of
-    Gaussians. A `belief` or model that `require_points` refuses is a `ModelError`.
+    It takes, in this order, the graph, the bound evidence, the schedule, lineariser, start, keep
+    and executor, and returns the posterior: of point masses if there is a `belief`, else of tables
+    if the model is discrete, else of Gaussians. `impossible` counts for tables alone. A `belief` of
+    a wrong type, or for a model that is not of continuous variables over time, is a `ModelError`.
     """
     if belief is not None:
         require_points(belief, model)
@@ -130,7 +143,8 @@ def require_tables(model: Any, impossible: str, belief: Any) -> None:
     """Refuse an argument `impossible` other than the default for a network that is not discrete.
 
     `model` is a network or its graph; the default is ``"raise"``. The error is a `GraphError`. If
-    `belief` is a `Particles`, its text tells that `Particles` has an argument of this name itself.
+    `belief` is a `Particles`, the error's text tells that `Particles` itself has an argument
+    `impossible`.
     """
     if impossible == RAISE or getattr(model, "network", model).discrete:
         return
@@ -156,8 +170,9 @@ def _run_points(
 ) -> PointPosterior:
     """The posterior of a grid or particles; arguments for Gaussian beliefs alone are refused.
 
-    `require_no_others` raises the error, or `by_density` if measurements of unknown identity are to
-    be associated all together.
+    Refused, by a `ModelError`, are a start, keep, an executor, machine code, and a lineariser other
+    than `Taylor()`. Measurements of unknown identity that are to be associated all together are an
+    `EvidenceError`.
     """
     given = {"start": start, "keep": keep, "executor": executor}
     require_no_others(belief, lineariser, **given, compiled=graph.layout.compiled or None)
@@ -180,7 +195,8 @@ def _run_tables(
 ) -> StatePosterior:
     """The posterior of a discrete network; arguments for Gaussian CPDs alone are refused.
 
-    A start is an `EvidenceError`; keep, an executor, or a lineariser but `Taylor()` a `ModelError`.
+    A start is refused by an `EvidenceError`; keep, an executor, and a lineariser other than
+    `Taylor()` are refused by a `ModelError`.
     """
     if start is not None:
         raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
@@ -200,7 +216,7 @@ CONTINUOUS = (
 
 
 class _Options(TypedDict, total=False):
-    """The options of `infer` that it takes with every kind of belief."""
+    """The options that `infer` takes with every kind of belief; for each see the module."""
 
     schedule: Schedule | None
     lineariser: Lineariser
@@ -401,7 +417,10 @@ def send(
     progress: Progress = False,
     impossible: str = RAISE,
 ) -> Any:
-    """The posterior that `infer` returns for the same arguments, without a `ConvergenceWarning`."""
+    """Run a schedule on a graph, and return the posterior; no `ConvergenceWarning` is given.
+
+    The posterior is the one that `infer`, which gives the warning, returns for the same arguments.
+    """
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
             f"infer takes a cluster graph (pgm.compile(network, ...)), not {titled(graph)}"

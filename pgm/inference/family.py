@@ -11,6 +11,12 @@ such from the start, with Ω = 0. d are the components of y, n those of x. Array
 are (rows, runs, ...). An `At` (module `rows`) has a few consecutive rows, stacked to one vector; in
 its arrays components come first and the *batch* last: no axis for one run, else that of runs. A
 `Line` is a linearisation at a mean: F, the value at the mean, and the error's covariance Ω.
+
+A nonlinear CPD has a function of its parents. Its `template` (`FunctionTemplate`) is that function
+with the derivatives that the user gave, and its parents, hidden and observed. A *trace* is a user's
+function recorded as a graph of scalar operations (`pgm.tracing`), which gives values and slopes,
+the trace's *answers*. The *judge* of a call compares these with the function once the call is done;
+a judge that is not *trusting* allows no traces.
 """
 
 from __future__ import annotations
@@ -67,11 +73,9 @@ class Family(Rows):
     """A CPD at its rows, and its linearisation F, b and Q there.
 
     `noise` is Q, (rows, runs, d, d): a read-only view of `own_noise`, R, until some row has an
-    error Ω, then (`approximate`) an array of its own. A *trace* is a user's function recorded as a
-    graph of scalar operations (`trace`); the `judge` of a call compares the values and slopes that
-    traces gave with the functions, when the call is done. `compiled` is the record of values and
-    slopes that the trace gives in machine code, derivatives that the user gave included
-    (`trace_whole`); None without machine code.
+    error Ω, then (`approximate`) an array of its own. `judge` is the call's judge of traces, None
+    without one. `compiled` is the record of the answers in machine code of a trace that includes
+    the derivatives that the user gave; None without machine code.
     """
 
     noise: Array = field(init=False, repr=False)
@@ -97,9 +101,10 @@ class Family(Rows):
 
         `hidden` are the parents without evidence; `step` (rows,) is the step of each row, `inputs`
         are the other parents' values (rows, runs or 1, d) and `lead` the shape of the user's axes
-        of runs. Errors count runs from `first_run`. `timed` is False of a network without time. A
-        nonlinear CPD makes its own `template` if none is given, and its own lineariser, if it has
-        one, is taken in place of `lineariser`. A CPD of any other kind is a `ModelError`.
+        of runs. Errors count runs from `first_run`. `timed` is False of a network without time. For
+        a nonlinear CPD a `template` is made if none is given, and the CPD's own lineariser, if it
+        has one, takes the place of `lineariser`. A CPD that is neither affine nor nonlinear
+        Gaussian is a `ModelError`.
         """
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
@@ -142,10 +147,11 @@ class Family(Rows):
         return vacant(self.shape[:2], self.shape[2:3])
 
     def of(self, runs: slice) -> Family:
-        """The family of the runs in a slice, which has both ends, with views of its evidence.
+        """The family of some runs alone, with views of the evidence.
 
-        An affine CPD keeps F and b; a nonlinear one has none until it is linearised anew. Where Q
-        has errors Ω it is copied, so that the whole stays as it is.
+        `runs` is a slice with a start and a stop. An affine CPD keeps F and b; a nonlinear one has
+        none until it is linearised anew. Where Q has errors Ω it is copied, so that this family
+        stays as it is.
         """
         count = runs.stop - runs.start
         part = replace(
@@ -212,9 +218,10 @@ class Family(Rows):
 
     @property
     def expects(self) -> bool:
-        """Whether robust noise weighs residuals r by E[rᵀ R⁻¹ r], expected under the belief.
+        """Whether robust noise finds a measurement's weight from E[rᵀ R⁻¹ r] of its residual r.
 
-        False with `Taylor`: r is then the residual at the belief's mean, and rᵀ R⁻¹ r its square.
+        The expectation is under the belief. The result is False with `Taylor`: the weight is then
+        found from rᵀ R⁻¹ r of the residual at the belief's mean.
         """
         return not isinstance(self.lineariser, Taylor)
 
@@ -238,10 +245,11 @@ class Family(Rows):
 
     @cached_property
     def prepared(self) -> Prepared:
-        """The lineariser prepared for the CPD's function; `_value` where no parent is hidden.
+        """The lineariser, prepared for many calls with the CPD's function.
 
         It is called with the function, evidence bound, and a mean (n, *batch) and covariance
-        (n, n, *batch) of the hidden parents, and returns a `Line`.
+        (n, n, *batch) of the hidden parents, and returns a `Line`. Where no parent is hidden, it
+        only evaluates the function.
         """
         assert self.template is not None
         return prepare(self.lineariser, self.template) if self.hidden else _value
@@ -251,8 +259,7 @@ class Family(Rows):
 
         The belief has the `mean` (n, *batch) and the covariance `cov` (n, n, *batch). Rows that
         are affine, or linearised already, keep F; the line then has the value F mean + b, and no
-        error. An exception of the lineariser becomes an error that names the CPD, step and run; see
-        `failure`.
+        error. An exception of the lineariser becomes an error that names the CPD, step and run.
         """
         function = at.function
         if function is None:
@@ -344,8 +351,9 @@ class Family(Rows):
     ) -> Line:
         """Linearise a function at means (..., n) and covariances (..., n, n).
 
-        The leading axes, as (runs,) or (rows, runs), are the last ones of the line's arrays. With
-        `finite` a NaN or an infinity in these raises a `LinearisationError`.
+        In the arrays of the line components come first; the leading axes of the means, (runs,) or
+        (rows, runs), are their last ones. With `finite` a NaN or an infinity in these arrays raises
+        a `LinearisationError`.
         """
         with quiet():  # what is not finite is refused
             at = components_first(mean, 1)
@@ -390,7 +398,7 @@ class Family(Rows):
             self.noise, self.approximate = room, True
 
     def settle(self) -> None:
-        """Make `noise` a view of `own_noise` again, where the errors of all rows are zero."""
+        """Make `noise` a view of `own_noise` again, if the errors of all rows are zero."""
         if self.approximate and not (self.noise != self.own_noise).any():
             self.noise = np.broadcast_to(self.own_noise, self.noise.shape)
             self.approximate = False
@@ -406,8 +414,8 @@ class Family(Rows):
     def bound(self, rows: Some, lead: int, shape: tuple[int, ...]) -> BoundFunction:
         """The CPD's function with the evidence of some rows bound.
 
-        `shape` are the leading axes of the beliefs, (runs,) of a row or (k, runs) of k rows, and
-        `lead` is their number.
+        It will be called with beliefs whose leading axes are `shape`, (runs,) for one row or
+        (k, runs) for k rows; `lead` is the number of these axes, 1 or 2.
         """
         assert self.template is not None
         step: int | Integers
@@ -432,9 +440,9 @@ class Family(Rows):
     def to_chart(self, parents: Array, child: Array) -> None:
         """Add multiples of 2π to b, in place, so that predicted angles are within π of the child's.
 
-        The means `parents` of the hidden parents are (rows, runs, n), those of the `child` (rows,
-        runs, d). Angles of beliefs are not wrapped: they are numbers on one branch. The b of an
-        affine CPD stays.
+        `parents` (rows, runs, n) are the means of the hidden parents, `child` (rows, runs, d) those
+        of the child. The angles in them are not wrapped to one turn: they may be any numbers. The b
+        of an affine CPD stays.
         """
         angles = self.cpd.child.angle_mask
         if self.template is not None and angles.any():
@@ -444,10 +452,11 @@ class Family(Rows):
     def probe(self, means: Mapping[Variable, Array]) -> None:
         """Call the function and its Jacobian on trial, to refuse wrong shapes before inference.
 
-        Hidden parents are given their `means`, (d,) by template, or zeros if there are none for
-        them; other parents their first evidence. All are repeated along two leading axes whose
-        lengths no vector of components has: a function that takes an axis of runs for one of
-        components then returns a wrong shape, which raises a `ModelError`.
+        The value of a hidden parent is its mean (d,) from `means`, which has variables without a
+        step as keys, or zeros if it has none; that of another parent is its first evidence. All are
+        repeated along two leading axes whose lengths no vector of components has: a function that
+        takes an axis of runs for one of components then returns a wrong shape, which raises a
+        `ModelError`.
         """
         if self.template is None or not self.step.size:
             return
@@ -470,11 +479,11 @@ class Family(Rows):
     def trace(self, means: Mapping[Variable, Array], judge: Judge | None) -> None:
         """Choose how the function's trace is used, for derivatives that the user has not given.
 
-        A trace is the function as a graph of scalar operations (`pgm.tracing`). If there is none,
-        it is made about the first evidence and, for hidden parents, their `means`, (d,) by template
-        (zeros, where there are none). With a judge that is `trusting` the answers of the trace are
-        compared with the function after the call; with a judge that is not, no trace is used.
-        Without a judge each answer is compared at once.
+        If there is no trace yet, it is made about the first evidence and the hidden parents'
+        `means`, (d,) by variable without a step (zeros where one is lacking). With a trusting judge
+        the trace's answers are recorded, and compared with the function after the call. With a
+        judge that is not trusting no trace is used. Without a judge each answer is compared at
+        once.
         """
         template = self.template
         if template is None:
@@ -493,7 +502,7 @@ class Family(Rows):
                 self.answers = self._asked(judge, template.tracer, centres)
 
     def trace_whole(self) -> Answers | str:
-        """The record of values and slopes that the trace gives in machine code (see the class).
+        """The record, for the judge, of the answers that a trace gives in machine code.
 
         The trace is of the function and of the derivatives that the user gave. The record is kept
         as `compiled`. Where there is no trace, a text is returned that says why.
@@ -506,10 +515,10 @@ class Family(Rows):
         return self.compiled or str(tracer.reason)
 
     def _asked(self, judge: Judge, tracer: Tracer, centres: list[Array]) -> Answers | None:
-        """The record of the values and slopes that a trace gives in this call, for the judge.
+        """A record, for the judge, of the answers that a trace gives in this call.
 
         If there is no trace yet, `tracer` makes it about `centres`, a value (d,) for each argument
-        of the function. The result is None if it cannot.
+        of the function. The result is None if the judge is not trusting or no trace can be made.
         """
         template, count = self.template, math.prod(self.noise.shape[:2])
         assert template is not None
@@ -519,7 +528,10 @@ class Family(Rows):
 
     @property
     def _observed(self) -> list[Array | None]:
-        """For each argument its first value, (d,), zeros without rows; None of a hidden one."""
+        """For each argument of the function its value at the first row and run, (d,).
+
+        It is zeros if there are no rows, and None of a hidden parent.
+        """
         assert self.template is not None
         return [
             (self.inputs[parent][0, 0] if self.step.size else np.zeros(parent.dimension))
@@ -546,8 +558,8 @@ def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
 def cancellation(family: Family) -> float:
     """The rounding error of a linearisation, as a multiple of that of one value of the function.
 
-    It is 0 if it is ten or less, of an affine CPD, of one without hidden parents, and of any
-    lineariser that is no sigma-point rule.
+    A multiple of ten or less counts as 0. So does that of an affine CPD, of one without hidden
+    parents, and of a lineariser that is no sigma-point rule.
     """
     rule = family.lineariser
     if family.template is None or not family.hidden or not isinstance(rule, StatisticalRegression):

@@ -62,8 +62,8 @@ def as_gate(owner: str, gate: object) -> float | Gates | None:
 def _probability(owner: str, value: object, of: str) -> float:
     """One gate as a float above 0 and below 1; any other value is refused.
 
-    The error is a `ModelError`, whose text begins with `owner`. `of` follows "a gate" there: " of "
-    and the sensor's repr, or "" for the gate of all sensors.
+    The error is a `ModelError`, whose text begins with `owner`. After the words "a gate" the text
+    has `of`: " of " and the sensor's repr, or "" for the gate of all sensors.
     """
     if not is_number(value) or not 0.0 < value < 1.0:
         none = "left out for no gate" if of else "or None for no gate"

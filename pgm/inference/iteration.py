@@ -29,10 +29,11 @@ _HEAVIEST = 1e12
 class Point(NamedTuple):
     """A point of linearisation: mean (steps, runs, n) and cov (steps, runs, n, n).
 
-    Row t is the slice at a step, its n hidden components. `joint` (steps − 1, runs, m, m) are the
-    covariances of pairs, of m components: the states of the step before, then the slice; None where
-    no CPD needs them. Where a flat prior leaves variances in `cov` infinite, `proper` is finite:
-    the covariance along the directions that the measurements determine.
+    A row has the n hidden components of the slice at one step. `joint` (steps − 1, runs, m, m) are
+    the covariances of pairs. A pair has m components: the states of one step, then the slice of the
+    next. `joint` is None where no CPD needs it. Where a flat prior leaves variances in `cov`
+    infinite, `proper` is finite: the covariance along the directions that the measurements
+    determine.
     """
 
     mean: Array
@@ -123,8 +124,8 @@ class Solution(Protocol):
     def point(self) -> Any:
         """The solution's moments as a `Point`.
 
-        Where neither linearisations nor the control of steps use covariances, it may have their
-        diagonals alone.
+        The point may have variances alone, where neither linearisations nor the control of steps
+        use covariances.
         """
 
 
@@ -169,7 +170,8 @@ class Iterated(Generic[S]):
 
     `solution` is that of the last linearisation; `mean` (steps, runs, n) its means, or those that
     the step control kept. `residuals` has (runs,) of each relinearisation: the largest distance of
-    a mean from the point where it was linearised, in standard deviations. `converged` is (runs,).
+    a mean from the point where it was linearised, in standard deviations. `converged` (runs,) marks
+    the runs that have converged.
     """
 
     solution: S
@@ -221,8 +223,8 @@ def iterate(
 class _Control:
     """The control of steps, which chooses the next point: the solution, a mixture, or by cost.
 
-    Its results in runs that are not active are of no account. `weight` (runs,) is λ of the next
-    try.
+    *By cost* means the way of Levenberg and Marquardt. The points that are returned are used in
+    active runs alone. `weight` (runs,) is λ, the anchor's weight, of the next try.
     """
 
     def __init__(self, problem: Problem[S], damping: float | LevenbergMarquardt, runs: int) -> None:
@@ -232,9 +234,11 @@ class _Control:
         self.weight = np.full(runs, first)
 
     def feasible(self, first: Point, found: Point) -> Point:
-        """The point `first`; under control by cost with means moved to where the cost is finite.
+        """The first point, from which the first step is made.
 
-        `found` is the solution of the model linearised at `first`; see `Controlled.feasible`.
+        It is `first` as it is or, if steps are controlled by cost, with means moved to where the
+        exact linear CPDs hold and the cost is finite. `found` is the solution of the model
+        linearised at `first`.
         """
         if not isinstance(self.damping, LevenbergMarquardt):
             return first
@@ -247,7 +251,11 @@ class _Control:
         return point.mixed(found, self.damping) if self.damping else found
 
     def shown(self, solved: Array, point: Point, active: Mask) -> Array:
-        """The means to report: the solution's, or under control by cost those of the next point."""
+        """The means (steps, runs, n) to report as the result if this step is the last.
+
+        They are `solved`, those of the solution. If steps are controlled by cost, they are those of
+        the next point, `point`, in the runs that are active, (runs,).
+        """
         if not isinstance(self.damping, LevenbergMarquardt):
             return solved
         return np.where(active[:, None], point.mean, solved)

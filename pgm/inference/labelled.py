@@ -25,10 +25,10 @@ class Labelled:
 
         For continuous variables it has ``mean`` and ``std``, with the dimensions of runs (``run``,
         or ``run_0``, ``run_1``, ...), ``step``, where there is time, and ``component``, and
-        ``cov``, with ``other_component`` last. Components are called by their names, with that of
-        the variable where variables share one, and ``variable`` says whose they are. The covariance
-        of two variables is NaN: `joint` has it. So is a hidden control at step 0, where it has no
-        value.
+        ``cov``, with ``other_component`` last. The components of all variables are along
+        ``component``, by name; a name that several variables use is preceded by the variable's, and
+        ``variable`` has the variable of each component. The covariance of two variables is NaN:
+        ``posterior.joint`` has it. A hidden control, which has no value at step 0, is NaN there.
 
         For discrete variables it has the probabilities of each, under its name, with its states
         along a last dimension ``<name>_state``.
@@ -67,9 +67,10 @@ def _tables(
 ) -> tuple[Arrays, dict[str, Any]]:
     """The probabilities of discrete variables, and the coordinates of the data set.
 
-    The first result has an array for each variable, by its name, with its dimensions; the second
-    has the names of its states as the coordinate ``<name>_state``. `dims` are the leading
-    dimensions, runs and steps; `steps` is T, None without time.
+    `marginals` has the table of each variable. The first result has, by the variable's name, the
+    names of the dimensions and the array; the second has the names of the variable's states as the
+    coordinate ``<name>_state``. `dims` are the leading dimensions, runs and steps; `steps` is T,
+    None without time.
     """
     data: Arrays = {}
     states: dict[str, Any] = {}
@@ -85,10 +86,11 @@ def _moments(
 ) -> tuple[Arrays, dict[str, Any]]:
     """The moments of continuous variables, and the coordinates of the data set.
 
-    The first result has ``mean``, ``std`` and ``cov`` over all components, each with its
-    dimensions; the second has the names of the components and of the variables they are of. `dims`
-    are the leading dimensions, runs and steps; `steps` is T, None without time. Covariances between
-    two variables are NaN.
+    `marginals` has the Gaussian of each variable. The first result has ``mean``, ``std`` and
+    ``cov`` over the components of all variables, each as the names of its dimensions and the array;
+    the second has the names of the components and of their variables. `dims` are the leading
+    dimensions, runs and steps; `steps` is T, None without time. Covariances between two variables
+    are NaN.
     """
     each = [_at_all_steps(belief.mean, -2, steps) for belief in marginals.values()]
     lead = each[0].shape[:-1] if each else (0,) * len(dims)
@@ -115,10 +117,10 @@ def _moments(
 
 
 def _at_all_steps(values: Any, axis: int, steps: int | None) -> Array:
-    """Values at steps 0..T along an axis: a NaN first where variables begin at step 1.
+    """A variable's values at all steps 0..T, with NaN at step 0 if the variable begins at step 1.
 
-    `axis` is that of steps, counted from the end. T is `steps`; None without time, where values
-    stay as they are.
+    `axis` is the axis of steps, counted from the end. T is `steps`; it is None without time, and
+    the values then stay as they are.
     """
     if steps is None or values.shape[axis] == steps + 1:
         return np.asarray(values)

@@ -1,4 +1,8 @@
-"""Memory limits for tables and covariances of a graph, and for results read from them."""
+"""Memory limits for tables and covariances of a graph, and for results read from them.
+
+`LIMIT` is 2²⁷ array entries, a gibibyte: all tables, or covariances, of a graph may have so many,
+and so may an answer over all runs.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +37,11 @@ LISTED = 8
 
 @dataclass(frozen=True)
 class Room:
-    """Limits on table entries times runs.
+    """Limits of memory for the tables of many runs, in table entries summed over the runs.
 
-    At most `batch` are computed at once, and at most `kept` are held by a posterior.
+    Tables of at most `batch` entries are computed at once, for some of the runs if need be. A
+    posterior keeps its tables if they have at most `kept` entries, and else computes them again
+    when they are asked for.
     """
 
     batch: int
@@ -64,7 +70,7 @@ class Room:
 
 
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
-    """Refuse a graph whose clusters take too much memory, or of which one has too many axes.
+    """Refuse a graph whose clusters need more than `LIMIT` entries, or arrays of too many axes.
 
     `entries` has for each cluster the number of entries of its table or covariance; `what` names
     the arrays in the error's text ("tables", "covariances"). The error is a `GraphError`.
@@ -116,7 +122,7 @@ def _require_axes(graph: ClusterGraph) -> None:
 
 
 def require_runs(entries: int, runs: int, what: str) -> None:
-    """Refuse an answer of `entries` array entries a run, if those of all runs exceed `LIMIT`.
+    """Refuse an answer of `entries` array entries for each run, if all runs' exceed `LIMIT`.
 
     `what` names the answer in the error's text ("the joint of 3 variables"); the error is a
     `GraphError`.

@@ -21,9 +21,10 @@ from pgm.linearisers.lineariser import Misfit
 def failure(rows: Rows, function: BoundFunction, mean: Array, error: Exception) -> Exception:
     """The error to raise in place of one that a lineariser has raised, with CPD, step and run.
 
-    A result of a wrong shape or type (`Misfit`) becomes a `LinearisationError`. An error of this
-    package that names its CPD, or comes from an `ArrayLineariser`, is returned itself, with the
-    CPD, variable and step that it lacks added. Any other error becomes a `ModelError`.
+    A `Misfit`, which reports a result of a wrong shape or type, becomes a `LinearisationError`. A
+    `PgmError` is returned itself, with the CPD, variable and step that it lacks, if it names its
+    CPD or the lineariser is an `ArrayLineariser`, as those of this package are. Any other error
+    becomes a `ModelError`.
     """
     if isinstance(error, Misfit):
         return _fault(rows, function, mean, *error.args)
@@ -49,8 +50,8 @@ def _fault(
     """The error, of the class `kind`, for a fault of the lineariser.
 
     `fault` is the verb phrase after the lineariser's name in the text ("failed", "returned an F of
-    shape (2, 3)"), and `more` what was due, or the lineariser's own error, at the end. The text
-    names the CPD, the step where there is one, and the runs of `mean` (n, *batch).
+    shape (2, 3)"). `more` ends the text: it is what was due, or the lineariser's own error. The
+    text names the CPD, the step where there is one, and the runs of `mean` (n, *batch).
     """
     step = function.step if rows.timed and isinstance(function.step, int) else None
     first = rows.first_run

@@ -3,7 +3,10 @@
 Message 2e goes along edge e of the graph's sepsets, from the lower cluster to the higher, 2e + 1
 back. A family of messages, tables or square roots of Gaussians, computes and keeps them. The
 *change* of a message is in standard deviations of the belief that it makes, or in probability. A
-run is *lost* when its messages diverge, and *active* until it is lost or has converged.
+run is *lost* when its messages diverge, and *active* until it is lost or has converged. A *round*
+sends as many messages as there are. A `Step` is a function that sends a round: it takes the masks
+of the active and of the lost runs, (runs,), and returns the changes of the messages, (messages,
+runs).
 """
 
 from __future__ import annotations
@@ -29,7 +32,8 @@ Round = TypeVar("Round")
 class Directed:
     """The numbered messages of a cluster graph: from which cluster to which each goes.
 
-    `source` and `target` (messages,) are these clusters; `clusters` is how many the graph has.
+    `source` and `target` (messages,) have the number of the cluster that sends each message, and of
+    the one that gets it; `clusters` is how many clusters the graph has.
     """
 
     source: Integers
@@ -84,7 +88,10 @@ class Messages(Protocol[Round]):
         """Whether no change can exceed one, as of probabilities: messages then never diverge."""
 
     def round(self, messages: Sequence[int]) -> Round:
-        """Lay out the computation of some messages, by number, in batches of equal shape."""
+        """Lay out the computation of some messages, by number, for `propose` and `accept`.
+
+        Messages of equal shape are computed together.
+        """
 
     def propose(self, round: Round) -> Array:
         """Compute a round's messages from the messages that are kept, and return their changes.
@@ -93,10 +100,11 @@ class Messages(Protocol[Round]):
         """
 
     def accept(self, round: Round, active: Mask, lost: Mask) -> None:
-        """Keep the messages that `propose` computed last, damped, in the active runs, (runs,).
+        """Replace the messages kept, in the active runs, (runs,), by those of the last `propose`.
 
-        Converged runs may go on, for the sake of other runs. Runs that are `lost`, (runs,), keep
-        the messages that they have.
+        If there is damping, the new messages are mixed with the old ones. Runs that are `lost`,
+        (runs,), keep their messages. Converged runs keep theirs, too, unless they share arrays with
+        active runs.
         """
 
     def relinearise(self, active: Mask) -> Array | None:
@@ -194,7 +202,10 @@ class _Growth:
 
 
 def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array]:
-    """By edge, the larger change of its two messages if all were sent now, (*lead)."""
+    """For each edge the larger of the changes of its two messages if all were sent now.
+
+    The changes are (*lead), `lead` being the shape of the user's axes of runs.
+    """
     directed = messages.directed
     change = messages.propose(messages.round(range(len(directed))))
     edges = zip(directed.source[::2].tolist(), directed.target[::2].tolist(), strict=True)
@@ -220,7 +231,10 @@ def _sequential(messages: Messages[Any]) -> Step:
 
 
 def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
-    """The `Step` that sends groups of messages in turn, each computed from the latest messages."""
+    """The `Step` that sends groups of messages in turn, each computed from the latest messages.
+
+    A group in `turns` has the numbers of its messages.
+    """
     rounds = [(list(turn), messages.round(turn)) for turn in turns]
 
     def step(active: Mask, lost: Mask) -> Array:
@@ -236,8 +250,9 @@ def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Step:
 def _residual(messages: Messages[Any]) -> Step:
     """The `Step` that sends next the message that would change most (Elidan, 2006).
 
-    A round sends as many messages as there are. After each, only the messages that depend on it are
-    computed anew. The changes that a round returns are those still to come.
+    After each message only that message and those that depend on it are computed anew. The changes
+    that the `Step` returns are those still to come: how much each message would change after the
+    round.
     """
     directed = messages.directed
     everything = messages.round(range(len(directed)))

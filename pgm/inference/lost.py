@@ -44,10 +44,10 @@ _WHY = ("innovations", "rejections")
 
 
 def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
-    """The log-likelihood ratio b of r = `rejected` sightings of n = `judged`, in their shape.
+    """The log-likelihood ratio b of r = `rejected` sightings out of n = `judged`.
 
-    q₀ is `outliers`, the share that a consistent belief rejects, or a tenth if that is more; q₁
-    follows from it.
+    All three have the same shape. q₀ is a tenth or, if larger, `outliers`, the share of rejections
+    to be expected of a consistent belief; q₁ follows from q₀.
     """
     own = min(max(outliers, OUTLIERS), 1.0 - 1e-6)
     share = LOST_SHARE + (1.0 - LOST_SHARE) * (own - OUTLIERS) / (1.0 - OUTLIERS)
@@ -60,10 +60,11 @@ def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
 class Read(NamedTuple):
     """The numbers that both tests need of the measurements of steps, (..., runs) each.
 
-    `nis` is the normalised innovation squared, `dof` its d. Gates rejected `rejected` of the
-    `judged` sightings. Of `open` sightings of unknown identity `strange` were taken for no
-    candidate, and `odds` is their b. For a sensor with a gate `open` counts its strange sightings
-    alone, since the gate judges all others.
+    `nis` is the normalised innovation squared, `dof` its d. `judged` counts the sightings that
+    gates have judged, `rejected` those that they rejected. `open` counts the sightings of unknown
+    identity, `strange` those of them that were taken for no candidate, and `odds` is the b of both.
+    For a sensor with a gate `open` counts its strange sightings alone, since the gate judges all
+    others.
     """
 
     nis: Array
@@ -265,5 +266,9 @@ class Lost(Shown, Immutable):
 
 
 def _row(run: int, test: PageTest, last: int) -> tuple[int, int, int, int, int]:
-    """A stretch of one run as numbers: its run, `first`, `declared` and last step, and `why`."""
+    """The latest stretch of one run as numbers, from the state `test` after the step `last`.
+
+    They are the run, the steps where it probably began, was noticed and ended, and the number of
+    the test that noticed it.
+    """
     return run, int(test.first[run]), int(test.declared[run]), last, int(test.why[run])

@@ -137,7 +137,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     @property
     @abstractmethod
     def _hidden(self) -> Scope:
-        """The variables that have marginals; of a dynamic network their templates."""
+        """The variables that have marginals; over time each is one variable, without a step."""
 
     @property
     @abstractmethod

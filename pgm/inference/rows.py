@@ -106,7 +106,10 @@ class Rows:
 
     @cached_property
     def source(self) -> Source:
-        """The CPD, its first run and its trace's answers, as a bound function refers to them."""
+        """What a function with its evidence bound keeps of this CPD, mainly for errors.
+
+        It is the CPD, whether it has time, the number of its first run, and its trace's answers.
+        """
         return Source(self.cpd, self.timed, self.first_run, self.answers)
 
     def at(self, first: int, last: int) -> At:
@@ -134,10 +137,10 @@ class Rows:
         return At(function, None, None, noise, first, last)
 
     def given(self, step: int, inputs: Sequence[Array], count: int) -> At:
-        """The CPD of one run at other inputs than those of its rows, for `count` sightings.
+        """`count` sightings of one run, or a transition, with other inputs than those of the rows.
 
-        The `inputs` are in the order of `self.inputs`, (d,) each, or (count, d) of several
-        sightings.
+        They are stacked as the rows 0 to `count` − 1. The `inputs` are in the order of
+        `self.inputs`, (d,) each, or (count, d) of several sightings.
         """
         if self.noisy:
             wide = self._wide(inputs, count)
@@ -159,7 +162,10 @@ class Rows:
         return At(function, None, None, noise, 0, count)
 
     def _wide(self, inputs: Sequence[Array], count: int) -> dict[Variable, Array]:
-        """The inputs of `given` by parent, (count, 1, d) each: sightings as rows, one run."""
+        """Inputs by parent, (count, 1, d) each: a row for each of `count` sightings, one run.
+
+        `inputs` are in the order of `self.inputs`.
+        """
         every = zip(self.inputs, inputs, strict=True)
         return {parent: values.reshape(count, 1, -1) for parent, values in every}
 
@@ -193,7 +199,10 @@ class Rows:
 
     @cached_property
     def _by_row(self) -> list[tuple[Array | None, ...]]:
-        """For each row its part of `_known`: for each argument an array, or None."""
+        """For each row, and each argument of the function, its input, or None of a hidden parent.
+
+        An input is (d,) of one run, (runs or 1, d) of many.
+        """
         nothing = [None] * self.step.size
         every = (nothing if values is None else list(values) for values in self._known)
         return list(zip(*every, strict=True))
@@ -205,9 +214,10 @@ class Rows:
         return found
 
     def _own(self, first: int, last: int) -> Array:
-        """The CPD's own noise at some rows, stacked by `_noise_of`: (k d, k d, *batch) for k rows.
+        """The CPD's own noise covariance of k rows, block diagonal, (k d, k d, *batch).
 
-        It is kept for the next call if all rows have the same noise.
+        They are the rows from `first` up to, not including, `last`. The result is kept for the next
+        call if all rows of the CPD have the same noise.
         """
         if len(self.own_noise) > 1:
             return self._noise_of(self.own_noise, first, last)
@@ -219,13 +229,17 @@ class Rows:
 
     @cached_property
     def _constant_noise(self) -> dict[int, Array]:
-        """Own noises that `_own` has kept, by the number of rows that were stacked."""
+        """The own noise of k stacked rows by k, as far as it was asked for.
+
+        It is kept only if all rows of the CPD have the same noise.
+        """
         return {}
 
     def _noise_of(self, noise: Array, first: int, last: int) -> Array:
-        """The noise of k rows, stacked to one vector: block diagonal, (k d, k d, *batch).
+        """The noise covariance of k rows, block diagonal, (k d, k d, *batch).
 
-        `noise` is (rows or 1, runs or 1, d, d).
+        They are the rows from `first` up to, not including, `last`, of `noise`, which is (rows or
+        1, runs or 1, d, d).
         """
         blocks = noise[first:last] if len(noise) > 1 else noise
         blocks = blocks.transpose(0, 2, 3, 1) if self.batch else blocks[:, 0]
@@ -234,7 +248,7 @@ class Rows:
         return block_diagonal(np.broadcast_to(blocks, (last - first, *blocks.shape[1:])))
 
     def _affine_at(self, first: int, last: int) -> At:
-        """Some rows of an affine CPD, as `at` returns them.
+        """The rows of an affine CPD from `first` up to, not including, `last`, stacked.
 
         Their arrays are kept for the next call if all rows have the same offset and noise.
         """
@@ -259,7 +273,10 @@ class Rows:
 
     @cached_property
     def _constant_at(self) -> dict[int, At]:
-        """Rows that `_affine_at` has kept, by the number of rows that were stacked."""
+        """The stacked k rows of an affine CPD by k, as far as they were asked for.
+
+        They are kept only if all rows of the CPD have the same offset and noise.
+        """
         return {}
 
 

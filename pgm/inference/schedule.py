@@ -131,13 +131,19 @@ class Smoothing(Calibration):
 
     Parameters
     ----------
+    iterations : int
+        Linearisations of all CPDs at the most.
     tolerance : float
         A run stops when no smoothed mean is more than this many standard deviations from where it
-        was linearised; for 0 see `Filtering`.
-    iterations, damping, gate
-        See `Filtering`; here for all CPDs. The gate is decided in the first forward pass and kept,
-        so that all iterations are of the same measurements. With a start, CPDs are linearised
-        at it in that pass.
+        was linearised. With 0 all iterations are made, and there is no `ConvergenceWarning`.
+    damping : float or LevenbergMarquardt
+        The share of the old point of linearisation that is kept, in [0, 1), or a control of each
+        step by its cost, which `LevenbergMarquardt` defines.
+    gate : float or mapping of Variable to float, optional
+        The probability within which measurements are taken in, of all sensors or of some, as
+        `Filtering` defines it. The gate decides in the first forward pass, and its decisions are
+        kept, so that all iterations are of the same measurements. If the user gives a start, CPDs
+        are linearised there in that pass.
 
     References
     ----------
@@ -200,9 +206,16 @@ class FixedLag(InCode):
         L, in steps: 0 or more.
     iterations : int
         Linearisations of a window at the most.
-    tolerance, damping, gate
-        See `Filtering`; here the tolerance is of a window's smoothed means, and the cost that of
-        its trajectory, its prior included. The gate is decided when a step is new, and kept.
+    tolerance : float
+        A window is done when no smoothed mean is more than this many standard deviations from
+        where it was linearised. With 0 all iterations are made, and there is no
+        `ConvergenceWarning`.
+    damping : float or LevenbergMarquardt
+        The share of the old point of linearisation that is kept, in [0, 1), or a control of each
+        step by the cost of the window's trajectory, the window's prior included.
+    gate : float or mapping of Variable to float, optional
+        The probability within which measurements are taken in, of all sensors or of some, as
+        `Filtering` defines it. The gate decides when a step is new, and its decisions are kept.
 
     Examples
     --------
@@ -250,13 +263,19 @@ class FixedLag(InCode):
 
     @property
     def smoothing(self) -> Smoothing:
-        """The iterated smoothing of a window."""
+        """The schedule by which a window is smoothed, with the same iterations."""
         return Smoothing(self.iterations, self.tolerance, self.damping)
 
 
 @dataclass(frozen=True)
 class Loopy(InCode):
-    """Base of the schedules for any graph, a tree or not; for the options see `Flooding`."""
+    """Base of the schedules for any graph, a tree or not.
+
+    At most `iterations` rounds of messages are sent, each of as many messages as the graph has. A
+    run has converged when no message changes by more than `tolerance`, in standard deviations of
+    the belief that it makes, or in probability. `damping` is the share of the old message that is
+    kept.
+    """
 
     iterations: int = 1000
     tolerance: float = 1e-10
@@ -312,7 +331,18 @@ class Flooding(Loopy):
 class Sequential(Loopy):
     """Cluster after cluster, forth and back, each message computed from the latest ones.
 
-    Convergence and parameters are as of `Flooding`.
+    On a tree the beliefs are exact. On a graph with loops messages need not converge; see
+    `Flooding`.
+
+    Parameters
+    ----------
+    iterations : int
+        Rounds of messages at the most; a round sends as many messages as the graph has.
+    tolerance : float
+        A run has converged when no message changes by more than this: in standard deviations of
+        the belief it makes, or in probability.
+    damping : float
+        The share of the old message that is kept, in [0, 1).
 
     Examples
     --------
@@ -330,7 +360,18 @@ class Residual(Loopy):
 
     After each message, all messages that depend on it are computed anew. So an iteration computes
     about n² messages around a hub of n neighbours, where `Flooding` and `Sequential` compute n.
-    Convergence and parameters are as of `Flooding`.
+    On a tree the beliefs are exact. On a graph with loops messages need not converge; see
+    `Flooding`.
+
+    Parameters
+    ----------
+    iterations : int
+        Rounds of messages at the most; a round sends as many messages as the graph has.
+    tolerance : float
+        A run has converged when no message would change by more than this: in standard deviations
+        of the belief it makes, or in probability.
+    damping : float
+        The share of the old message that is kept, in [0, 1).
 
     References
     ----------

@@ -72,11 +72,12 @@ class Status(Shown, Immutable):
         each edge, in the order of ``graph.sepsets``; zero of runs that had ended before. None after
         others, and where it would take more than 8 MiB.
     digits : ndarray or None
-        (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
-        standard deviation (6 are an error of 10⁻⁶ deviations), or, if that is larger, from 10⁻⁹ of
-        the largest deviation that the component had. The last place of the mean itself in float64
-        counts. None where digits are not measured and half a last place of a mean is at most 10⁻⁶
-        of its standard deviation. Below six there is a `PrecisionWarning`.
+        (*runs): how many decimal digits rounding leaves of the mean that it harms most. Digits are
+        counted from the mean's standard deviation, so that 6 are an error of 10⁻⁶ deviations; a
+        deviation below 10⁻⁹ of the largest one that the component had is taken as that. The
+        rounding of the mean to its last place in float64 is included. None where digits were not
+        measured, and half a last place of each mean is at most 10⁻⁶ of its standard deviation.
+        Fewer than six give a `PrecisionWarning`.
     compilation : str
         An account of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not
         compiled: ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call
@@ -146,15 +147,18 @@ class Status(Shown, Immutable):
         return found
 
     def _measured(self, digits: Array, cause: str) -> Status:
-        """The same status with digits (*runs), and the `cause` that a warning gives for few."""
+        """The same status with digits (*runs), without a warning.
+
+        A later warning says, in the words of `cause`, why digits are few.
+        """
         return self._with(digits=digits, _cause=cause)
 
     def _losing(self, error: Array, cause: str) -> Status:
-        """The same status with a further error (runs,) of means, in standard deviations.
+        """The same status with fewer digits, since means have a further error by rounding.
 
-        It is added to the error that digits measured before stand for. Of `cause` and the cause
-        recorded before, the one of the larger error is kept. No warning is given here: `_warn`
-        gives it, once a call.
+        The error (runs,), in standard deviations, is added to the one that the present digits stand
+        for. Of `cause`, the words on this error, and the cause recorded before, the one of the
+        larger error is kept. No warning is given here: `_warn` gives it, once a call.
         """
         past = np.zeros(error.shape)
         if self.digits is not None:

@@ -1,7 +1,8 @@
 """Summaries of posteriors: log-evidence, status, and beliefs, over time at first and last steps.
 
 Arguments `runs` are the shape of the user's leading axes of runs; `last` is T, the last step;
-``beliefs[x.at(t)]`` is the belief of a variable x at step t, of all runs.
+``beliefs[x.at(t)]`` is the belief of a variable x at step t, of all runs. A *place* is an index of
+a run or, with a step after it, of a run and a step. A *listing* is a table of text.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ def over_time(
 ) -> Summary:
     """The summary of a posterior over time; beliefs that are not shown are not computed.
 
-    `variables` are hidden templates; controls, which are no states, begin at step 1. The lines
-    `told_of` stand below the log-evidence and the status.
+    `variables` are hidden ones, without a step; those that are no states, such as controls, begin
+    at step 1. `told_of` are further lines, below the log-evidence and the status.
     """
     states = posterior.graph.model.states
     told = [*figures(posterior), *told_of]
@@ -62,7 +63,10 @@ def over_time(
 def marginals_over_time(
     title: str, marginals: Any, layout: SliceLayout, runs: tuple[int, ...], last: int
 ) -> Summary:
-    """The summary of marginals over time alone, without log-evidence and status."""
+    """The summary of marginals over time alone, without log-evidence and status.
+
+    `layout` tells which variables are hidden, and which of them are states.
+    """
     return Summary(title, ends(marginals, layout.slice, layout.states, runs, last))
 
 
@@ -73,9 +77,10 @@ def ends(
     runs: tuple[int, ...],
     last: int,
 ) -> list[str | Listing]:
-    """Listings of the beliefs of the first variables, each of its first and last steps.
+    """Listings of beliefs: one for each of the first four variables, of its first and last steps.
 
-    Variables that are no `states`, such as controls, begin at step 1.
+    Variables that are no `states`, such as controls, begin at step 1. If there are more than four
+    variables, a line with their number follows.
     """
     shown = variables[:VARIABLES]
     most = max(ROWS // max(len(shown), 1) - (len(shown) > 1), ENDS)
@@ -161,9 +166,9 @@ def figures(posterior: Any) -> Iterable[str]:
 
 
 def spread(values: Array, digits: int = 6) -> str:
-    """A number as text, to so many significant digits; of several runs the least and the largest.
+    """A number as text, with `digits` significant digits.
 
-    The least and the largest have four digits.
+    Of several runs it is "the least to the largest", each with four digits, unless they are equal.
     """
     if not values.ndim:
         return number(float(values), digits)
@@ -182,7 +187,7 @@ def _ends(
     kept: dict[int, Any] = {}
 
     def at(place: Place) -> Any:
-        """The belief of all runs at a step: that of `place`, an index along `lead`."""
+        """The belief of the variable, for all runs, at the step of a place."""
         step = steps[place[-1]]
         if step not in kept:
             kept[step] = beliefs[variable.at(step)]
@@ -208,10 +213,10 @@ def _states(
     chances: Callable[[Place], Array],
     most: int,
 ) -> Listing:
-    """The listing of a discrete variable's probabilities, about `most` rows, a column a state.
+    """The listing of a discrete variable's probabilities: about `most` rows, a column per state.
 
-    A place is an index along `lead`, the axes of runs and that of `steps`; `chances` gives the
-    probabilities (size,) there.
+    A row is of one place. `lead` is the shape of the axes of runs and of `steps` together, along
+    which places are indices; `chances` gives the probabilities (size,) at a place.
     """
     shown, across = places(lead, most), few(variable.size, STATES)
     found = [place for place in shown if place is not None]
@@ -226,9 +231,10 @@ def _states(
 
 
 def _of_variable(variable: Variable, found: Any, picked: Sequence[Place]) -> list[list[str]]:
-    """The rows of one variable, each a name and the belief in each picked run.
+    """The rows of one variable in a listing, each a name and the belief in each picked run.
 
-    A discrete variable has one row, another a row for each component.
+    `found` is the variable's marginal, a table or a Gaussian, of all runs, and `picked` has the
+    places of the runs to show. A discrete variable has one row, another a row for each component.
     """
     if isinstance(found, Table):
         return [[repr(variable), *(states_of(found, place) for place in picked)]]

@@ -6,10 +6,12 @@ singular, where a variance falls far at once, or where a mean is very many stand
 zero; moments without any of these are *moderate*. A compiled step leaves its results packed in a
 tuple, the *core*, from which the attributes of a belief are made when one is asked for.
 
-With a lag a belief has in `behind` the earlier steps that the filter keeps: a `Trail` of
-transitions, or a `Sliding` window. Its `watch` is the test whether the belief is lost, that is,
-wrong by more than its covariance says. A *plan* (`ChainPlan`) lays out the CPDs and evidence of a
-few steps.
+A belief is over the *slice*, the hidden variables of a step, which `layout` stacks to a vector of n
+components. `mean` and `cov` are (*lead, n) and (*lead, n, n), where `lead` is the shape of the
+user's axes of runs. With a lag a belief has in `behind` the earlier steps that the filter keeps: a
+`Trail` of transitions, or a `Sliding` window. Its `watch` is the test whether the belief is lost,
+that is, wrong by more than its covariance says, and `_gated` has the decisions of gates at its last
+update. A *plan* (`ChainPlan`) lays out the CPDs and evidence of a few steps.
 """
 
 from __future__ import annotations
@@ -95,7 +97,10 @@ _later: Any = _Later
 
 
 class _Kept:
-    """Base of online beliefs: the slot for a core; None where a belief has its attributes."""
+    """Base of online beliefs: the slot for a core.
+
+    It is None where the attributes of a belief were given, not packed in a core.
+    """
 
     __slots__ = ("_core",)
 
@@ -214,8 +219,8 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
     def told(self, associations: Found, gate: Asked | None) -> OnlineBelief:
         """The same belief with the `associations` of its update's measurements, by sensor.
 
-        Its watch, if it has one, counts them too; which of them depends on the sensors' `gate` (see
-        `Watch.told`).
+        Its watch, if it has one, counts them, too: of a sensor without a gate all associated
+        sightings, of a sensor with a `gate` only those that were taken for no candidate.
         """
         found = copy(self)
         watch = None if self.watch is None else self.watch.told(associations, gate)
@@ -412,10 +417,10 @@ def told(
 ) -> Status:
     """The status of a step in float64, with the decimal digits that rounding leaves of means.
 
-    Digits are lost where sigma points lie close together (`close_points`) or a mean is very large
-    beside its standard deviation (`last_places`). `before` and `after` are the moments before and
-    after the step; `belief` is the belief before it, whose status has the digits left then. Without
-    a loss the status stays as it is; else fewer than six digits are a `PrecisionWarning`.
+    Digits are lost where sigma points lie close together, or where a mean is very large beside its
+    standard deviation. `before` and `after` are the moments before and after the step; `belief` is
+    the belief before it, whose status has the digits left then. Without a loss the status stays as
+    it is; else a `PrecisionWarning` is given if fewer than six digits are left.
     """
     left = belief.status.digits if belief.careful is None else None
     place = last_places.of_step(after)
@@ -463,8 +468,8 @@ def require_own(
 ) -> None:
     """Refuse to go on from a belief of another model or schedule, or from one that is lagged.
 
-    `behind` has the steps behind the filter's prior, with which those of the belief have to agree
-    in kind and lag. The error is a `ModelError`.
+    `behind` are the steps behind the filter's prior. The steps behind the belief have to be of the
+    same kind, a trail or a window, and of the same lag. The error is a `ModelError`.
     """
     if not isinstance(belief, OnlineBelief) or belief.layout.model is not model:
         raise ModelError(

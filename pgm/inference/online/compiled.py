@@ -48,10 +48,11 @@ class CompiledSteps:
 
     `ahead` and `seen` make the plan of a prediction and of an update from a belief and the values
     given; `moved` and `taken` make the steps in the general way. `done` is the status after
-    predictions and updates by linear sensors, `linearised` after others. The general way is taken
-    for beliefs of many runs, in twice the digits, with lost digits or of another filter, for values
-    in other forms than numbers or sightings without steps, for updates at step 0, and where numbers
-    are too far apart for float64. `left` counts such steps by reason.
+    predictions and updates by linear sensors, `linearised` after others. `left` counts the steps
+    made in the general way, by reason: the belief is of many runs or of another filter, or float64
+    has too few digits for it; a value is neither an array of numbers nor sightings without steps;
+    the update is at step 0; machine code cannot make steps of the kind, or its results, compared
+    with NumPy's, were others; or numbers are too far apart.
     """
 
     def __init__(
@@ -81,8 +82,8 @@ class CompiledSteps:
     def predict(self, belief: OnlineBelief, inputs: Values | None = None) -> OnlineBelief:
         """Predict one step in machine code if that can be, else in the general way.
 
-        The usual case of one input, of the kind of the last prediction, is found here, the rest by
-        `_any`.
+        The usual case of a single input, in a prediction of the same kind as the last one, takes a
+        short way; all others go the long way, by `_any`.
         """
         core, kind = belief._core if type(belief) is OnlineBelief else None, self._last[1]
         if core and core[0] is self and kind and type(inputs) is dict and len(inputs) == 1:
@@ -105,8 +106,8 @@ class CompiledSteps:
     def update(self, belief: OnlineBelief, readings: Values) -> OnlineBelief:
         """Update in machine code if that can be, else in the general way.
 
-        The usual case of sightings of one sensor with one parent given, of the kind of the last
-        update, is found here, the rest by `_any`.
+        The usual case, sightings of one sensor with one parent given in an update of the same kind
+        as the last one, takes a short way; all others go the long way, by `_any`.
         """
         core, kind = belief._core if type(belief) is OnlineBelief else None, self._last[0]
         if core and core[0] is self and kind and type(readings) is dict and len(readings) == 1:
@@ -135,7 +136,10 @@ class CompiledSteps:
         return self._any(belief, readings, moves=False)
 
     def adopted(self, belief: OnlineBelief) -> OnlineBelief:
-        """The same belief, with a core if float64 can carry it, so that steps go on from it."""
+        """The same belief, with a core, from which compiled steps can go on.
+
+        It gets none if it has axes of runs, or float64 has too few digits for it.
+        """
         if not belief.lead and belief.status.digits is None and is_plain(belief):
             both = np.vstack([belief.mean, belief.cov])
             told = belief.log_evidence.item(), belief.kind, belief.status
@@ -145,8 +149,9 @@ class CompiledSteps:
     def _any(self, belief: OnlineBelief, values: Values, *, moves: bool) -> OnlineBelief:
         """A step with values of any kind: a prediction if it `moves`, else an update.
 
-        Its kind is found, or laid out. While the kind has trials left, the step is made in the
-        general way, too, and that belief is returned where the two differ.
+        The layout of the step's kind is looked up, or made. While the kind has trials left, the
+        step is made in the general way, too; where the two beliefs differ, the one of the general
+        way is returned.
         """
         core = belief._core if type(belief) is OnlineBelief else None
         make, general, kernel = self._ways[moves]
@@ -190,8 +195,9 @@ class CompiledSteps:
     def _laid(self, make: Make, belief: OnlineBelief, values: Values, rows: list[Array]) -> Layout:
         """The layout of a kind of step, without a table where machine code cannot make the step.
 
-        `rows` are the arrays of the values given. Traces of functions are compared with their
-        functions at the belief; a wrong one is made anew, once.
+        `make` makes the plan of the step; `rows` are the arrays of the `values`. A *trace* is a
+        function recorded as a graph of scalar operations. Traces are compared with their functions
+        at the belief, and made anew, once, if one is wrong.
         """
         for _ in range(2):  # a trace that is wrong is made anew
             plan = make(belief, values)

@@ -100,12 +100,12 @@ class OnlineFilter(InCode, Immutable):
         Beliefs are then point masses: the filter is an `OnlineGrid` or `OnlineParticles`, with the
         same methods, and takes neither lineariser nor schedule, of which it has no use.
     compiled : bool or Compiled
-        Whether steps are made in machine code, by Numba, for which functions have to be traced, as
-        they are when the filter is made (see `renewed`). Steps that are not plain (of many runs,
-        with a lag, a gate, a watch or iterations, in twice the digits, with noise that depends on
-        inputs, or of functions that make floats of their input) are made without, with equal
-        results. One run has one thread. False unless said, since loading and
-        compiling take the time of 10,000 steps.
+        Whether steps are made in machine code, by Numba. The model's functions are then recorded
+        as they are when the filter is made; see `renewed` for later changes. Some steps are made
+        without machine code, with equal results: those of many runs, with a lag, a gate, a watch or
+        iterations, in twice the digits, with noise that depends on inputs, or with functions that
+        make floats of their input. Machine code runs in one thread. False if not given, since
+        loading and compiling take the time of 10,000 steps.
 
     Raises
     ------
@@ -163,9 +163,9 @@ class OnlineFilter(InCode, Immutable):
         belief: PointMasses | None = None,
         compiled: Choice = None,
     ) -> Any:
-        """The filter; with a `belief`, or of a model of tables, one of another class.
+        """The filter; it is of another class if a `belief` is given or the model is of tables.
 
-        It is then an `OnlineGrid`, an `OnlineParticles` or an `OnlineTables`.
+        It is then an `OnlineGrid` or `OnlineParticles`, or an `OnlineTables`.
         """
         discrete = isinstance(model, DynamicBayesianNetwork) and model.discrete
         if belief is not None or discrete:
@@ -195,8 +195,8 @@ class OnlineFilter(InCode, Immutable):
     def _filtering(self) -> Filtering:
         """The schedule by which an update linearises sensors.
 
-        It is the filter's own if that is a `Filtering`; of a `FixedLag` it is `first`, or, if its
-        lag is zero, `filtering`.
+        It is the filter's own schedule if that is a `Filtering`. With a `FixedLag` it has the
+        gate of that and one linearisation or, if the lag is zero, as many as the `FixedLag`.
         """
         schedule = self.schedule
         if isinstance(schedule, FixedLag):
@@ -235,8 +235,8 @@ class OnlineFilter(InCode, Immutable):
     def _compile(self) -> None:
         """Replace `predict` and `update` by compiled ones, where the settings allow it.
 
-        The schedule has to be a `Filtering` of one linearisation without a gate, and there is no
-        watch.
+        They allow it if the schedule is a `Filtering` of one linearisation without a gate, and
+        there is no watch.
         """
         schedule = self.schedule
         single = isinstance(schedule, Filtering) and schedule.iterations == 1
@@ -292,13 +292,13 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _first(self) -> OnlineBelief:
-        """The prior, packed as compiled steps take it."""
+        """The prior belief, with its numbers packed as compiled steps take them."""
         assert self._steps is not None
         return self._steps.adopted(self._initial())
 
     @_quiet
     def _initial(self) -> OnlineBelief:
-        """The prior belief; of a filter that watches with the test of being lost at its start."""
+        """The prior belief; if the filter watches, it has a new test whether a belief is lost."""
         found = self._prior()
         return found if not self.watch else found.judged((), Watch.start(found.lead))
 
@@ -346,9 +346,9 @@ class OnlineFilter(InCode, Immutable):
     def _later(self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None) -> OnlineBelief:
         """The belief predicted one step ahead.
 
-        It is predicted in float64, or in twice the digits where that would lose too many. A sliding
-        window takes the step in as its newest; if nothing was read at the step before, the window
-        of that step is settled now.
+        It is predicted in float64, or in twice the digits where float64 would lose too many. A
+        sliding window behind the belief takes the step in as its newest one. If nothing was read at
+        the step before, the window of that step is settled first.
         """
         require_own(belief, self.model, self.schedule, self._behind)
         if type(inputs) is not dict:
@@ -516,7 +516,10 @@ class OnlineFilter(InCode, Immutable):
         return plan
 
     def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
-        """The plan of a window, whose first step is number `first`, with the prior or without."""
+        """The plan of a window whose first step is number `first`.
+
+        `prior` says whether it begins with the prior, as at step 0, or with a belief.
+        """
         plan = self._plan(bound, first, prior=prior)
         assert isinstance(self.schedule, FixedLag)
         require_cost(self.schedule.smoothing, plan.families)
@@ -524,5 +527,8 @@ class OnlineFilter(InCode, Immutable):
         return plan
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
-        """The plan of a chain with this evidence, whose first step is number `step`."""
+        """The plan of a chain with this evidence, whose first step is number `step`.
+
+        `prior` says whether it begins with the prior, or with a belief.
+        """
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)

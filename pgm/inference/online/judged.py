@@ -31,9 +31,9 @@ def of_update(
 ) -> tuple[tuple[Decided, ...], Watch | None]:
     """The gates' decisions about the readings `parts` of an update, and the watch after it.
 
-    `known` are the moments before the update. The watch is told the NIS at their mean, of one
-    innovation stacked from all measured components that were taken in, with the sensors as they
-    were linearised last. Without a `watch` None is returned for it.
+    `known` are the moments before the update. The watch takes in the normalised innovation squared
+    νᵀS⁻¹ν: ν, at the mean of `known`, is stacked from all measured components that were taken in,
+    with the sensors as they were linearised last. Without a `watch` None is returned for it.
     """
     gated = tuple(_decided(part) for part in parts if part.gated is not None)
     if watch is None or not parts:
@@ -65,8 +65,8 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...], Watch | None]:
     """The decisions of gates at the newest step of a settled window, and the watch after it.
 
-    The window has all measurements of the step, so that the watch's numbers of earlier updates of
-    the step are replaced. Without a `watch` None is returned for it.
+    The window has all measurements of the step. The watch therefore drops its numbers of earlier
+    updates of the step, and takes those of the window. Without a `watch` None is returned for it.
     """
     plan, found, judged = window.plan, list[Decided](), list[tuple[Mask, Mask] | None]()
     for sensor in plan.sensors:

@@ -162,10 +162,11 @@ Key = tuple[Any, ...]
 
 
 def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
-    """The kind of the values given, a key for layouts, and their arrays, read-only.
+    """The kind of the values given, as a key for layouts, and their arrays, read-only.
 
     An array is (d,), or (M, d) of sightings, (d,) if M is 1; a sensor's comes before those of its
-    parents. None where values are missing, infinite, odd, or of many robots.
+    parents. None where a value is NaN or infinite, is no array or list of numbers, or is of many
+    robots.
     """
     key: list[Any] = []
     rows: list[Array] = []
@@ -192,14 +193,18 @@ def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
 
 
 def _is_finite(row: Array) -> bool:
-    """Whether the sum of an array is finite; one that overflows goes the general way, too."""
+    """Whether all numbers of an array are finite, by their sum, which is quicker.
+
+    An array of finite numbers whose sum overflows counts as not finite: the general way takes it.
+    """
     return isfinite(sum((row if row.ndim == 1 else row.ravel()).tolist()))
 
 
 def _view(value: Any, axes: int) -> Array | None:
-    """A read-only view (d,) or (M, d), as users' functions see it; (d,) of a single sighting.
+    """A read-only view (d,) or (M, d) of a value, as users' functions see it.
 
-    None where the value has not so many axes, or is odd.
+    A value of two axes has sightings as rows; of a single one the view is (d,). None where the
+    value has another number of axes than `axes`, or is no array or list of numbers.
     """
     value = numbers(value, axes)
     if value is None:
@@ -210,7 +215,7 @@ def _view(value: Any, axes: int) -> Array | None:
 
 
 def numbers(value: Any, axes: int) -> Array | None:
-    """A value as an array of floats with so many axes; None where it is anything else."""
+    """A value as an array of floats with `axes` axes; None where it cannot be one."""
     if type(value) is not ARRAY or value.dtype is not FLOAT:
         value = _numbers(value) if isinstance(value, ARRAY | list | tuple) else None
     return None if value is None or value.ndim != axes else value
@@ -266,9 +271,9 @@ class _Local:
             self.at_first = family.given(0, [np.zeros(0)] * len(inputs), sightings)
 
     def at(self, step: int, rows: list[Array]) -> At | None:
-        """The CPD at a step's arrays `rows`, by place; None where a noise given there is singular.
+        """The CPD with its inputs taken from the arrays given at a step, `rows`, by place.
 
-        A noise that does not depend on inputs is not looked at.
+        None if its noise depends on these inputs, and is singular at them.
         """
         if self.places is not None:
             known = [None if k is None else rows[k] for k in self.places]
@@ -284,7 +289,8 @@ class _Local:
 class _Layout(NamedTuple):
     """A layout: the plan of a step with its chain, its CPDs, and the values it was made from.
 
-    The `values` are kept so that their variables live, whose identities are in the layout's key.
+    `chain` makes steps by the plan, and `locals` are the CPDs. The `values` are kept so that their
+    variables live: the layout's key has the variables' identities (`id`).
     """
 
     plan: ChainPlan
@@ -309,8 +315,8 @@ class Layouts:
     def motion(self, belief: OnlineBelief, inputs: Values) -> tuple[MomentChain, list[At]] | None:
         """The chain of a prediction, and its transition CPDs bound to the inputs.
 
-        None where the general way is to be taken: values are not `ordinary`, or a noise is
-        singular.
+        None where the general way is to be taken: values have no kind, or a noise that depends on
+        inputs is singular.
         """
         given = ordinary(inputs)
         if given is None:
@@ -325,10 +331,10 @@ class Layouts:
     def sensors(
         self, belief: OnlineBelief, readings: Values
     ) -> tuple[MomentChain, list[Reading]] | None:
-        """The chain of an update, and its measurements, bound to the readings.
+        """The chain of an update, and its measurements: sensors' CPDs bound to the readings.
 
-        None where the general way is to be taken: values are not `ordinary`, or a noise is
-        singular.
+        None where the general way is to be taken: values have no kind, or a noise that depends on
+        inputs is singular.
         """
         given = ordinary(readings)
         if given is None:

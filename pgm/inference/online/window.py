@@ -42,7 +42,8 @@ class Entry(NamedTuple):
     """The evidence of a step of a window.
 
     `motion` has, for each CPD of the transition to the step, its inputs, (1, runs or 1, d) by
-    variable, without rows at step 0; `readings` the measurements.
+    variable. Step 0 has no transition: its inputs are arrays without rows, (0, 1, d). `readings`
+    are the measurements, by sensor and update.
     """
 
     motion: tuple[Inputs, ...]
@@ -69,7 +70,7 @@ class Sliding:
 
     @classmethod
     def first(cls, schedule: FixedLag, model: DynamicBayesianNetwork) -> Sliding:
-        """The window at step 0, where the transition has no rows."""
+        """The window at step 0, with the prior and no measurements."""
         motion = tuple(
             {v: np.zeros((0, 1, v.dimension)) for v in cpd.parents if v in model.inputs}
             for cpd in model.transition
@@ -101,16 +102,20 @@ class Sliding:
         return replace(found, window=found.settled(make))
 
     def settled(self, make: Make) -> Window:
-        """The settled window; it is iterated on if it has not been yet."""
+        """The settled window; if it is not yet settled, it is linearised and smoothed first.
+
+        What is computed here is returned, not kept.
+        """
         if self.window is not None:
             return self.window
         plan, begin = self._laid(make)
         return iterate_window(plan, 0, plan.steps, begin, self.schedule)
 
     def ahead(self, make: Make, step: int) -> SingleStep:
-        """The newest step, number `step`, predicted from the step before, without the window.
+        """The newest step, number `step`, with its belief predicted from the step before.
 
-        It is to be called while nothing has been read at the newest step.
+        It is called while nothing has been read at the newest step. The other steps of the window
+        are neither linearised nor smoothed.
         """
         begun = self.before is not None
         plan = make(_joined(self.entries[-1:], self.lead, begun=begun), step - begun, not begun)
@@ -148,7 +153,7 @@ class Sliding:
         return first, mean, cov
 
     def _laid(self, make: Make) -> tuple[ChainPlan, Beginning | None]:
-        """The plan of the window, ready to be iterated on, and the belief at its first step.
+        """The plan of the window with a first linearisation, and the belief that it begins with.
 
         CPDs are linearised as the window before left them, and those of the newest step as a filter
         does. The belief is None where the window begins with the prior.
@@ -250,10 +255,10 @@ class Passed:
 
     @cached_property
     def moments(self) -> tuple[Array, Array, Array, Array]:
-        """The matrices A, Q, P_y and P of the transition, (*lead, n, n), to bound rounding by.
+        """The matrices A, Q, P_y and P of the transition, (*lead, n, n).
 
-        The transition is y = A x + c + n, n ~ N(0, Q), P the covariance of x and P_y that of y; see
-        `reversal_rounding`.
+        The transition is y = A x + c + n, n ~ N(0, Q), P the covariance of x and P_y that of y.
+        They serve to bound the rounding of smoothed covariances.
         """
         plan, *ends = self._made
         known, predicted = (each.by_run[1] for each in ends)
@@ -267,9 +272,9 @@ class Passed:
 
     @cached_property
     def added(self) -> Array:
-        """A bound of the rounding by the reversed transition, as a share of P, (*lead,).
+        """A bound of the rounding that the reversed transition causes, (*lead,).
 
-        P is the covariance of the slice before the transition, as of `moments`.
+        It is a share of P, the covariance of the slice before the transition.
         """
         predicted = self._made[2].by_run[1]
         found: Array = accumulated(np.stack([predicted, predicted]))
@@ -282,7 +287,7 @@ class Passed:
 
 
 def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
-    """A chain of one step that stores its linearisations, in a copy of the plan.
+    """A forward pass over the one step of a plan, which stores linearisations in a copy of it.
 
     `ats` are the transition's CPDs bound to the step's inputs: a noise that depends on inputs is
     taken from these.
@@ -297,8 +302,9 @@ def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
 class Trail(NamedTuple):
     """The latest transitions behind a belief, at most `lag` of them; the last is to its step.
 
-    In `passed` a transition is None if it was made in twice the digits; `imprecise` says that the
-    measurements of the belief's step were taken in in twice the digits.
+    Some steps are made with moments in pairs of float64, *twice the digits*. In `passed` a
+    transition is None if it, or the update before it, was made so; `imprecise` says whether the
+    measurements of the belief's own step were taken in so.
     """
 
     lag: int
@@ -306,7 +312,10 @@ class Trail(NamedTuple):
     imprecise: bool = False
 
     def on(self, passed: Passed | None) -> Trail:
-        """The trail one step later, over the transition `passed`."""
+        """The trail one step later, over the transition `passed`.
+
+        `passed` is None if the transition was made in twice the digits.
+        """
         kept = (*self.passed, None if self.imprecise else passed)
         return Trail(self.lag, kept[-self.lag :] if self.lag else ())
 
@@ -334,10 +343,10 @@ class Trail(NamedTuple):
         return first, mean, cov
 
     def _share(self, later: list[Array]) -> float:
-        """The largest part of a smoothed variance at the trail's start that rounding may be.
+        """The largest bound of the rounding of a smoothed variance, as a share of the variance.
 
-        `later` are the smoothed covariances from the last step back. For the bound see
-        `reversal_rounding`; it is infinite where a covariance is singular in float64.
+        The variances are those at the trail's first step. `later` are the smoothed covariances from
+        the last step back. The bound is infinite if a covariance is singular in float64.
         """
         error = np.zeros(later[0].shape)
         for passed, cov in zip(reversed(self.passed), later[:-1], strict=False):
