@@ -6,6 +6,10 @@ index in the scope of a cluster. Where all runs share their covariances these ar
 and the means of the N runs are N columns beside one another; else V = runs, and N = 1. The means of
 all clusters stand one after another along one axis, and so do the entries of their covariances, row
 by row.
+
+A *group* is made of copies of one CPD that have evidence for the same of their variables; a *stack*
+is a batch of B factors, or of B clusters, of equal shape. A factor exp(−½ ‖A ξ − r‖²) over n
+components is kept as k *rows*: its matrix A (k, n) and its right sides r (k, N).
 """
 
 from __future__ import annotations
@@ -93,10 +97,10 @@ class Places:
 
     @cached_property
     def families(self) -> list[tuple[Integers, Integers]]:
-        """For each group of CPDs, flat indices of its hidden parents' moments, as `of` gives them.
+        """For each group of CPDs a pair: flat indices of the moments of the CPDs' hidden parents.
 
-        They are (CPDs, n) and (CPDs, n, n), of n components of parents, in the clusters that the
-        CPDs are assigned to.
+        Those of means are (CPDs, n), those of covariances (CPDs, n, n), for n components of the
+        parents; the moments are those of the cluster that each CPD is assigned to.
         """
         return [self.of(group.clusters, group.parents) for group in self.layout.groups]
 
@@ -124,9 +128,10 @@ class Beliefs:
         )
 
     def put(self, stack: Stack, mean: Array, cov: Array) -> None:
-        """Store the moments of a stack's clusters, (V, B, n, N) and (V, B, n, n).
+        """Store means (V, B, n, N) and covariances (V, B, n, n) of the B clusters of a stack.
 
-        Their components are in the order of `stack.columns`.
+        Entry b is of the cluster ``stack.clusters[b]``, whose n components are in the order of the
+        columns ``stack.columns[b]``.
         """
         at = stack.clusters, stack.columns
         self.mean[:, self.places.means(*at)] = mean
@@ -135,8 +140,8 @@ class Beliefs:
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
         """Means (runs, ..., n) and covariances (V, ..., n, n) of components, in the user's units.
 
-        `where` (..., n) and `entries` (..., n, n) are the flat indices that `Places.of` returns,
-        `places` (..., n) those of the components.
+        `where` (..., n) and `entries` (..., n, n) are the flat indices of these means and
+        covariances, as `Places.of` finds them; `places` (..., n) are the places of the components.
         """
         scale = self.frame.scale[places]
         mean = self.frame.mean[:, places] + scale * runs_first(self.mean[:, where])
@@ -207,7 +212,10 @@ def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
 
 
 class Flat(NamedTuple):
-    """Rows of many factors along one axis: matrices (V, entries) and right sides (V, rows, N)."""
+    """The rows of many factors end to end: `matrix` (V, entries) and `right` (V, rows, N).
+
+    `matrix` has the entries of all matrices A, row by row, and `right` their right sides r.
+    """
 
     matrix: Array
     right: Array

@@ -6,7 +6,13 @@ float64, and is wrong by the last places of its summands. To first order this er
 the posterior means and to ln p(evidence), and tells how many of their digits are correct.
 
 V is 1 where all runs share their matrices, with N = runs columns of means; else V = runs and N = 1.
-A component's *place* is its index in the vector of all hidden components, (size,).
+A component's *place* is its index in the vector of all hidden components, (size,). A *group* is
+made of copies of one CPD, whose linearisations are the rows of a `Family`.
+
+The joint's means are (V, components, columns): N columns of means, then an *error column* for each
+child component of a nonlinear CPD. It begins as the rounding error of that component's linearised
+value and goes through the same operations as the means: at the end it has the shifts of all
+posterior means by that error.
 """
 
 from __future__ import annotations
@@ -74,7 +80,8 @@ class DenseBeliefs(Beliefs):
 class Solution:
     """The beliefs, ln p(evidence), (V, N), and each run's correct decimal digits, (runs,).
 
-    The digits are those of the means and of ln p; see `_digits`.
+    Digits are correct if rounding does not change them. Those of means are counted from their
+    posterior standard deviations, those of ln p from one; a run has the fewest of all.
     """
 
     beliefs: DenseBeliefs
@@ -92,9 +99,10 @@ def predictive(
 ) -> Frame:
     """The frame of the prior predictive moments, calculated in decimals and rounded at the end.
 
-    It replaces `prior_predictive` where float64 loses digits, but takes no account of `start`.
-    `families` has a family for each group of the layout: nonlinear CPDs are linearised on the way,
-    at their parents' moments in float64. `shared` says whether V is 1.
+    A frame has the means of all hidden components, and their standard deviations as units.
+    `families` has a `Family` for each group: nonlinear CPDs are linearised on the way, at their
+    parents' moments in float64. `shared` says whether V is 1. `start` is ignored: the function has
+    the signature of `prior_predictive`, which it replaces where float64 loses digits.
     """
     conditionals = Conditionals(layout, families, runs, shared)
     with decimals.precision(MANY):
@@ -122,9 +130,10 @@ def predictive(
 def solve(plan: TreePlan, model: Model) -> Solution:
     """The exact beliefs of the linearised network, in as many decimals as it needs.
 
-    With k the decades that its numbers span (`Conditionals.span`) it takes 2 (2k + 30) decimals, at
-    most 6000. Measurements that contradict CPDs without noise are a NumericalError, which names the
-    cluster and the run, and so is an indefinite noise, which names the CPD.
+    If its standard deviations and slopes together span k powers of ten (`Conditionals.span`), it
+    takes 4k + 60 decimals, at most 6000. Measurements that contradict CPDs without noise are a
+    NumericalError, which names the cluster and the run, and so is an indefinite noise, which names
+    the CPD.
     """
     conditionals = Conditionals(plan.layout, model.families, model.runs, model.shared)
     with decimals.precision(FEW):
@@ -134,12 +143,12 @@ def solve(plan: TreePlan, model: Model) -> Solution:
 
 
 def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: Decimal) -> Solution:
-    """Solve in the decimals of the context: add CPD after CPD to a joint, conditioning on readings.
+    """The beliefs, in as many decimals as the present context of `decimal` has.
 
-    Columns of `joint.mean` after the means, one for each child component of a nonlinear CPD, begin
-    as the rounding error of that component's linearised value and go through the same operations:
-    at the end they are the shifts of the posterior means by that error. A number below the share
-    `nothing` of the summands it is made of counts as zero.
+    The children of `conditionals` join a dense joint one after another, parents first, and the
+    joint is conditioned on the reading of each observed child. A covariance below `nothing` times
+    both components' standard deviations (upper bounds of the prior's) is rounding, and counts as
+    zero.
     """
     layout = plan.layout
     sides = model.runs if model.shared else 1
@@ -185,10 +194,11 @@ def _read(
 ) -> tuple[Array, Array]:
     """Condition the joint on the measurement z of an observed child, component after component.
 
-    With the noise Σ = L D Lᵀ the components are those of L⁻¹ z, whose noise is independent, of
-    variances D. `offset` (V, d, ·) is b for each column of `joint.mean`. Returns ln p(z) given the
-    measurements before, (V, N), and the largest shift of a component's ln p by rounding, (V,). A
-    component that differs from a value determined by the model is a NumericalError.
+    `conditional` is the child's CPD. With its noise Σ = L D Lᵀ the components are those of L⁻¹ z,
+    whose noise is independent, of variances D. `offset` (V, d, columns) is b for the means, and the
+    rounding errors of b for the error columns. Returns ln p(z) given the measurements before,
+    (V, N), and the largest shift of a component's ln p by rounding, (V,). If the model determines a
+    component, and z has another value there, that is a NumericalError.
     """
     group, row, g = conditional.group, conditional.row, conditional.g
     reading, taken = model.moved[g], model.taken[g]
@@ -237,12 +247,12 @@ def _read(
 def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     """Correct decimal digits of each run's means and ln p, (runs,): −log₁₀ of their largest shift.
 
-    The first `sides` columns of `joint.mean` are means. The others are the shifts that rounding
-    errors of linearised values cause; without them all digits of float64 are correct. A run's shift
-    is the largest of `moved` (V,), the shift of ln p, and of the shifts of its components' means,
-    each in posterior standard deviations. If CPDs were linearised for the first time
-    (`Model.first`), it is multiplied by the largest distance of a component's posterior mean from
-    the frame's mean, in standard deviations of the prior, if that is more than one.
+    The first `sides` columns of `joint.mean` are means, the others error columns; without these all
+    digits of float64 are correct. A run's shift is the largest of `moved` (V,), the shift of ln p,
+    and of the shifts of its components' means in posterior standard deviations. If the CPDs are
+    still linearised at the prior's means or a start (`Model.first`), the shift is multiplied by the
+    largest distance of a component's posterior mean from there, in standard deviations of the
+    prior, if that is more than one.
     """
     size = model.layout.size
     lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))

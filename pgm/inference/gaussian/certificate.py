@@ -1,12 +1,14 @@
 """An estimate of the decimal digits that float64 leaves of a tree's beliefs.
 
-The rows of CPDs are whitened by their noise, and their variables are in units of the prior's
-standard deviations. So the size a of an entry is the prior's standard deviation over the noise's:
-by how much a CPD or measurement is sharper than the prior. With ε ≈ 10⁻¹⁶ the rounding of float64,
+A CPD is kept as *rows* A ξ − r, whitened by its noise; the variables ξ are in the units of a
+*frame*, the prior's standard deviations. So the size a of an entry of A is the prior's standard
+deviation over the noise's: by how much a CPD or measurement is sharper than the prior. With ε ≈
+10⁻¹⁶ the rounding of float64,
 
 - a factorisation moves each row by about ε a, and a mean by as many of its own standard
   deviations, times its distance from the frame's mean in standard deviations of the prior;
-- a covariance that is pushed down the tree is wrong by ε of the prior's, by ε a² of itself;
+- a covariance that is pushed down the tree is wrong by about ε times the prior's covariance, which
+  is up to a² times as large as the covariance itself: its relative error is ε a²;
 - relations without noise are solved for variables, which are replaced in the rows: the entries that
   result count as other entries do, and so do the reciprocals of the numbers divided by. Where it is
   not certain how many relations are independent, no digit counts as correct;
@@ -36,8 +38,8 @@ def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
     """The decimal digits that sending all messages in float64 keeps, for the worst run.
 
     Digits of means and of covariances are counted from standard deviations, and the fewer of both
-    are returned; zero if some number is not finite, or if the square of a unit of the frame is out
-    of range. `buffer` is the one from which `beliefs` and `log_evidence` have been computed.
+    are returned; zero if some number is not finite, or if the square of a variable's unit is out of
+    float64's range. `buffer` has the rows from which `beliefs` and `log_evidence` were computed.
     """
     frame = buffer.model.frame
     total = beliefs.cov.sum() + log_evidence.sum() + frame.mean.sum()

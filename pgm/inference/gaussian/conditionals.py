@@ -1,7 +1,9 @@
 """The linearised CPDs of a network in decimals: y = F p + b + n, n ~ N(0, Q), with nothing rounded.
 
 p are a CPD's hidden parents, (n,), and y is its child, (d,). V is 1 where all runs share their
-matrices, with N = runs columns of offsets; else V = runs and N = 1.
+matrices, with N = runs columns of offsets; else V = runs and N = 1. A *group* is made of copies of
+one CPD, as at the steps of an unrolled chain; a *row* is the index of a copy in its group. The
+linearisations of a group's copies in float64 are the rows of a `Family`.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ class Conditional:
 class Conditionals:
     """The linearised CPDs of a network, in decimals; iteration gives parents before children.
 
-    `families` has a `Family` for each group of the layout; `shared` says whether V is 1.
+    `families` has a `Family` for each group of the layout; `shared` says whether V is 1. `_roots`
+    is the cache of `root`.
     """
 
     layout: Layout
@@ -119,7 +122,7 @@ class Conditionals:
 
 
 def _offset(family: Family, row: int, runs: int) -> Decimals:
-    """The offset b of one row of a CPD, (runs, d), in decimals.
+    """The offset b of one copy of a CPD, row `row` of its family, (runs, d), in decimals.
 
     The offset of an affine CPD with observed parents is summed up anew, without rounding.
     """
@@ -139,9 +142,9 @@ def _offset(family: Family, row: int, runs: int) -> Decimals:
 
 @dataclass(frozen=True, eq=False)
 class Root:
-    """A covariance as L D Lᵀ: column k of L is of component order[k], and `pivots` are D.
+    """A covariance (d, d) as L D Lᵀ: `lower` is L (d, d), and `pivots` (d,) the diagonal of D.
 
-    With its rows in this order L is unit lower triangular.
+    Column k of L is of component order[k]. With its rows in this order L is unit lower triangular.
     """
 
     lower: Decimals
@@ -152,8 +155,8 @@ class Root:
     def of(cls, noise: Decimals) -> Root | None:
         """Factorise a covariance (d, d) with the largest pivots first; None if it is indefinite.
 
-        Pivots are compared as parts of their components' variances; a negligible one counts as
-        zero.
+        A pivot is measured by its share of its component's variance: of at most 10⁻¹³ it counts as
+        zero, and of less than −10⁻⁹ it makes the covariance indefinite.
         """
         size = len(noise)
         variance = np.diagonal(noise).copy()
@@ -176,7 +179,7 @@ class Root:
 
     @property
     def matrix(self) -> Decimals:
-        """The covariance L D Lᵀ, in which negligible pivots are zero."""
+        """The covariance L D Lᵀ, (d, d): as it was given, but for pivots that counted as zero."""
         return decimals.product(self.lower * self.pivots, self.lower.T)
 
     def whitened(self, right: Decimals) -> Decimals:

@@ -65,7 +65,7 @@ class Joint:
     def empty(cls, stacked: int, size: int, columns: int, nothing: Decimal) -> Joint:
         """A joint without components yet, for V = `stacked` and N = `columns`: its arrays are zero.
 
-        `size` is the most components that it can have at a time; `nothing` is as for the class.
+        `size` is the most components that it can have at a time, `nothing` the field of the class.
         """
         zeros = decimals.zeros
         return cls(
@@ -138,7 +138,7 @@ class Joint:
         )
 
     def forget(self, places: Integers) -> None:
-        """Marginalise the components at `places` out, which become free for `add`."""
+        """Marginalise the components at `places` out; `add` may use these places again."""
         self.mean[:, places] = ZERO
         self.cov[:, places] = ZERO
         self.cov[:, :, places] = ZERO

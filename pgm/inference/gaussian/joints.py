@@ -81,10 +81,11 @@ def _gain(
 ) -> Array:
     """The regression P_fs P_ss⁺ (V, f, s) of a cluster's components on the sepset with its parent.
 
-    s are the components of the sepset, f the cluster's others; `shared` and `fresh` are their
-    places. `inside` is the cluster's covariance, (V, s + f, s + f), the sepset first. `TreeBeliefs`
-    have the gain of the upward pass, in which rows of components without variance are made zero;
-    for other beliefs, and an empty sepset, it is computed by a pseudo-inverse.
+    s are the components of the sepset, at the places `shared`, and f the cluster's other ones, at
+    the places `fresh`. `inside` is the cluster's covariance, (V, s + f, s + f), the sepset first.
+    The beliefs of a tree (`TreeBeliefs`) have kept this regression from the upward pass; here rows
+    of components without variance are made zero. For other beliefs, and an empty sepset, it is
+    computed by a pseudo-inverse.
     """
     if not isinstance(beliefs, TreeBeliefs) or not shared:
         count = len(shared)

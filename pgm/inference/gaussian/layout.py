@@ -1,8 +1,10 @@
-"""The hidden components of a network, its CPDs in groups, and the places of their rows.
+"""The hidden components of a network, where each of them stands, and the CPDs in groups.
 
 The components of all hidden variables make one vector, (size,), and the *place* of a component is
-its index there; its *column* is its index in the scope of a cluster. A *group* are the copies of
-one CPD, as at the steps of an unrolled chain, that have the same of its parents hidden.
+its index there; its *column* is its index in the scope of a cluster. A *group* is made of copies of
+one CPD, as at the steps of an unrolled chain, that have evidence for the same of their variables.
+The *factor* of a CPD is exp(−½ ‖A x − r‖²): the matrix A has a row for each component of the child,
+and a column for each hidden component x of child and parents.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Copies of one CPD, a row each, with the same parents hidden; they are linearised together.
+    """Copies of one CPD, each a row of arrays, with the same parents hidden, linearised together.
 
     `hidden` are the hidden parents of the first copy; `observed` says whether the children have
     evidence. `child` (rows, d) and `parents` (rows, n) are the places of the components of each
@@ -69,12 +71,12 @@ class Group:
 
     @property
     def height(self) -> int:
-        """The number of rows of each CPD's factor: the components of the child."""
+        """The number of rows of the matrix A of each CPD: the components of its child."""
         return self.cpds[0].child.dimension
 
     @property
     def width(self) -> int:
-        """The number of columns of each CPD's factor: the hidden components of the family."""
+        """The number of columns of the matrix A of each CPD: its hidden components."""
         return int(self.child.shape[1] + self.parents.shape[1])
 
     def shape(self) -> tuple[bool, int, int]:

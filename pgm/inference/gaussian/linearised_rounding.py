@@ -2,7 +2,8 @@
 
 A linearised mean F x + b is a difference of numbers as large as F μ, μ being the parents' mean.
 With sigma points it is made of weighted values of the function; where the points lie close together
-the weights are large, and of both signs (`Points.cancellation`).
+the weights are large, and of both signs (`Points.cancellation`). A *group* is made of copies of one
+CPD, which are linearised together.
 """
 
 from __future__ import annotations
@@ -53,10 +54,11 @@ def rounding(model: Model, g: int) -> Array:
 
 
 def shift(model: Model) -> float:
-    """The largest shift that rounding causes, in units of 2⁻⁵² standard deviations of the noise.
+    """The largest shift of a linearised value F x + b by its rounding, of all components and runs.
 
-    Only CPDs whose sigma points lie close together count: without any the shift is zero. Where a
-    component has no noise the standard deviation of F x takes the place of the noise's.
+    It is in units of 2⁻⁵² standard deviations of the component's noise, or, where it has none, of
+    F x. Only CPDs count whose sigma points lie so close together that rounding grows more than
+    tenfold: without any the shift is zero.
     """
     most = 0.0
     for g, family in enumerate(model.families):

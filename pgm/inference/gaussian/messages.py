@@ -1,9 +1,12 @@
-"""Messages between clusters as rows: sent by rounds, damped, compared, and absorbed.
+"""Messages between clusters as rows: sent by rounds, damped, compared, and taken into beliefs.
 
 A message is the factor exp(g − ½ ‖A ξ − r‖²) over the s components of a sepset, in the coordinates
-ξ of a frame, with A (V, s, s), r (V, s, N) and the log-scale g (V, N): V = 1 where N runs share
-matrices, else V runs and N = 1. Messages are numbered as in `Directed`: message m and message m ^ 1
-go along the same edge in opposite directions.
+ξ of a frame (units of the prior's standard deviations), with the *rows* A (V, s, s) and r (V, s, N)
+and the log-scale g (V, N): V = 1 where N runs share matrices, else V runs and N = 1. Messages are
+numbered as in `Directed`: message m and message m ^ 1 go along the same edge in opposite
+directions. A *stack* is a batch of eliminations of equal shape, which gather the rows of clusters'
+CPDs and of messages to them. A run is *lost* when its messages diverge, and *active* until it is
+lost or has converged.
 """
 
 from __future__ import annotations
@@ -32,11 +35,14 @@ class RowRound(NamedTuple):
 
 @dataclass(eq=False)
 class RowMessages:
-    """The messages of a graph with loops, as rows in a buffer: the `Messages` of `run_loopy`.
+    """The messages of a graph with loops, as `run_loopy` sends them, kept as rows in a buffer.
 
     Each starts as the factor exp(−½ |ξ|²): from any positive start the information matrices
     converge to the same fixed point, and from a proper start every message exists. `damping` is the
-    share of the old message in a new one. `places` tells where `Beliefs` of the clusters stand.
+    share of the old message in a new one. `buffer` has the rows of CPDs and messages, and `places`
+    tells where `Beliefs` of the clusters stand. `_point` (runs, size) are the means of all hidden
+    components where CPDs were linearised last, `_proposed` the messages that `propose` computed
+    last.
     """
 
     buffer: Buffer
@@ -69,7 +75,7 @@ class RowMessages:
 
     @property
     def bounded(self) -> bool:
-        """False, for `run_loopy`: a change, in standard deviations, has no bound."""
+        """Whether changes of messages have an upper bound: no, they are in standard deviations."""
         return False
 
     def round(self, messages: Sequence[int]) -> RowRound:
@@ -79,8 +85,10 @@ class RowMessages:
     def propose(self, round: RowRound) -> Array:
         """Compute a round's messages from the stored ones; returns their changes, (messages, runs).
 
-        The computed messages are kept aside for `accept`. A change is that of the sepset's belief,
-        in standard deviations; see `row_messages.change`.
+        The computed messages are kept aside for `accept`. A change tells how much the new message
+        changes the sepset's belief: it is the largest of the moves of its means in standard
+        deviations, of the relative changes of its information, and of the changes of exact
+        relations.
         """
         self._proposed = []
         change = np.empty((len(self.directed), self.runs))
@@ -130,9 +138,10 @@ class RowMessages:
         return move
 
     def send_once(self, rounds: list[list[Stack]]) -> None:
-        """Send each message of a tree once, in rounds of stacks.
+        """Send each message of a tree once.
 
-        A round has to come after all rounds whose messages enter into its own messages.
+        `rounds` are lists of stacks, whose messages are sent round by round: a round has to come
+        after all rounds whose messages enter into its own messages.
         """
         for stacks in rounds:
             for stack in stacks:
@@ -140,7 +149,7 @@ class RowMessages:
                 self.buffer.store(stack, done.rest, log_scale)
 
     def kept(self, message: int) -> tuple[Rows, Array]:
-        """A stored message, by number: rows (V, s, s), and its log-scale, (V, N)."""
+        """A stored message, by number: rows A (V, s, s) and r (V, s, N), and log-scale (V, N)."""
         size = int(self.buffer.rounds.sizes[message])
         one = self.buffer.messages(np.array([message]), size)
         log_scale = self.buffer.log_scale[:, len(self.places.sizes) + message]
@@ -155,11 +164,19 @@ class RowMessages:
         return self._product(*self.buffer.rounds.beliefs([cluster]))
 
     def potential(self, cluster: int) -> tuple[Rows, Array]:
-        """The product of a cluster's CPDs alone, as rows (see `belief`); its log-scale (V, N)."""
+        """The product of a cluster's CPDs alone, as rows; its log-scale (V, N).
+
+        The matrix is (V, k, n), the right side (V, k, N): the k rows are over the n hidden
+        components of the cluster, in the order of its scope.
+        """
         return self._product(*self.buffer.rounds.potentials([cluster]))
 
     def _product(self, stack: Stack) -> tuple[Rows, Array]:
-        """The rows (V, k, n) and the log-scale (V, N) that a stack of one cluster gathers."""
+        """The product of all factors that a stack gathers for its only cluster, as rows.
+
+        The matrix is (V, k, n), the right side (V, k, N); the second result is the product's
+        log-scale, (V, N).
+        """
         factor = self.buffer.factor(stack)
         # Columns of the stack are in the order of elimination: here, all, in the scope's.
         return row_messages.first(factor), self.buffer.log_scale[:, stack.logs].sum(axis=2)[:, 0]

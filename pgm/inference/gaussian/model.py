@@ -1,7 +1,8 @@
 """A Gaussian network with its evidence, whose CPDs can be linearised again at each new belief.
 
-A *group* are copies of one CPD, the rows of a `Family`. A *place* is the index of a component in
-the vector of all hidden components, (size,).
+A *group* is made of copies of one CPD, whose linearisations are the rows of a `Family`. A *place*
+is the index of a component in the vector of all hidden components, (size,). A *frame* has the means
+of all hidden components, and their standard deviations as units.
 """
 
 from __future__ import annotations
@@ -36,8 +37,9 @@ class LinearisedAt(NamedTuple):
     mean, std : ndarray
         Means and standard deviations, (CPDs, runs, n).
     lengths : ndarray
-        Deviations of each component given another, by which `Taylor` takes differences, of the same
-        shape; see `deviations_given_another`.
+        Lengths, of the same shape, from which `Taylor` takes the steps of its numerical
+        differences: of a belief the standard deviation of each component given that other component
+        which tells most about it, of a frame `std` again.
     """
 
     mean: Array
@@ -46,7 +48,7 @@ class LinearisedAt(NamedTuple):
 
     @classmethod
     def prior(cls, frame: Frame, group: Group) -> LinearisedAt:
-        """The moments that a frame tells, before any CPD of a group has been linearised."""
+        """The frame's means of a group's hidden parents, with its units as standard deviations."""
         std = np.broadcast_to(frame.scale, frame.mean.shape)[:, group.parents].swapaxes(0, 1)
         return cls(frame.mean[:, group.parents].swapaxes(0, 1), std, std)
 
@@ -61,15 +63,15 @@ class LinearisedAt(NamedTuple):
 class Model:
     """The CPDs of a network, linearised, and the evidence of its observed children.
 
-    `lead` are the user's axes of runs. Lists have an entry for each group of CPDs. `readings` are
-    the values of a group's children, (CPDs, runs or 1, d), None if they are hidden; `moved` (CPDs,
-    runs, d) are these values with angles on the branch nearest the CPD's value where it was
-    linearised; `taken` (CPDs, runs or 1, d) masks the components that were measured, None for all.
-    `shared` says whether all runs have the same matrices, covariances and components measured.
-    `frame` are the coordinates in which factors are kept. `points` are the moments of hidden
-    parents where CPDs were linearised last. `first` is True
-    until `relinearise` is called: until then `points` are the prior's moments or the user's start,
-    maybe far from the posterior.
+    `lead` are the user's axes of runs. Lists have an entry for each group of CPDs: `families` has
+    their linearisations. `readings` are the values of a group's children, (CPDs, runs or 1, d),
+    None if they are hidden; `moved` (CPDs, runs, d) are these values with angles on the branch
+    nearest the CPD's value where it was linearised; `taken` (CPDs, runs or 1, d) marks the
+    components that were measured, None if all were. `shared` says whether all runs have the same
+    matrices, covariances and components measured. `frame` are the coordinates in which factors are
+    kept. `points` are the moments of hidden parents where CPDs were linearised last. `first` is
+    True until `relinearise` is called: until then `points` are the prior's moments or the user's
+    start, maybe far from the posterior.
     """
 
     layout: Layout
@@ -96,9 +98,10 @@ class Model:
     ) -> Model:
         """Bind evidence, and linearise at the prior predictive moments or a start, (runs, size).
 
-        Without a start `predictive` finds these moments and linearises on the way. Values and
-        slopes from traced functions are compared with the functions: by `judge` after the call,
-        without one at once (`Family.trace`). A flat prior is a ModelError.
+        Without a start `predictive`, a function such as `prior_predictive`, finds the moments and
+        linearises on the way. Where functions were traced (recorded as operations) the values and
+        slopes that the traces give are compared with the functions: with a `judge` when the whole
+        call is done, without one at once. A flat prior is a ModelError.
         """
         for group in layout.groups:
             for cpd in group.cpds:

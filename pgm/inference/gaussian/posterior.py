@@ -145,9 +145,9 @@ class GaussianPosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
         """The message from one cluster to a neighbour, over their sepset.
 
-        On a tree its g carries the evidence that went into it; on a graph with loops its scale
-        has no meaning. Where CPDs without noise determine a part of it, it has no canonical form,
-        which is a NumericalError.
+        On a tree its constant g carries the evidence that went into it; on a graph with loops its
+        scale has no meaning. Where CPDs without noise determine a part of it, it has no canonical
+        form, which is a NumericalError.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         edges, edge = list(self.graph.sepsets), (min(i, j), max(i, j))

@@ -8,7 +8,7 @@ frame's means, s its units. With the residual e = y − (F p + b) at the means m
 
 without s_y ξ_y where y is observed. Divided by a root of Σ it is d *rows* A ξ − r, whose factor is
 exp(−½ ‖A ξ − r‖²) times a scale. An *exact* row is one without noise: a relation that holds
-exactly.
+exactly. A *group* is made of copies of one CPD, which are linearised together.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ class Potentials:
     """The rows of all CPDs, one after another in the order of the groups.
 
     Where all runs share their matrices, V is 1 and each of N runs is a right side; else each of V
-    runs has a matrix, and N is 1. `proper` has the rows with noise and zeros in place of the exact
-    rows; `exact` the exact rows and zeros in place of the rows with noise, None if no row is exact.
-    Log-scales are (V, CPDs, N). `coarse` measures the digits that residuals lose: a tenth of the
-    largest number that a residual is a difference of, over the standard deviation of the noise, or
-    over the length of an exact row; infinite where rounding alone may make a component certain.
+    runs has a matrix, and N is 1. Rows are kept flat: A (V, entries), r (V, rows, N). `proper` has
+    the rows with noise and zeros in place of the exact rows; `exact` the exact rows and zeros in
+    place of the rows with noise, None if no row is exact. Log-scales are (V, CPDs, N). `coarse`
+    measures the digits that rounding of residuals costs, for the worst row: a tenth of the largest
+    summand of its residual, over the standard deviation of the noise, or over the length of an
+    exact row; infinite where rounding may decide whether a component is certain, or a row exact.
     """
 
     proper: Flat
@@ -128,7 +129,10 @@ class _Factor:
 
     `matrix` and `right` have the rows with noise and zeros in place of the exact rows, `exact` and
     `exact_right` the exact rows and zeros in place of the rows with noise; `fixed` says whether
-    some row is exact. Log-scales are (V, CPDs, N); `coarse` is as for `Potentials`.
+    some row is exact. Log-scales are (V, CPDs, N). `coarse` measures the digits that rounding of
+    residuals costs: a tenth of a residual's largest summand, over the standard deviation of the
+    noise or the length of an exact row; infinite where rounding may decide whether a component is
+    certain, or a row exact.
     """
 
     matrix: Array
@@ -141,7 +145,7 @@ class _Factor:
 
 
 def _factor(model: Model, groups: list[int]) -> _Factor:
-    """The rows of the CPDs in some groups of equal shape; see `make_potentials`.
+    """The rows of the CPDs in some groups, by their numbers, whose CPDs have one shape.
 
     The noise is divided by its standard deviations, its components are ordered so that the one with
     the largest conditional variance comes next, and its root is taken in that order. Exact rows are

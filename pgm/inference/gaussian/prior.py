@@ -1,6 +1,8 @@
 """The prior predictive moments: where a network is first linearised, and units of its variables.
 
-The *place* of a component is its index in the vector of all hidden components, (size,).
+The *place* of a component is its index in the vector of all hidden components, (size,). A *group*
+is made of copies of one CPD, whose linearisations are the rows of a `Family`. V is the number of
+covariances: 1 if all runs share them, else the number of runs.
 """
 
 from __future__ import annotations
@@ -86,8 +88,9 @@ def prior_predictive(
 class _Frontier:
     """The joint covariance of the components that later CPDs need.
 
-    `cov` is (V, slots, slots), V = `stacked`. A component in use has a slot, its row and column of
-    `cov`: `slots` maps its place to it, and `free` lists the slots without a component.
+    `cov` is (V, slots, slots), V being the argument `stacked`. A component in use has a slot, its
+    row and column of `cov`: `slots` maps its place to it, and `free` lists the slots without a
+    component.
     """
 
     def __init__(self, stacked: int) -> None:

@@ -1,10 +1,12 @@
 """Rounds of messages: which rows each batched elimination gathers, and where its result goes.
 
-The rows of all factors and messages stand in one buffer: the *entries* of their matrices along one
-axis, their right sides along another, with one for each *row*. An elimination gathers the rows of a
-cluster's CPDs and of messages to it, by indices along both axes, and integrates columns out. The
-*place* of a component is its index in the vector of all hidden components; its *column* that in a
-cluster.
+The factor of a CPD, or of a message, is exp(−½ ‖A ξ − r‖²) over some hidden components ξ: *rows* of
+a matrix A with right sides r. The rows of all factors and messages stand in one buffer: the
+*entries* of the matrices along one axis, the right sides along another, with one for each row. An
+elimination gathers the rows of a cluster's CPDs and of messages to it, by indices along both axes,
+and integrates columns of A out. The *place* of a component is its index in the vector of all hidden
+components; its *column* that in a cluster. A *group* is made of copies of one CPD, whose factors
+have one shape.
 """
 
 from __future__ import annotations

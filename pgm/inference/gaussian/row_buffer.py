@@ -1,4 +1,12 @@
-"""Information rows of all factors and messages in one buffer, eliminated in batches."""
+"""Information rows of all factors and messages in one buffer, eliminated in batches.
+
+A factor exp(g − ½ ‖A ξ − r‖²), of a CPD or a message, over n components ξ in units of the prior's
+standard deviations is k *rows*: a matrix A (k, n) with right sides r (k, N), and the log-scale g.
+Where all of N runs share their matrices, V = 1; else V runs have a matrix each, and N = 1. The
+buffer has the entries of all matrices along one axis and the right sides along another; their
+indices are laid out by `Rounds`. A *stack* is a batch of B eliminations of equal shape, each of
+which gathers the rows of a cluster's CPDs and of messages to it.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +28,14 @@ from pgm.kernels.rows import Eliminated, Rows, eliminate
 
 @dataclass(eq=False)
 class Buffer:
-    """Factors and messages as rows; see `Rounds` for where they stand.
+    """Factors and messages as rows; `rounds` tells where each of them stands.
 
-    V runs have a matrix each and N = 1, or V = 1 matrix is for all of N runs. `proper` are the rows
-    with noise, `exact` the relations without noise, None where there are none. Log-scales are (V,
-    clusters + messages + 1, N), the last zero. `coarse` is that of `Potentials`, and `largest` the
-    largest entry of all factors and eliminations, by which digits are estimated (`certificate`).
+    `proper` are the rows with noise, `exact` the relations without noise, None where there are
+    none. Log-scales are (V, clusters + messages + 1, N): of each cluster's CPDs, of each message,
+    then a zero. Two numbers tell how many digits float64 keeps (`certificate`): `coarse`, a tenth
+    of the largest summand of a CPD's residual, in standard deviations of its noise, or infinite
+    where rounding may decide which rows are exact; and `largest`, the largest entry of all factors
+    and eliminations.
     """
 
     rounds: Rounds
@@ -65,7 +75,7 @@ class Buffer:
         np.add.at(self.log_scale.swapaxes(0, 1), clusters, potentials.log_scale.swapaxes(0, 1))
 
     def factor(self, stack: Stack) -> Rows:
-        """The factors that a stack gathers, of CPDs of B clusters and messages, (V, B, k, n)."""
+        """The rows that each of a stack's B eliminations gathers: matrices A are (V, B, k, n)."""
         return self._rows(stack.entries, stack.rows)
 
     def _rows(self, entries: Integers, rows: Integers) -> Rows:
@@ -76,9 +86,10 @@ class Buffer:
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
         """Integrate the first `stack.drop` columns out of each of a stack's B factors.
 
-        Returns the eliminations, stacked (V, B, ...), and log-scales (V, B, N): g of the factors
-        exp(g − ½ ‖A ξ − r‖²) that are left over the other columns, for integrals in the user's
-        units. Exact relations that contradict one another are a NumericalError.
+        Returns, stacked (V, B, ...), the conditionals of these columns given the others, with the
+        factors exp(g − ½ ‖A ξ − r‖²) that are left over the others; and the log-scales g, (V, B,
+        N), for integrals in the user's units. Exact relations that contradict one another are a
+        NumericalError.
         """
         done = eliminate(self.factor(stack), stack.drop)
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
@@ -90,9 +101,10 @@ class Buffer:
         return done, known + done.log_scale + unit[:, None]
 
     def out(self, messages: Integers, size: int) -> tuple[Integers, Integers]:
-        """Indices of the entries (B, s, s) and right sides (B, s) of messages, by number (B,).
+        """The indices at which the buffer has the rows of some messages, by their numbers (B,).
 
-        Their sepsets all have s = `size` components.
+        They are those of entries (B, s, s) and of right sides (B, s); all of the messages' sepsets
+        have s = `size` components.
         """
         inside = np.arange(size * size).reshape(size, size)
         entries = self.rounds.entry_starts[messages][:, None, None] + inside

@@ -81,7 +81,8 @@ def _solved(
 
     `again` allows the calculation in decimals, which is for small networks; without it a failure is
     raised, and where digits are too few the status has their number, of which the caller warns.
-    `at` are the means of a start, (runs, size), or None; `judge` is as for `Model.make`.
+    `at` are the means of a start, (runs, size), or None. Where nonlinear functions were traced,
+    `judge` compares what the traces gave with the functions, when this call is done.
     """
     loopy = isinstance(schedule, Loopy)
     try:
@@ -143,16 +144,21 @@ def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
 
 @dataclass(frozen=True, eq=False)
 class _Tree:
-    """A tree as a `Problem` of `pgm.inference.iteration`, without anchors or robust losses.
+    """A tree that is solved and linearised in turns: a `Problem` of `pgm.inference.iteration`.
 
-    `solver` solves it with the CPDs of `model` as they are linearised now.
+    `solver` solves it with the CPDs of `model` as they are linearised now. Other problems have
+    robust losses too, or anchors, which are measurements of all means added to hold a solution near
+    a point; a tree has neither.
     """
 
     model: Model
     solver: Callable[[], Calibrated]
 
     def linearise(self, at: TreePoint, active: Mask) -> None:
-        """Linearise every nonlinear CPD anew at its cluster's belief, for the active runs."""
+        """Linearise each nonlinear CPD anew at its cluster's belief in `at`, for the active runs.
+
+        `active` (runs,) marks these runs.
+        """
         relinearise(at.beliefs, self.model, active)
 
     def settled(self) -> bool:
@@ -160,7 +166,7 @@ class _Tree:
         return True
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
-        """Calibrate the tree with the CPDs as they are linearised now; an anchor is not taken."""
+        """Calibrate the tree with the CPDs as they are linearised now; `anchor` is ignored."""
         return self.solver()
 
 

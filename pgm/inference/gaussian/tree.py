@@ -4,6 +4,10 @@ Upward, each cluster integrates out the components r that are not in the sepset 
 and keeps their conditional, r = G s + offset + noise; that is a sparse QR factorisation. Downward,
 the parent's moments of s go through the conditional. Nothing is divided or subtracted, and
 covariances may be singular.
+
+The *rows* of a factor exp(−½ ‖A ξ − r‖²) are those of A with right sides r; those of all CPDs and
+messages stand in one buffer. A *stack* is a batch of B eliminations of equal shape, which compute B
+messages or beliefs. V is 1 where all runs share their covariances, else the number of runs.
 """
 
 from __future__ import annotations
@@ -85,10 +89,11 @@ class TreePlan:
 
     @cached_property
     def separators(self) -> list[list[tuple[Integers, Integers]]]:
-        """For each stack of messages, where `Beliefs` has the sepsets' moments, in the parents.
+        """For each stack of messages to parents, where `Beliefs` has the moments of their sepsets.
 
-        separators[level][stack] are flat indices of means (B, s) and covariances (B, s, s), as
-        `Places.of` gives them, for the B messages of ``levels[level][stack]``.
+        These are moments of the parents' beliefs. separators[level][stack] is a pair of flat
+        indices, of means (B, s) and covariances (B, s, s), for the B messages of
+        ``levels[level][stack]``.
         """
         parent = self.forest.parent
         return [
@@ -157,9 +162,10 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
 
 
 def _certain(cov: Array) -> Array:
-    """Covariances (..., n, n) with zero for variances that are only rounding, at most `CERTAIN`.
+    """Covariances (..., n, n) with zero for variances that are only rounding: at most 10⁻²⁸.
 
-    The covariances of a component without variance are zero, too.
+    Variances are in units of the prior's. The covariances of a component without variance are zero,
+    too.
     """
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) > CERTAIN
     if open_.all():

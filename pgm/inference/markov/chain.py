@@ -39,8 +39,8 @@ _CHUNK = 2**20
 class Behind(Protocol):
     """A chain of slices of finitely many states, as far as backward messages need it.
 
-    Beliefs and messages are (*states, *runs), the states of a slice on one axis or on several, the
-    runs flattened to one axis, or none of one run.
+    Beliefs and messages are (*states, *runs): the states of a slice have one axis or several, then
+    the runs have one axis, flattened, or none where the user gave no axes of runs.
 
     steps: T, the last step.
     lead: The user's axes of runs.
@@ -150,7 +150,8 @@ class BackwardChain:
 class StateChain(BackwardChain):
     """The messages of a hidden Markov chain, step by step, with a record of the forward ones.
 
-    For `sweep.forward` it is both the family (`Onwards`) and the `Record`.
+    `sweep.forward` goes through the steps: it calls `start`, `predict` and `take` for the messages,
+    and `keep` to record them.
 
     dtype: The type of the numbers in the beliefs that are kept, float64 or float32.
     log_density: ln p(z_t | z_0..t−1) by step, (T + 1, *runs), filled by `run`.

@@ -8,6 +8,10 @@ The order is found once for a model: each table is multiplied in where the array
 summing is smallest, and a variable is summed out with the last table that has it. A table of a
 single parent that no other table has can be a *map*: a matrix that is applied along that parent's
 axis, which becomes the child's. So states that move independently of each other never make pairs.
+
+A variable is told by its *label*, an integer. A *factor* is a table, as an array of its entries or
+as a map (`Move`); the matrix of a map is a `Transition`. An axis in brackets, [runs], may be
+absent.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Expected counts of the states of each CPD's family, given all measurements."""
+"""Expected counts of the states of each CPD's family, given all measurements.
+
+A *row* is the place of a step, or of a measurement, along the first axis of the evidence's values.
+An axis [runs] is there only if the user gave axes of runs.
+"""
 
 from typing import Any
 

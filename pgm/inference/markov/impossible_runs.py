@@ -41,7 +41,9 @@ class Search(StateChain):
     ) -> tuple[Array, Array]:
         """Note which runs are lost; returns the joint with the predicted belief in these, and sums.
 
-        The arguments are those of `StateChain.contradicted`; the sums are of the joint returned.
+        `joint` is the product of the predicted `belief` and the weights of the measurements,
+        (*states, *runs), and `totals` are its sums over the states, (*runs), zero where the
+        measurements are impossible. The sums returned are those of the joint returned.
         """
         lost = ~(totals > self.semiring.zero)
         self.lost = np.where(lost, np.minimum(self.lost, step), self.lost)
@@ -49,7 +51,7 @@ class Search(StateChain):
         return joint, self.total(joint)
 
     def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
-        """Note how small the probabilities are; nothing is kept."""
+        """Note the smallest probability of the filtered belief `known`; no belief is kept."""
         self.least = min(self.least, smallest(known)) if self.semiring.linear else self.least
 
 
@@ -84,7 +86,8 @@ def blanked(beliefs: Beliefs, lost: Integers | None, kind: Kind, steps: int) -> 
     """Beliefs of a kind by step, (*states, [runs]) each, NaN where they know the impossible.
 
     A belief is NaN in the runs that are lost at the last step whose measurements it knows, or
-    before. `lost` is as for `blank`, `steps` the last step T.
+    before. `lost` ([runs]) is the step from which on each run is lost, T + 1 of one that is not; or
+    None, where no run is lost. `steps` is the last step T.
     """
     if lost is None:
         return beliefs

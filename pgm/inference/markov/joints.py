@@ -1,6 +1,7 @@
 """Joints of the variables of several slices, made only where they are asked for.
 
 Arrays have an axis for each hidden variable, then one of runs, or none where the user gave none.
+Their entries are numbers or logarithms, as the *semiring* of the chain has them.
 """
 
 from typing import Any

@@ -1,4 +1,9 @@
-"""The most probable path of a chain of tables: max-product messages, traced back."""
+"""The most probable path of a chain of tables: max-product messages, traced back.
+
+A *label* is the number of a variable: those of the slice have the numbers of their axes, from 0 on,
+the states of the slice before those that follow. A *map* is the table of a CPD with one hidden
+parent, kept as a matrix (`Move`). An axis in brackets, [runs], may be absent.
+"""
 
 from typing import Any
 
@@ -108,7 +113,7 @@ def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
 def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Integers | None:
     """The states of a map's parent in the same slice, (runs,); None if it is in the slice before.
 
-    labels: The map's parent and child, see `SlicePlan.labels`.
+    labels: The labels of the map's parent and child.
     states: Of the variables of the slice, (variables, runs).
     count: The number of these variables; labels from it on are of the slice before.
     """
@@ -141,7 +146,7 @@ def _selected(table: Array, labels: tuple[int, ...], states: Integers, count: in
     """A table of logarithms at the known states of its slice, (runs, *parents before).
 
     table: (size of each label..., [runs]); without an axis of runs it is that of all runs.
-    labels: The variables of its axes, see `SlicePlan.labels`.
+    labels: The labels of the variables of its axes.
     states: Of the variables of the slice, (variables, runs).
     count: The number of these variables; labels from it on are of the slice before.
     """

@@ -115,7 +115,11 @@ class OnlineTables(InCode, Immutable):
         before = self._spread(belief, bound.lead)
 
         def taken(own: TableSlices, known: Held) -> tuple[Array, Array | None, Array | float]:
-            """The belief times the new weights, all weights of the step, and the log-scale."""
+            """The belief `known` times the weights of the measurements in `own`, not normalised.
+
+            The second result is the product of all weights of the step so far, or None; the third
+            the log-scale of the new weights.
+            """
             weights, scale = own.likelihood(step)
             if weights is None:
                 return known.entries, known.weights, 0.0

@@ -1,6 +1,8 @@
 """The beliefs of an online filter of a discrete dynamic network, and the steps of their lag.
 
 Arrays have an axis for each hidden variable, then one of runs, or none where the user gave none.
+Their entries are numbers, or logarithms where numbers may underflow: a *semiring* is the arithmetic
+of the one or the other.
 """
 
 from __future__ import annotations
@@ -67,7 +69,7 @@ class Held(NamedTuple):
 
     @property
     def loses(self) -> bool:
-        """Whether entries are numbers of which one is so small that products may lose a state."""
+        """Whether entries are numbers, a positive one below 10⁻¹⁵⁰: its products may underflow."""
         return self.linear and smallest(self.entries) < TINY
 
 
@@ -85,6 +87,7 @@ class OnlineStates(Shown, NoArray, Immutable):
     status: Converged in all runs, since tables need no iterations.
     kind: Filtered after an update, predicted before; of a belief from `lagged`, fixed-lag.
     lead: The user's axes of runs.
+    behind: Always None; beliefs of Gaussian filters keep earlier steps here, to smooth them.
     """
 
     step: int
@@ -174,7 +177,8 @@ class OnlineStates(Shown, NoArray, Immutable):
 class _Window:
     """A window of the last steps of an online filter with lag, to be smoothed at its first step.
 
-    For a `BackwardChain` it is a `Behind`, whose steps count from the first of the window.
+    A `BackwardChain` sends its messages back through the window, as through a chain (`Behind`)
+    whose step 0 is the first step of the window.
 
     held: The filtered beliefs of the steps, all in one semiring.
     ahead: Of each step but the last, the slices with the transition out of it.

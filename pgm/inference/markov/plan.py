@@ -3,7 +3,9 @@
 A *slice* is the hidden variables of a step, states and controls. Arrays have an axis for each
 hidden variable, then one of runs, or none where the user gave no axes of runs. A *row* is a step's
 place in the values of inputs. A *map* is the table of a CPD with one hidden parent as a matrix that
-is applied along the parent's axis (`Move`).
+is applied along the parent's axis (`Move`). A *contraction* is a plan for multiplying an array by
+tables, and summing over all variables but the wanted ones. Entries of arrays are numbers or
+logarithms, added by sums or maxima, as a *semiring* has it.
 """
 
 from __future__ import annotations
@@ -193,7 +195,10 @@ class RowTables:
         return found
 
     def _called(self, row: int, semiring: Semiring, as_map: bool) -> Factor:
-        """The table at a row, where a function of the inputs gives it; see `factor`."""
+        """The table at a row, where a function of the inputs gives it.
+
+        It is (size of each hidden variable..., [runs]), in entries of the semiring, or a `Move`.
+        """
         tables = self.called.at(row)
         states = [self.inputs[v][row, :, 0] for v in self.observed]
         runs = max([len(tables), *map(len, states)])
@@ -233,8 +238,8 @@ class TableSlices:
     semiring: The semiring of all entries: `SUM_PRODUCT`, unless the slices were made by `within`.
     rows: The tables of each transition CPD.
     weights: The weights of states by each sensor's measurements.
-    of_runs: The end of an error's text for impossible measurements where there are axes of runs; it
-        goes on after `ADVICE`, such as "; leave those runs out".
+    of_runs: The end of the error's text for impossible measurements where there are axes of runs:
+        what else to do about such runs, as "; leave those runs out".
     lost: ([runs]), from `until`: the step from which on a run's measurements are left out; T + 1 of
         a run that keeps all. None if all do.
     """
@@ -333,7 +338,10 @@ class TableSlices:
 
     @property
     def constant(self) -> Sequence[Factor] | None:
-        """The factors of ``"onward"``, where they are the same at all steps, else None."""
+        """The tables of the transition, as forward messages use them, if all steps share them.
+
+        They are None where the tables may differ by step.
+        """
         return None if any(rows.inputs for rows in self.rows) else self.factors(1, "onward")
 
     def weights_of(self, part: range) -> tuple[Array, Array]:
@@ -350,7 +358,11 @@ class TableSlices:
         return found, scales
 
     def _given_weights_of(self, part: range) -> tuple[Array, Array]:
-        """As `weights_of`, but of all measurements given, whatever `lost` is, as new arrays."""
+        """The weights of all measurements at some steps, those that `lost` leaves out included.
+
+        They are new arrays, (steps, *slice, [runs]), the largest weight of each step and run being
+        one; their log-scales are (steps, [runs]).
+        """
         if len(self.weights) == 1 and self.weights[0].shape == self.plan.shape:
             picked = self.weights[0].picked(part)
             if picked is not None:
@@ -370,7 +382,10 @@ class TableSlices:
 
     @cached_property
     def _fixed(self) -> dict[str, list[Factor]]:
-        """The cache of `factors`, by `way`; it is filled where no CPD has inputs."""
+        """The cache of `factors`: by the name of a contraction, the tables of the transition.
+
+        It is filled where no CPD of the transition has inputs: all steps have the same tables.
+        """
         return {}
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
@@ -387,7 +402,11 @@ class TableSlices:
         return np.where(left_out, self.semiring.one, found), np.where(left_out, 0.0, log_scale)
 
     def given_likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """As `likelihood`, but of all measurements given, whatever `lost` is."""
+        """The weights of all measurements of a step, (*slice, [runs]), and their log-scale.
+
+        Measurements that `lost` leaves out are included. The weights are entries of the semiring;
+        without measurements they are None.
+        """
         found: Array | None = None
         log_scale: Array | float = 0.0
         for own, scale in self._weights_at(step):

@@ -235,8 +235,8 @@ class StatePosterior(Posterior):
     def messages_back(self) -> Iterator[tuple[Array, Array]]:
         """The backward messages to the slices T, T − 1, .., 0, each made from the last one yielded.
 
-        Each is a pair: the values over the states of the slice, (sizes..., [runs]), and the
-        log-scale; see `_scaled_back`.
+        Each is a pair: values over the states of the slice, (sizes..., [runs]), the largest of them
+        one, and a log-scale (*runs): p(later measurements | states) is values times exp(log-scale).
         """
         chain, last = self._chain, self.graph.steps
         plain = chain.unit()

@@ -28,9 +28,9 @@ def run(
 ) -> StatePosterior:
     """The posterior after the messages of a filter, a fixed-lag smoother or a smoother.
 
-    Beliefs that would not fit memory raise `GraphError`, and so does a balanced tree. Impossible
-    evidence raises `ImpossibleEvidence` if `impossible` is "raise", and gives NaN if "allow". See
-    `kind_of` for schedules, of which None smooths.
+    `schedule` is a `Filtering`, `FixedLag` or `Smoothing`; None or a `Calibration` smooths. Beliefs
+    that would not fit memory raise `GraphError`, and so does a balanced tree. Impossible evidence
+    raises `ImpossibleEvidence` if `impossible` is "raise", and gives NaN if "allow".
     """
     allow = allows(impossible)
     kind = kind_of(schedule, "tables")

@@ -2,7 +2,8 @@
 
 They go without the overhead of `StateChain` at each step: the weights p(z_t | x_t) of many steps, a
 *part*, are laid out before, and beliefs are scaled once in a few steps. Where a belief, or a sum of
-probabilities, comes near the smallest number of float64, the result is not used.
+probabilities, comes near the smallest number of float64, a state may be *lost*, its probability
+underflowing to zero, and the result is not used.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ class DirectChain(StateChain):
 
     precise: Whether `run` was called, and has lost no state to underflow; if not, the chain must
         not be used.
+    _latest: The part whose weights were asked for last, with these weights and their log-scales.
     """
 
     slices: TableSlices
@@ -70,8 +72,8 @@ class DirectChain(StateChain):
     def _blocks(self) -> markov.Blocks | None:
         """The sweeps in blocks of steps that are computed side by side; None if not worth it.
 
-        Blocks are worth it if beliefs have no axis of runs, states are few, steps are many (`FEW`,
-        `MANY`) but not too many for memory (`ROOM`), and the transition is constant and dense.
+        Blocks are worth it if beliefs have no axis of runs, there are at most 16 states, at least
+        64 steps, at most 2²⁰ entries of beliefs in all, and the transition is constant and dense.
         """
         steps, size = self.slices.steps, self.slices.plan.shape[0]
         if self.batch or size > FEW or steps < MANY or steps * size > ROOM:
@@ -100,7 +102,7 @@ class DirectChain(StateChain):
 
     @cached_property
     def _parts(self) -> list[range]:
-        """The steps 1..T in consecutive parts, each with at most `ROOM` entries of weights.
+        """The steps 1..T in consecutive parts, each with at most 2²⁰ entries of weights (`ROOM`).
 
         A part has one step where a step's weights alone have more.
         """
@@ -118,7 +120,11 @@ class DirectChain(StateChain):
         return self._latest[1]
 
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
-        """The function that `_apply` returns for each step of a part, in the order of the part."""
+        """For each step of a part, in its order, a function that applies the transition into it.
+
+        The function puts the transition's product with a vector, (states, [runs]), or with `back`
+        that of its transpose, into an array that is given.
+        """
         if self.slices.constant is not None:
             return repeat(self._apply(part[0], back), len(part))
         return (self._apply(step, back) for step in part)
@@ -190,8 +196,8 @@ class DirectChain(StateChain):
     def _lagged(self, lag: int) -> Array | None:
         """The fixed-lag beliefs of all steps, (steps + 1, states, [runs]), made side by side.
 
-        None where the transition differs by step, there are too many entries, or numbers may lose a
-        state.
+        None where the transition differs by step, the beliefs have more than 2²⁴ entries, or
+        numbers may lose a state.
         """
         steps, each = self.slices.steps, self._map(1)
         if self.slices.constant is None or np.size(self.known) > ROOM * _WINDOWS:

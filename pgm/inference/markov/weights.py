@@ -23,10 +23,11 @@ class Weights:
 
     A *row* is the place of a measurement among the sensor's, which are sorted by step.
 
-    runs: How many runs there are. batch: Whether beliefs have an axis of runs. observed: The
-    sensor's parents that evidence gives. shape: The shape of the weights without runs: an axis for
-    each variable of the slice, of length one
-        for a variable that is no parent.
+    runs: How many runs there are.
+    batch: Whether beliefs have an axis of runs.
+    observed: The sensor's parents that evidence gives.
+    shape: The shape of the weights without runs: an axis for each variable of the slice, of length
+        one for a variable that is no parent.
     soft: Whether the measurements are soft evidence, weights of the sensor's states.
     """
 
@@ -85,9 +86,10 @@ class Weights:
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
         """The weights of a measurement, (*slice, [runs]), the semiring's one in runs without it.
 
-        The result is None if a measurement that is not soft is missing in the only run, or in all
-        runs at once, which share it. Entries are those of the semiring; as numbers, the weights of
-        soft evidence are to be multiplied by the exponential of `log_scale`.
+        The result is None where one measurement, shared by all runs or of the only run, is missing;
+        soft evidence always has weights. Entries are those of the semiring. Where they are numbers,
+        weights by soft evidence have been scaled: they are to be multiplied by the exponential of
+        `log_scale`.
         """
         values, taken = self.reading.values[row], self.reading.taken[row]
         if self.cpd.function is None:
@@ -169,8 +171,9 @@ class Weights:
                 scales[step] += self.log_scale(row)
 
     def log_scale(self, row: int) -> Array | float:
-        """The logarithm of the divisor of soft weights, as numbers; 0 if not soft.
+        """The log-scale of a measurement's weights where they are numbers; 0 if it is not soft.
 
+        Soft evidence is divided by its largest weight, so that this is the largest one's logarithm.
         The result is (runs or 1,), or one number where beliefs have no axis of runs.
         """
         if not self.soft:
@@ -213,7 +216,7 @@ class Weights:
 
     @property
     def smallest(self) -> float:
-        """A lower bound of the product of a step's positive weights, one of each measurement.
+        """A lower bound, for any step, of a product of positive weights, one of each measurement.
 
         Where a function gives the table, only the rows called up to now count.
         """
