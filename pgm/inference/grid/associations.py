@@ -2,7 +2,8 @@
 
 A sighting is a measurement of some thing, a parent of its sensor. It is open where that parent is
 unknown: it is then of one of k candidates, spurious, or of a new thing. Its associations are the k
-+ 2 probabilities of these cases, in this order.
++ 2 probabilities of these cases, in this order. A `Reading` has all measurements of one sensor,
+sorted by step: a row is one measurement, in all runs. Beliefs are (runs, T + 1, *cells).
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ _NEGLIGIBLE = 1e-12
 
 
 def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any]) -> Found:
-    """The `Associations` of the open sightings of bound evidence, by sensor.
+    """By sensor, the `Associations` of its open sightings: their probabilities in all runs.
 
+    bound: The evidence, with a `Reading` for each sensor.
     values: The beliefs over which they are averaged, (runs, T + 1, *cells), the runs flattened.
     """
     every, lead = ((reading, reading.cpd) for reading in bound.readings), bound.lead
@@ -44,9 +46,9 @@ def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any
 def _by_row(
     lattice: Lattice, reading: Reading, cpd: UnidentifiedCPD, values: npt.NDArray[Any]
 ) -> Iterator[Array]:
-    """The associations (runs, k + 2) of each sighting of a reading, one after another.
+    """Yield, for each row of a reading, the associations of that sighting, (runs, k + 2).
 
-    `values` are the beliefs (runs, T + 1, *cells).
+    `cpd` is the sensor's CPD, and `values` are the beliefs (runs, T + 1, *cells).
     """
     for row, step in enumerate(reading.step.tolist()):
         yield np.stack(

@@ -80,7 +80,8 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         Raises
         ------
         ModelError
-            If the components are not all components of some variables, in their order.
+            If the components are not those of whole variables: all components of one variable in
+            their order, then all of the next.
         """
         variables = whole_variables(self._parts)
         return Gaussian(variables, self.mean, self.cov, steps=self.steps)
@@ -125,9 +126,9 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         return drawn.reshape(*extra, *self.lead, drawn.shape[-1])
 
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw `count` point masses of each belief, by their probabilities, (count, *lead, n).
+        """Draw `count` point masses of each belief, by their probabilities.
 
-        The draws may have the leading axes flattened to one.
+        The draws are (count, *lead, n), or (count, beliefs, n) with the leading axes flattened.
         """
         raise NotImplementedError
 
@@ -152,10 +153,10 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         return self._at(index, chosen)
 
     def _at(self, index: Any, chosen: Integers) -> Self:
-        """The beliefs at the user's index of the leading axes.
+        """The beliefs at the user's `index` of the leading axes, as `belief[index]` gives them.
 
-        `chosen` are the places in the flattened leading axes that the index takes, in the shape of
-        the result's leading axes.
+        `chosen` are the numbers of the beliefs taken, counted through the flattened leading axes;
+        it has the shape of the result's leading axes.
         """
         raise NotImplementedError
 
@@ -264,7 +265,10 @@ class GridBelief(PointMassBelief):
         return GridBelief(axes, self._marginal(places), self.steps)
 
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw the centres of cells by their probabilities, `count` a belief, (count, *lead, n)."""
+        """Draw `count` centres of each belief's cells by their probabilities, (count, beliefs, n).
+
+        The leading axes are flattened to one, of all beliefs.
+        """
         rows = self.values.reshape(int(np.prod(self.lead)), -1)
         drawn = np.empty((count, len(rows)), dtype=np.intp)
         for k, row in enumerate(rows):
@@ -275,10 +279,11 @@ class GridBelief(PointMassBelief):
         return self._centres(drawn)
 
     def _at(self, index: Any, chosen: Integers) -> GridBelief:
-        """The belief at the user's index of the leading axes; the arguments are the base class's.
+        """The beliefs at the user's `index` of the leading axes, as `belief[index]` gives them.
 
-        Its `steps` are those that the index takes of the last leading axis; None where it takes one
-        step, or takes other steps in one run than in another.
+        `chosen` are the numbers of the beliefs taken, counted through the flattened leading axes.
+        The result's `steps` are those that the index takes of the last leading axis; None where it
+        takes one step, or takes other steps in one run than in another.
         """
         each = index if isinstance(index, tuple) else (index,)
         values = self.values.reshape(-1, *self.values.shape[len(self.lead) :])[chosen]
@@ -319,10 +324,10 @@ class GridBelief(PointMassBelief):
     def _moments(self) -> list[tuple[Array, Array, Array]]:
         """Of each axis (about, offsets, mean): a middle, differences from it, and their mean.
 
-        `about` (...) is the mean, of an angle the circular mean, counted from the axis' reference;
-        `offsets` (..., cells) are the centres' differences from it, of an angle wrapped to [−π, π).
-        `mean` (...) is the mean of these differences, zero but for rounding and, of an angle, for
-        probabilities that are not symmetric.
+        `about` (...) is the mean, of an angle the circular mean, counted from the middle of the
+        axis (`Axis.reference`); `offsets` (..., cells) are the centres' differences from it, of an
+        angle wrapped to [−π, π). `mean` (...) is the mean of these differences: zero but for
+        rounding and, of an angle, for probabilities that are not symmetric.
         """
         found = []
         for k, axis in enumerate(self._parts):
@@ -350,9 +355,9 @@ def scope_axes(axes: Sequence[Axis], variables: Scope) -> tuple[int, ...]:
 
 
 def require_step(variable: Variable, steps: int) -> int | None:
-    """The step that a variable stands at; None of a variable of all steps, such as x.
+    """The step that a variable stands at: 3 of ``x.at(3)``; None of ``x``, which is of all steps.
 
-    A step that is no whole number, or after the last one, `steps`, is refused by a ModelError.
+    A step that is no whole number, or after the last step, `steps`, is refused by a ModelError.
     """
     if variable.step is None:
         return None

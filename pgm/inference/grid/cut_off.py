@@ -4,6 +4,10 @@ A belief is carried in a window of cells, which leaves out, along each axis, a s
 probability below 10⁻¹⁵; and the kernels that move a belief end at 8.5 standard deviations.
 Probability beyond is lost, and no later measurement brings it back, however much likelier the
 states there have become. The estimates here say when that may matter.
+
+The *bounds* are where the user's grid begins and ends along an axis. An *end* of an axis is the
+first or the last cell in use there: a belief is cut off beyond it, unless it is at the bounds.
+Marginals are (cells,), one for each axis.
 """
 
 from __future__ import annotations
@@ -51,10 +55,11 @@ class Tails(NamedTuple):
     axes: The axes of the lattice.
     share: The shares of the belief estimated to be cut off at the ends of each axis, (axes, 2).
     cells: The indices of the first and the last cell in use along each axis, (axes, 2).
-    open: Whether the axis goes on beyond that cell, (axes, 2).
-    left: The shares of the belief that have left the bounds at the step, (axes, 2).
+    open: Whether the axis goes on beyond that cell, so that something may be cut off, (axes, 2).
+    left: The shares of the belief that have left the bounds at the step, (axes, 2); zero at ends
+        that are not at the bounds.
     before: The marginals' shares in these cells before the step's measurements, (axes, 2).
-    after: Those given the step's measurements, or those before if nothing was measured, (axes, 2).
+    after: Their shares given the step's measurements, or `before` if nothing was measured, (axes, 2).
     """
 
     axes: tuple[Axis, ...]
@@ -67,16 +72,19 @@ class Tails(NamedTuple):
 
     @classmethod
     def begun(cls, axes: Sequence[Axis]) -> Tails:
-        """The tails before any step."""
+        """The tails before any step: a share of 10⁻¹⁵ at each end of each axis."""
         ends = len(axes), 2
         none, one = np.zeros(ends), np.ones(ends)
         cells, closed = np.zeros(ends, dtype=np.intp), np.zeros(ends, dtype=bool)
         return cls(tuple(axes), np.full(ends, TINY), cells, closed, none, one, one)
 
     def at(self, marginals: Sequence[Array], left: float) -> Tails:
-        """The tails of a belief that waits for measurements, by its marginals (cells,) of all axes.
+        """The tails of a prior, or of an online belief, before the measurements of its step.
 
-        `left` is the share of the belief that has left the bounds at its step.
+        The shares cut off stay as they are; cells in use and shares in them are found anew.
+
+        marginals: The belief's marginals (cells,), one for each axis.
+        left: The share of the belief that has left the bounds at its step.
         """
         cells, beyond, gone = self.cells.copy(), self.open.copy(), np.zeros_like(self.left)
         for k, (axis, marginal) in enumerate(zip(self.axes, marginals, strict=True)):
@@ -96,10 +104,13 @@ class Tails(NamedTuple):
         return waiting._replace(before=shares, after=shares)
 
     def predicted(self, marginals: Sequence[Array], left: float) -> Tails:
-        """The tails of a step's predicted belief; arguments as of `at`.
+        """The tails of a step's predicted belief, before the measurements of the step.
 
-        Motion leads away from an end that was not cut, as a wall is: there the share falls with
-        that of the last cells.
+        Where the cell at an end has a share above 10⁻¹³, the belief was not cut there but ends, as
+        at a wall; if motion has made that share smaller, the share cut off falls in proportion.
+
+        marginals: The belief's marginals (cells,), one for each axis.
+        left: The share of the belief that has left the bounds at its step.
         """
         found = self.at(marginals, left)
         fallen = np.minimum(found.before / np.maximum(self.after, 1e-300), 1.0)
@@ -146,9 +157,11 @@ def doubtful(log_density: float, ceiling: float, components: int) -> bool:
 
 
 def bound(log_density: float, best: float) -> float:
-    """The largest share of a belief, given measurements, of cells that had a share of 10⁻¹⁵ before.
+    """The most that a part of a belief with a share of 10⁻¹⁵ can become by a step's measurements.
 
-    log_density: ln p(measurements | those before), of the belief as it was carried.
+    It is 10⁻¹⁵ exp(`best` − `log_density`), and 1 at the most.
+
+    log_density: ln p(measurements | those before), under the belief without what was cut off.
     best: The largest log-density of the measurements at any cell.
     """
     return math.exp(min(math.log(TINY) + best - log_density, 0.0))

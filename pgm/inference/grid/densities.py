@@ -97,7 +97,11 @@ class Dense:
         return self._whole(np.broadcast_to(lines, (*lines.shape[:2], count)), self.source)
 
     def added(self, array: Array) -> dict[int, float]:
-        """An empty mapping: the variance that the lattice adds is not known; see `Operator`."""
+        """An empty mapping, whatever the `array` of probabilities is.
+
+        Other operators give here, by axis, the variance that the finite width of cells adds to a
+        move; of a density it is not known.
+        """
         return {}
 
     @property

@@ -36,10 +36,11 @@ class DensitySensor(MeasuredSensor):
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
         """The log-densities of one measurement at a window's centres, and the highest found.
 
-        The log-densities are a `Level`, in a list. The highest is the largest found so far: in the
-        window, at some 4096 cells spread over all the lattice, and of earlier measurements of as
-        many components; 0 if all are −∞. If no component was measured, the list is empty and the
-        value 0.
+        The log-densities are the one item of a list: a `Level`, which has their array over the
+        window, and the highest. The highest is the largest found so far: in the window, at
+        some 4096 cells spread over all the lattice, and of earlier measurements of as many
+        components; 0 if all are −∞. If no component was measured, the list is empty and the
+        highest 0.
         """
         count = int(self.taken(row, run).sum())
         if not count:
@@ -67,7 +68,7 @@ class DensitySensor(MeasuredSensor):
         return [Level(level.reshape(shape), highest)], highest
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """How sharp the density is about a cell, measured as `MeasuredSensor.sharpness` is.
+        """How sharp the density is at a cell, in standard deviations of the noise per cell.
 
         It is the largest √(2 l(c) − l(c + e) − l(c − e)) along an axis, l being the log-density, c
         the `cell` (axes,) and e one cell: for a normal density that is how far the expected
@@ -134,7 +135,8 @@ class DensitySensor(MeasuredSensor):
     ) -> Array:
         """The log-densities ln p(z | x), (n,), at the centres of cells (n, axes).
 
-        `cpd`, `value` and `known` are those of `_bound`.
+        `cpd` is the sensor's CPD with its noise evaluated, `value` the measurement (d,), NaN where
+        a component is missing, and `known` has the values of the observed parents.
         """
         points = self.lattice.values(centres(self.lattice, cells))
         step = int(self.reading.step[row])

@@ -99,6 +99,15 @@ class Dependence:
 
     before: The axes of the step before, a set for each value; empty before the first `look`.
     after: The axes of its own step, likewise.
+    _sure: Whether the dependence has been tested at every centre.
+
+    Arguments of several methods are:
+
+    values: The function, from points (n, axes) of the step before and of its own to values (n,
+        ..., m).
+    differ: A function of two results of `values`, to the mask (n, ..., m) of entries that differ.
+    later: The axes of its own step on which it may depend at all.
+    seed: The seed of the cells that are drawn.
     """
 
     lattice: Lattice
@@ -121,12 +130,6 @@ class Dependence:
         of all centres for more axes leave differences, such as small ones that add up, each value
         is taken to depend on all axes.
 
-        values: The function, from points (n, axes) of the step before and of its own to values (n,
-            ..., m).
-        differ: A function of two results of `values`, to the mask (n, ..., m) of entries that
-            differ.
-        later: The axes of its own step on which it may depend at all.
-        seed: The seed of the cells that are drawn.
         some: Cells (n, axes) of the belief, at which the known dependence is tested too; None for
             no such test.
         """
@@ -162,7 +165,7 @@ class Dependence:
 
         At random cells, or at all of them (`everywhere`), each axis of the step before, and each of
         its own step that may be depended on (`later`), is moved to another cell; a value that
-        differs depends on that axis. The arguments are those of `look`.
+        differs depends on that axis.
         """
         lattice, grown = self.lattice, False
         sets = blocks(lattice) if everywhere else iter([places(lattice, PROBES, seed)])
@@ -204,7 +207,7 @@ class Dependence:
         """Whether each value stays the same without the axes on which it is not known to depend.
 
         Cells are moved to the middle of the lattice along these axes. This is tested at `cells` (n,
-        axes), or, if they are None, at every centre. The other arguments are those of `look`.
+        axes), or, if they are None, at every centre.
         """
         lattice = self.lattice
         kinds = {(frozenset(a), frozenset(b)) for a, b in zip(self.before, self.after, strict=True)}

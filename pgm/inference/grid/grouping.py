@@ -1,7 +1,8 @@
 """The CPDs of a model in the groups in which a grid moves them.
 
 A group is one state, or several that have to move together, since they depend on one hidden control
-and share its noise, or depend on one another in such a way that none can move first.
+and share its noise, or depend on one another in such a way that none can move first. Values of
+observed parents are (rows, runs or 1, d): a row for each step of a transition, none for a prior.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ def groups(
     A hidden control whose CPD is not Gaussian, or has robust noise, is refused by a ModelError.
 
     cpds: The CPDs of the states and of the hidden controls.
-    known: For each CPD, by parent the values (rows, runs or 1, d) of its observed parents.
+    known: For each CPD, in the order of `cpds`, the values of its observed parents, by parent.
     kept: By a group's key, weights from every cell to every cell, of groups that are moved by
         densities; groups add to it and share it.
     prior: Whether the CPDs are a prior's.
-    first: The step before the first row of the known values.
+    first: The step before the one that the first row of the known values is for.
     """
     values = {cpd.child: given for cpd, given in zip(cpds, known, strict=True)}
     states = [cpd for cpd in cpds if cpd.child in lattice.of]
@@ -51,10 +52,10 @@ def groups(
         return found.union(*(needed(controls[v]) for v in found))
 
     def made(cpd: CPD, place: tuple[int, ...]) -> Members:
-        """The group of one CPD.
+        """The group of one state, moved by its CPD, or by a part of its CPD if that is a mixture.
 
-        place: Of a part of a mixture, its index there, after that of the mixture where this is a
-            part of another; otherwise ().
+        place: () of a whole CPD; (k,) of part k of a mixture; (k, l) of part l of the mixture that
+            is itself part k of another; and so on.
         """
         own = tuple(control for control in controls.values() if control.child in needed(cpd))
         family = {each.child: values[each.child] for each in own}

@@ -45,9 +45,10 @@ class Members:
 
     controls: The CPDs of the hidden controls.
     states: The CPDs of the states.
-    known: By child and then parent, the values (rows, runs or 1, d) of observed parents.
+    known: By child and then parent, the values (rows, runs or 1, d) of observed parents, a row for
+        each step.
     prior: Whether the CPDs are a prior's, at step 0: displacements then count from the first cell.
-    first: The step before the first row of the known values.
+    first: The step before the one that the first row of `known` is for.
     place: Of a part of a mixture, its index there; of a mixture in a mixture, one index a level;
         empty otherwise.
     """

@@ -113,10 +113,11 @@ class MeasuredSensor:
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
         """One measurement over a window, as residuals and a constant.
 
-        ln p(z | x) is the constant less the sum of the residuals' `squared`, which broadcast to the
-        window. The constant is the log-density at zero residual or, of a sensor given by its
-        density, the largest log-density found. If no component was measured there are no residuals,
-        and the constant is 0.
+        ln p(z | x) is the constant less the sum of what the residuals' method `squared` gives: at
+        each cell half the squared whitened residual of one component, or of all together, or how
+        far a log-density lies below the constant. The constant is the log-density at zero residual
+        or, of a sensor given by its density, the largest log-density found. If no component was
+        measured there are no residuals, and the constant is 0.
         """
         raise NotImplementedError
 

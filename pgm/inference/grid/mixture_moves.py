@@ -1,6 +1,9 @@
 """Moves of mixtures: the sum of the moves of a mixture's parts, weighted by their probabilities.
 
-A window is a span of cells along each axis; arrays are over the cells of a window.
+A window is a span of cells along each axis; arrays are over the cells of a window. A `Step` is a
+move of some states to a time step, made of operators: linear maps of the probabilities in a source
+window to those in a target window. Where a move has less variance than its rounding to whole cells
+needs, the lattice adds the rest.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from pgm.kernels.lattice import Span
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A step of the motion: operators one after another, from a source to a target window."""
+    """A move to a time step: operators applied in order, from a source to a target window."""
 
     source: Window
     target: Window
@@ -28,16 +31,17 @@ class Step:
 
     @property
     def split(self) -> frozenset[int]:
-        """The axes that are moved cell by cell, by a `Split`."""
+        """The axes along which each cell is split by itself on the cells nearest to its target."""
         each = [operator.axes for _, operator in self.leaves() if isinstance(operator, Split)]
         return frozenset().union(*each)
 
     @property
     def uneven(self) -> Uneven:
-        """The transition density whose sums over centres vary the most; `EVEN` if there is none.
+        """The transition density whose sums over centres vary the most as the centres shift.
 
-        The share by which the sums vary is multiplied by the probability of the mixture's part that
-        has the density.
+        If no density is among the operators, the result has the share 0 and no variable. The share
+        by which the sums vary is multiplied by the probability of the mixture's part that has the
+        density.
         """
         each = [
             operator.uneven._replace(share=weight * operator.uneven.share)
@@ -84,10 +88,11 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Mixed:
-    """The weighted sum of several steps from the same window.
+    """The move by a mixture: the weighted sum of the moves by its parts, from the same window.
 
-    weights: The probabilities of the steps, (parts,).
-    target: The window that contains the target windows of all steps.
+    weights: The probabilities of the parts, (parts,).
+    steps: The move by each part.
+    target: The window that contains the target windows of all these moves.
     """
 
     lattice: Lattice
@@ -98,7 +103,8 @@ class Mixed:
     def moved(self, array: Array) -> tuple[Array, Array]:
         """The probabilities in the target window, and the variance that the lattice has added.
 
-        The latter is along each axis, in squared cells, (axes,), averaged over the steps.
+        The latter is along each axis, in squared cells, (axes,), averaged over the parts by their
+        probabilities.
         """
         total, added = np.zeros([span.length for span in self.target]), np.zeros(array.ndim)
         for weight, step in zip(self.weights, self.steps, strict=True):
@@ -117,7 +123,7 @@ class Mixed:
         return total
 
     def _of(self, step: Step) -> tuple[Integers, ...]:
-        """The index that takes one step's target window from an array over the sum's `target`."""
+        """The index that takes one part's target window from an array over the sum's `target`."""
         each = [
             (np.arange(own.length) + own.first - span.first) % axis.cells
             for own, span, axis in zip(step.target, self.target, self.lattice.axes, strict=True)
@@ -137,10 +143,10 @@ class MixedGroup(Members):
     weights: Array = field(default_factory=lambda: np.ones(1))
 
     def mixed(self, steps: Sequence[Step]) -> Mixed:
-        """The sum of the parts' steps, weighted by the parts' probabilities.
+        """The sum of the moves by the parts, weighted by the parts' probabilities.
 
-        `steps` has one for each part, in the order of `parts`, all from the same source window. The
-        sum's target is the smallest window that contains the targets of all steps.
+        `steps` are these moves, in the order of `parts`, all from the same source window. The sum's
+        target is the smallest window that contains the targets of all of them.
         """
         target = []
         for k, axis in enumerate(self.lattice.axes):

@@ -57,7 +57,8 @@ class Motion:
     def at(self, step: int, run: int, source: Window) -> Step:
         """The transition to a step of a run, or the prior at step 0, as operators in order.
 
-        `source` is the window of the belief at the step before; of a prior it is the first cell.
+        `source` is the window of the belief at the step before. A prior is a move, too: of all
+        probability from the first cell of the lattice, which is then the source.
         """
         window, operators = source, list[Operator | Mixed]()
         for group in self._ordered(step, run, source):
@@ -217,11 +218,11 @@ class _Maker:
         return tuple(spans), [Sweep(moves, self.nodes)] if moves else []
 
     def _within(self, spread: Spread) -> Spread:
-        """The `spread` with an infinite variance, which is flat, along angles with very wide noise.
+        """The `spread`, but along angles with very wide noise its variance is infinite.
 
-        That is noise with a standard deviation of more than three circles. Along an interval a
-        standard deviation of more than twenty times its length, but finite, is refused by a
-        ModelError.
+        An infinite variance stands for equal probability of all cells; noise is very wide with a
+        standard deviation of more than three circles. Along an interval a standard deviation of
+        more than twenty times its length, but finite, is refused by a ModelError.
         """
         variance = spread.variance.copy()
         for k, axis in enumerate(self.lattice.axes[a] for a in self.group.axes):

@@ -140,7 +140,10 @@ class Sweep:
         return self._run(array, last_first, lambda move, node, part: move.backward(part, node))
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance that the lattice adds, in squared cells; see `Operator`."""
+        """By axis, the variance that the lattice adds, in squared cells.
+
+        It is averaged over the source cells by `array`, their probabilities.
+        """
         return {move.axis: move.mean_added(array, self.nodes) for move in self.moves}
 
     def _run(
@@ -276,7 +279,10 @@ class Split:
         return total.reshape(tuple(span.length for span in self.source))
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance that the lattice adds, in squared cells; see `Operator`."""
+        """By axis, the variance that the lattice adds, in squared cells.
+
+        It is averaged over the source cells by `array`, their probabilities.
+        """
         values, found = array.reshape(-1), dict.fromkeys(self.axes, 0.0)
         for node, share in enumerate(self.nodes):
             target = self.place(node)

@@ -35,6 +35,8 @@ from pgm.variables import Variable
 class OnlineGridBelief(Shown, NoArray):
     """The belief of an online filter at one step, on a grid.
 
+    It holds no past steps, as beliefs of a filter with a lag do: its `behind` is None.
+
     Attributes
     ----------
     step : int
@@ -124,12 +126,21 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         return f"OnlineFilter(over {list(self.model.states)}, belief={self.belief!r})"
 
     def predict(self, belief: Belief, inputs: Mapping[Variable, Any] | None = None) -> Belief:
-        """The belief one step later, as by `OnlineFilter.predict`.
+        """The belief one step later, given the inputs of that step.
+
+        Parameters
+        ----------
+        belief : OnlineGridBelief or OnlineParticleBelief
+            A belief of this filter.
+        inputs : mapping of Variable to array_like
+            Values (..., d) of the transition's inputs.
 
         Raises
         ------
-        EvidenceError, ModelError
-            For the reasons of `OnlineFilter.predict`.
+        EvidenceError
+            If an input is missing or of a wrong shape, or a variable given is no input.
+        ModelError
+            If the belief is none of this filter's, or a function returns a wrong shape.
         LinearisationError, NumericalError
             If a function has no value at a point mass, or all probability has left the bounds.
         """
@@ -138,7 +149,15 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         return self._predicted(belief, step_evidence.inputs(self.model, belief, given))
 
     def update(self, belief: Belief, readings: Mapping[Variable, Any]) -> Belief:
-        """The belief given measurements of its step, as by `OnlineFilter.update`.
+        """The belief given measurements of its step.
+
+        Parameters
+        ----------
+        belief : OnlineGridBelief or OnlineParticleBelief
+            A belief of this filter.
+        readings : mapping of Variable to array_like
+            By sensor, its measurement (..., d), or several as `pgm.sightings`; by input of a
+            sensor, its value.
 
         Raises
         ------
@@ -154,7 +173,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         return self._updated(belief, replace(bound, readings=tuple(shifted)))
 
     def _check(self, belief: Any) -> None:
-        """Refuse, by a ModelError, a belief that this filter does not own; see `_owns`."""
+        """Refuse, by a ModelError, a belief that no filter of this model and kind has made."""
         if not self._owns(belief):
             kind = type(self.belief).__name__.lower()
             raise ModelError(
@@ -167,11 +186,11 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         raise NotImplementedError
 
     def _predicted(self, belief: Belief, bound: BoundEvidence) -> Belief:
-        """The belief one step later, given the inputs of that step."""
+        """The belief one step later; `bound` has the inputs of that step."""
         raise NotImplementedError
 
     def _updated(self, belief: Belief, bound: BoundEvidence) -> Belief:
-        """The belief given measurements of its step."""
+        """The belief given the measurements of its step, which `bound` has."""
         raise NotImplementedError
 
 
@@ -241,7 +260,10 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         left = _broadcast(belief.status.outside_by_step[..., -1], belief.lead, bound)
 
         def taken(slices: GridSlices, values: Array) -> tuple[Array, float]:
-            """The belief (*cells) times the weights of the measurements, and their log-scale."""
+            """A run's belief times the weights of its measurements, and the weights' log-scale.
+
+            `values` is the belief, (*cells), and `slices` has the run's measurements.
+            """
             slices.begin(step, values, float(left[slices.run]))
             weights, scale = slices.likelihood(step)
             joint = values if weights is None else values * weights
@@ -261,7 +283,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         work: Callable[[GridSlices, Array], tuple[Array, float]],
     ) -> list[tuple[GridSlices, Array, float]]:
-        """Do some work in each run: a list of (its slices, its belief after it, a log-density).
+        """Do some work in each run: a list of (its `GridSlices`, belief after it, log-density).
 
         first: The step at which the work is done; of a prediction the step before.
         before: The belief to go on from, whose runs broadcast to the evidence's; None for the
@@ -301,9 +323,11 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         found: list[tuple[GridSlices, Array, float]],
     ) -> OnlineGridBelief:
-        """The user's belief from `found`, results of `_each`, with a status of all steps so far.
+        """The user's belief of all runs, with the log-evidence and the status of all steps so far.
 
         before: The belief that it continues; None for the prior.
+        found: For each run its slices, its belief (*cells) at the step, and the log-density of the
+            measurements taken in there.
         """
         lead, lattice = bound.lead, self._lattice
         values = np.array([belief for _, belief, _ in found], dtype=self.belief.dtype)
@@ -337,5 +361,9 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
 def _broadcast(
     each: npt.NDArray[Kept], lead: tuple[int, ...], bound: BoundEvidence
 ) -> npt.NDArray[Kept]:
-    """The values, one for each run (*lead) of a belief, for the runs of the evidence, (runs,)."""
+    """Values of a belief's runs, broadcast to the runs of the evidence, (runs,).
+
+    `each` has one value for each of the belief's runs, whose axes are `lead`; a belief of one run
+    may be followed by evidence of many.
+    """
     return np.broadcast_to(each.reshape(lead), bound.lead).reshape(bound.runs)

@@ -31,7 +31,11 @@ Belief = TypeVar("Belief", bound=PointMassBelief)
 
 
 class PointPosterior(Labelled, Viewed, Shown, NoArray, Generic[Belief]):
-    """Base of posteriors over time by point masses: cells of a grid, or particles."""
+    """Base of posteriors over time by point masses: cells of a grid, or particles.
+
+    They cannot be iterated over (`__iter__` is None). `_arrays` has words for the error that says,
+    where a posterior is taken for an array, which arrays to take.
+    """
 
     # Python would else iterate by asking for the variables 0, 1, ...
     __iter__: ClassVar[None] = None
@@ -62,7 +66,7 @@ class PointPosterior(Labelled, Viewed, Shown, NoArray, Generic[Belief]):
         return self.joint(require_variable(variable))
 
     def joint(self, *variables: Variable) -> Belief:
-        """The joint of some variables, in the order given."""
+        """The joint belief of some variables, of all steps or at given ones, in the order given."""
         raise NotImplementedError
 
 
@@ -121,7 +125,11 @@ class GridPosterior(PointPosterior[GridBelief]):
 
     @cached_property
     def associations(self) -> Found:
-        """By sensor, the `Associations` of its measurements of a parent given as `unknown`."""
+        """By sensor, the `Associations` of its measurements of a parent given as `unknown`.
+
+        They have for each such measurement the probability of each candidate, that it is spurious,
+        and that it is of a new thing.
+        """
         values = self._values.reshape(-1, *self._values.shape[self.log_evidence.ndim :])
         return associations(self._lattice, self._bound, values)
 

@@ -18,10 +18,10 @@ def start(lattice: Lattice, groups: Sequence[Members], run: int) -> tuple[Array,
     """Put the prior of a run, at step 0, on a lattice: (probabilities, added, uneven).
 
     The probabilities (*cells) are those of all cells, whose sum lacks the prior's mass outside the
-    bounds. `added` (axes,) is the variance that the lattice has added along each axis, in squared
-    cells. `uneven` says of which of the prior's densities the sum over centres varies the most as
-    the centres shift; it is `EVEN` if the prior is Gaussian. `groups` are the sets of states of the
-    prior that are put on the lattice together.
+    bounds. `added` (axes,) is the variance along each axis that the point masses have beyond the
+    prior's, for want of narrower cells, in squared cells. `uneven` says of which of the prior's
+    densities the sum over centres varies the most as the centres shift; its share is 0 if the prior
+    is Gaussian. `groups` are the sets of states of the prior that are put on the lattice together.
     """
     nowhere = (Span(0, 1),) * len(lattice.axes)
     made = Motion(lattice, list(groups)).at(0, run, nowhere)

@@ -115,7 +115,7 @@ def _log(value: float) -> float:
 
 
 def _shifts(axes: int) -> Array:
-    """Shifts of the centres, (SHIFTS, axes), in shares of a cell from −½ to ½: a Latin hypercube.
+    """Eight shifts of the centres, (8, axes), in shares of a cell from −½ to ½: a Latin hypercube.
 
     The first one is zero. The seed of their draws was chosen among many: the mean over the shifts δ
     of exp(2πi k·δ), k being 0, 1 or −1 along each of up to four axes, and not 0 along all, is of

@@ -1,4 +1,8 @@
-"""Running a schedule on a grid, on finer cells where the user asks for it."""
+"""Running a schedule on a grid, on finer cells where the user asks for it.
+
+The user asks by `Grid.refine`, a *figure* that is to settle as cells are halved: the log-evidence,
+or a function of the posterior. It has settled where it changes by no more than `Grid.tolerance`.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +36,7 @@ _WORK = 12
 def run(
     graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, grid: Grid
 ) -> GridPosterior:
-    """The posterior of bound evidence on a grid, for a schedule, by default a smoother's.
+    """The posterior on a grid, given the evidence `bound`, for a schedule; None smooths.
 
     A `GridWarning` is given for each fault that the status shows.
     """
@@ -44,12 +48,12 @@ def run(
 
 
 def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
-    """The posterior on the first lattice on which the user's figure stays within its tolerance.
+    """The posterior on the first lattice on which the user's figure has settled.
 
-    The cells along each axis are doubled until the figure changes by no more than the tolerance, or
-    the user's number of doublings is reached; the status has a record of each resolution. Without
-    `refine` it is the posterior on the grid as it is. A figure whose shape differs from resolution
-    to resolution is refused by a ModelError.
+    The number of cells along each axis is doubled until the figure has settled, or as often as
+    `Grid.doublings` allows; the status has a record of each resolution. Without `refine` it is the
+    posterior on the grid as it is. A figure whose shape differs from resolution to resolution is
+    refused by a ModelError.
     """
     if grid.refine is None:
         return _at(graph, bound, kind, grid)
@@ -149,9 +153,10 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
 
 
 class _Kept(StateChain):
-    """The `StateChain` of one run, whose filtered beliefs are written into a given array.
+    """The forward and backward messages of one run, whose filtered beliefs go into a given array.
 
-    made: That array, (T+1, *cells).
+    slices: The time slices of the run, as the chain of states that messages are sent along.
+    made: The array for the filtered beliefs, (T+1, *cells).
     """
 
     def __init__(self, slices: GridSlices, made: Any) -> None:
@@ -159,7 +164,10 @@ class _Kept(StateChain):
         self._made: Array = made
 
     def room(self, like: Array) -> Array:
-        """The array that was given, (T+1, *cells), whatever `like` is; see `StateChain.room`."""
+        """The array for the beliefs of all steps, (T+1, *cells): the one that was given.
+
+        `like`, a belief whose shape a new array would have, is not used.
+        """
         return self._made
 
 

@@ -74,10 +74,12 @@ class GridSensor(MeasuredSensor):
         return mean_at(self.cpd, self.lattice.values(points), known, step, run)
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The residuals of one measurement, and its log-density at zero residual.
+        """The residuals of one measurement over a window, and its log-density if all were zero.
 
-        There is a `Term` for each component measured where their noise is independent, otherwise
-        one `Joint` of all. Singular noise is refused by a ModelError.
+        Where the noise of components is independent, there is a `Term` for each component that was
+        measured, with its residuals; otherwise one `Joint`, with those of all such components. If
+        none was measured, the list is empty and the value 0. Singular noise is refused by a
+        ModelError.
         """
         step, reading = int(self.reading.step[row]), self.reading
         own = run if reading.values.shape[1] > 1 else 0
@@ -217,8 +219,8 @@ class GridSensor(MeasuredSensor):
     ) -> bool:
         """Whether h(o, t) = h(o, ·) + h(·, t) − h(·, ·) at some cells (n, axes), to rounding.
 
-        The symbols, and `values`, are those of `_adds_everywhere`: h as a function of places o and
-        t along the other axes and along the circles `turning`.
+        t are the places along the circles `turning`, o those along the other axes, and dots the
+        middle of the lattice. `values` is the function h, from points (n, axes) to values (n, d).
         """
         middle = np.array(self.lattice.shape) // 2
         turned = np.array([k in turning for k in range(len(middle))])
@@ -241,7 +243,10 @@ class GridSensor(MeasuredSensor):
 
 
 def likelihood(sensors: Sequence[MeasuredSensor], step: int, run: int, window: Window) -> Weights:
-    """The weights of all measurements of a step, in a run, at the cells of a window."""
+    """The density of all measurements of a step, in a run, at the cells of a window.
+
+    The `Weights` are the densities divided by the largest, with the logarithm of that.
+    """
     terms, scale, read = list[Residuals](), 0.0, list[tuple[MeasuredSensor, int]]()
     for sensor in sensors:
         for row in sensor.rows(step):

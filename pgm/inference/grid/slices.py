@@ -1,5 +1,8 @@
 """The time slices of one run on a grid, in the form that `StateChain` works on.
 
+A `StateChain` sends the forward and backward messages of a hidden Markov chain; it asks its slices
+for the prior, for sums over the transition, and for the weights of measurements.
+
 The joint states of a slice, the states of one step, are the cells of the lattice. A belief is an
 array (*cells) of the probabilities of all cells. Computations are confined to a window, a span of
 cells along each axis, outside of which a belief is negligible. Steps and runs are counted from 0.
@@ -52,7 +55,9 @@ class Narrowness(NamedTuple):
 
 
 class Worst(NamedTuple):
-    """The worst figures of how well the cells of a grid serve its model; see `GridStatus`.
+    """Four figures of how well the cells serve the model, each the worst so far of steps and runs.
+
+    They become attributes of the user's `GridStatus`.
 
     sharpest: The sensor that is sharpest for the cells.
     narrowest: The marginal of a belief that is narrowest for the cells.
@@ -90,7 +95,7 @@ class Tested(NamedTuple):
     A group is a set of states that move together, and is identified by its key, `Members.key`.
 
     motion: By a group's key, the axes on which its displacements depend.
-    sensors: By sensor, the shape of its function.
+    sensors: By sensor, the axes on which its function depends, and how (`Shape`).
     kept: By a group's key, the transition weights from every cell to every cell, of a group that is
         moved by densities which are the same at all steps.
     """
@@ -112,8 +117,8 @@ class GridModel:
 
     tested: The record of earlier tests of the same model and lattice, to which new ones are added;
         None begins an empty one.
-    first: As an argument, the step before the first row of the transition's inputs; as an
-        attribute, the groups of the prior.
+    first: As an argument, the step before the first one that `bound` has inputs of the transition
+        for; as an attribute, the groups of the prior.
     motion: The transition, as groups that are moved one after another.
     sensors: The sensors that have measurements.
 
@@ -158,13 +163,16 @@ class GridSlices:
 
     keep: The type, float64 or float32, in which the weights of measurements are kept for the
         backward sweep; None for a filter, which has no such sweep.
-    tails, unresolved: Those up to a belief that is gone on from, as online; none without.
+    tails, unresolved: As arguments, what these attributes were for the belief that an online filter
+        goes on from; None and 0 at the beginning.
 
+    lead: The shape of the user's axes of runs; (), since these are the slices of one run.
     outside: By step, the probability that left the bounds, or that the window of active cells has
         cut off.
     added: The variance that the lattice has added in all steps, in squared cells, (axes,).
     split: The indices of the axes that were moved cell by cell.
-    worst: The worst figures so far of how well the cells serve the model.
+    worst: The sharpest sensor for the cells, the narrowest belief, the most cut off, and the most
+        uneven density, of all steps so far.
     tails: What may be cut off from the belief at hand.
     unresolved: The expected square of the error of the log-evidence, in nats, that comes of taking
         sums over centres for integrals; see `resolution`.
@@ -246,9 +254,9 @@ class GridSlices:
     def surprised(self, step: int, log_density: float) -> None:
         """Note for the status how much of a belief may be cut off, if its evidence is doubtful.
 
-        The evidence is doubtful where the step's measurements are far less likely than usual
-        residuals are. The share is bounded by means of the largest density that the measurements
-        have at any cell.
+        The evidence is doubtful where the log-density of the step's measurements is more than 20
+        below that of residuals of usual size. The share is bounded by means of the largest density
+        that the measurements have at any cell.
 
         log_density: ln p(measurements of the step | those before).
         """

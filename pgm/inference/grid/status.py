@@ -185,7 +185,10 @@ class GridStatus(Shown, Immutable):
 
     @property
     def _worst(self) -> Worst:
-        """The worst figures of how well the cells serve the model, as one record."""
+        """The figures `sharpest`, `narrowest`, `cut` and `uneven`, as one record.
+
+        Each is the worst of all runs and steps.
+        """
         return Worst(self.sharpest, self.narrowest, self.cut, self.uneven)
 
     @property
@@ -275,7 +278,10 @@ class GridStatus(Shown, Immutable):
 
     @property
     def _parts(self) -> list[str]:
-        """The phrases of the title, of which the first is the probability that left the bounds."""
+        """What is worth telling when the status is shown, in phrases such as "outside 0.01".
+
+        The first is the probability that has left the bounds, the largest of all runs.
+        """
         parts = [f"outside {float(self.outside.max(initial=0.0)):.2g}"]
         parts += [
             f"variance added to {name} {float(value.max()):.2g}"

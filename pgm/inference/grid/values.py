@@ -185,10 +185,10 @@ def at_a_time(cpd: CPD) -> int:
 def known_at(
     cpd: CPD, child: Array, points: Known, known: Known, step: int
 ) -> tuple[Array, cpd_values.Known]:
-    """A CPD's arguments at n points: its child, broadcast to (n, d), and its parents as `Known`.
+    """A CPD's arguments at n points: values of its child, (n, d), and of all its parents, (n, d).
 
-    n is the number of the points, or of the rows of `child` (n, d) or (d,) where no parent is
-    hidden.
+    The parents' are a `Known` record, which has them by variable; all are broadcast to n rows. n is
+    the number of the points, or, where no parent is hidden, of the rows of `child`, (n, d) or (d,).
     """
     hidden = (len(points[parent]) for parent in cpd.parents if parent in points)
     count = next(hidden, len(child) if child.ndim > 1 else 1)

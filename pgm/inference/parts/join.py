@@ -69,7 +69,11 @@ def swept_once(
 
 
 def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
-    """The forward passes of the parts as one; `plan` takes over their linearisations."""
+    """The moments and log-densities of the parts' forward passes, as those of all runs.
+
+    `plan` is that of all runs, into which the parts' linearisations and records of sensors are
+    written.
+    """
     plans = [each._plan for each in found]
     for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
         _family(family, families)
@@ -82,10 +86,10 @@ def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
 def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
     """One status of all runs, with `lead` as the user's axes of runs.
 
-    Residuals of a part with fewer iterations are continued with its last one; those of a part
-    without any, in which nothing moved, are zero. The texts about machine code are joined. Digits
-    that were not measured count as all that float64 has, and the cause of few digits is that of the
-    part with the fewest.
+    Its convergence record, of the residuals by iteration, is as long as the longest of a part: that
+    of another part goes on with its last residuals, or is zero if it has none. The accounts of what
+    ran as machine code (`Status.compilation`) are joined. Digits that were not measured count as
+    all that float64 has, and the cause of few digits is that of the part with the fewest.
     """
     every = tuple(statuses)
     longest = max(len(status.residuals) for status in every)
@@ -131,8 +135,9 @@ def _family(whole: Family, parts: list[Family]) -> None:
 def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
     """Concatenate the parts' records of one sensor along the runs, in `whole`.
 
-    They are its measurements with angles moved, weights of robust noise, gate decisions, and the
-    covariances (`cross`) between the errors of measurements that are linearised together.
+    They are its measurements, angles moved by whole turns to where linearisations want them; the
+    weights of robust noise; the decisions of gates; and, by step, the covariances (`cross`) between
+    the errors of measurements that are linearised together.
     """
     whole.moved = np.concatenate([part.moved for part in parts], axis=1)
     if whole.robust:

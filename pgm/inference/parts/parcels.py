@@ -4,7 +4,7 @@ A pipe moves numbers more slowly than a filter computes them. A *parcel* is one 
 the large arrays of all of them, which are copied to one block of memory: in the order in which they
 lie in memory, and broadcast axes once. In place of each such array the pickle has its *place*:
 where its numbers lie, and how they are read. An array in a block that both processes see
-(`shared_memory`) is not copied.
+(`shared_memory`) is not copied: such a block is the *room*, into which workers write their results.
 """
 
 from __future__ import annotations
@@ -62,10 +62,12 @@ class Pickle(NamedTuple):
 class Parcel:
     """Pickles whose large arrays travel apart from them, in one block of memory.
 
-    With `apart` the large arrays are meant for a block that the caller makes, of `size` bytes,
-    which grow with each pickle; without, all arrays stay in the pickles. With `shared` several
-    processes read the block, so that writeable arrays stay in the pickles. An array that already
-    lies in the block of the `room`, if there is one, is pickled as its place.
+    apart: Whether large arrays (4 KiB or more) go to a block, which the caller makes; if not, all
+        arrays stay in the pickles.
+    shared: Whether several processes read the block; writeable arrays then stay in the pickles.
+    room: The arrays for workers' results, in a shared block; an array that lies in that block is
+        pickled as its place there. None if there are none.
+    size: How many bytes the block needs for the arrays of all pickles so far.
     """
 
     def __init__(self, *, apart: bool, shared: bool = False, room: Room | None = None) -> None:

@@ -55,12 +55,15 @@ def run(
     keep: Keep | None,
     executor: Executor | None,
 ) -> ChainPosterior | KeptPosterior:
-    """The posterior of a schedule on a chain with Gaussian beliefs, for the arguments of `infer`.
+    """The posterior of a chain with Gaussian beliefs, given the evidence `bound`, by a schedule.
 
-    With `keep` or an `executor` runs are worked through in parts; with `keep` only the log-evidence
-    and the marginals of the variables named are held, which bounds memory. Measurements of unknown
-    things are first associated with candidates. If digits are lost, one warning is given for all
-    runs together.
+    Measurements of unknown things are first associated with candidates. If digits are lost, one
+    warning is given for all runs together.
+
+    start: Means by variable, at which CPDs are linearised first; None if the user gave none.
+    keep: Variables whose marginals alone are held, with the log-evidence, which bounds memory; None
+        for the whole posterior.
+    executor: Its workers share the runs; with it, or with `keep`, runs are worked through in parts.
     """
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
@@ -106,7 +109,7 @@ def run(
 
 
 def _told(posterior: ChainPosterior) -> ChainPosterior:
-    """Return the posterior of all runs, after a `PrecisionWarning` if its digits are few."""
+    """Return the posterior itself, after a `PrecisionWarning` if rounding leaves it few digits."""
     posterior.status._warn()
     return posterior
 
@@ -118,12 +121,13 @@ def _with_places(
     parts: Sequence[Part],
     results: Sequence[Result],
 ) -> Status:
-    """The status of all runs, with digits lost to last places in parts that measured none.
+    """The `status` of all runs, with fewer digits for parts that have not measured theirs.
 
-    The last place of a mean in float64 costs digits where it is coarse beside the standard
-    deviation. The means are those that a part has sent, in the `room` or as a posterior. In
-    `status`, by `one_status`, such parts have all digits if others have measured theirs. If no part
-    or every part has measured digits, the status stays as it is.
+    Where some parts have measured how many digits rounding leaves, the runs of the others stand in
+    `status` with all of float64's digits. Those runs lose digits here where the last place of a
+    mean in float64 is coarse beside its standard deviation. The means and deviations are those that
+    the part has sent, in the `room` or, of a whole posterior, in its result. If no part or every
+    part has measured digits, the status stays as it is.
     """
     if status.digits is None or all(result.status.digits is not None for result in results):
         return status
@@ -147,9 +151,9 @@ def _results(
 ) -> list[Result]:
     """The results of all parts, in order; their arrays have been written to the `room`.
 
-    The list ends with the first part that needed twice the digits, unless the share is of kept
-    variables. After a `PgmError` of a job this process solves again, and raises its own error
-    (`_fail_alone`).
+    The list ends with the first part that needed arithmetic of twice float64's digits, unless the
+    share is of kept variables: all runs are then to be solved together. If a job fails by a
+    `PgmError`, the runs are solved again in this process, which raises the error here.
     """
     jobs = [
         Job(part, schedule, lineariser, share, _of(room, part) if workers.shares else None)
@@ -273,11 +277,11 @@ class Share:
         return cls(kept, kept is None and once and plain, not isinstance(schedule, Filtering))
 
     def shapes(self, graph: DynamicGraph, bound: BoundEvidence) -> list[Shape]:
-        """The shapes of the arrays sent back, for all runs: pairs of leading and own axes.
+        """The shapes of the arrays sent back, for all runs: ((steps, runs), lengths of own axes).
 
-        Leading axes are steps and runs. The arrays are the mean and covariance of each kept
-        variable, then the log-evidence, of one step; or the mean, covariance and log-density of the
-        filter, then the mean and covariance of a smoother; none of a posterior that is sent whole.
+        The arrays are the mean and covariance of each kept variable, then the log-evidence, as of
+        one step; or the mean, covariance and log-density of the filter, then the mean and
+        covariance of a smoother; there are none if posteriors are sent whole.
         """
         layout, everywhere = graph.layout, (bound.steps + 1, bound.runs)
         found: list[Shape] = []
@@ -344,9 +348,12 @@ class Job:
 class Result(NamedTuple):
     """The result of a part of the runs.
 
-    `careful` says that it was computed in twice the digits; then, unless variables are kept, it has
-    neither arrays nor a posterior, since all runs are to be solved again together. `arrays` are
-    those that have not been written to a room, `found` is a posterior sent whole.
+    kind: Whether beliefs are filtered, of a fixed lag or smoothed.
+    log_evidence_kind: A word for how true the log-evidence is, such as "exact" or "linearised".
+    careful: Whether it was computed with twice float64's digits; then, unless variables are kept,
+        there are neither arrays nor a posterior, since all runs are solved again together.
+    arrays: The arrays of the share; None where they have been written to the room.
+    found: The posterior, where it is sent whole.
     """
 
     status: Status

@@ -43,10 +43,11 @@ class Part:
 
 
 def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
-    """The parts of all runs, in order: equal in size but for the last, as many for each worker.
+    """The parts of all runs, in order: of equal size but for the last, which may be smaller.
 
-    `whole` is the part of all runs. Rounding sizes up may leave a worker a part less. Parts are as
-    large as memory allows, with at most 5,000 runs.
+    `whole` is the part of all runs. Parts are as large as memory allows, with at most 5,000 runs,
+    but so many that each of the `workers` gets as many as any other, or, since sizes are rounded
+    up, one less.
     """
     graph, bound, start = whole.graph, whole.bound, whole.start
     size = _size(graph, bound, lineariser, workers)
