@@ -48,9 +48,9 @@ def estimate(
 ) -> tuple[Mixture, list[Compared]]:
     """Make S = `samples` draws from q and S from d for each run, and the estimates from them.
 
-    `runs` is the number of runs. Returns the estimates of the evidence and of divergences, and for
-    each of the drawing's sums the exact moments beside the Gaussian's. A NumericalError is raised
-    if in some run all draws, or all from q, have density zero.
+    `runs` is the number of runs. Returns the estimates of the evidence and of divergences, and the
+    exact moments, beside the Gaussian's, of each hidden variable and of each cluster of several. A
+    NumericalError is raised if in some run all draws, or all from q, have density zero.
     """
     size = max(
         1, min(BATCH // max(drawing.width, 1), ROOM // max(drawing.length, 1)) // max(runs, 1)

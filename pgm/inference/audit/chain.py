@@ -1,10 +1,15 @@
 """Draws of the trajectories of a chain, with their log-densities.
 
+Draws are from the Gaussian answer q, the smoothed joint, or *defensive*, from a density with wider
+tails: these leave q for an *excursion* of some steps, or are from Gaussians at other modes.
+
 A component is *free* if it has noise given its parents; any other component is a function of its
 parents and the free ones. The *pair* is the vector of the states of the step before, then the
 slice. Where a sensor without noise was read, or the posterior has no density, densities are
 *relative*: each CPD's density is divided by that of the linearised CPD. S is the number of draws of
-a run, n that of the components of a slice, z stands for all measurements.
+a run, n that of the components of a slice, z stands for all measurements. A CPD's `Link` tells
+where its hidden parents and its child stand in a vector, that of the states at step 0, the pair
+later; its `Term` gives its density at draws. A `Conditional` is an affine Gaussian.
 """
 
 from __future__ import annotations
@@ -39,12 +44,15 @@ class ChainDraws:
     """Trajectories from the smoothed Gaussian q, drawn forward in time, with their log-densities.
 
     plan : ChainPlan
+        The linearised chain with its evidence.
     answer : Path
         The law q of the smoothed trajectories.
     modes : Modes
         Gaussians at other modes, for defensive draws.
-    prior, transition, sensors : list
-        Pairs of a CPD's `Link`, or a `Sensor`, and its density.
+    prior, transition : list
+        Pairs of a CPD's `Link` and its `Term`.
+    sensors : list
+        Pairs of a `Sensor`, which has the measurements, and its `Term`.
     reference : ndarray
         (runs,): added to all log-densities: ln p(z) of the linearised model where they are
         `relative`, else zero.
@@ -143,7 +151,7 @@ class ChainDraws:
 
     @property
     def width(self) -> int:
-        """The number of floats that one slice of one draw occupies; see `Drawing`."""
+        """The number of floats that one slice of a draw of one run occupies while it is made."""
         size = self.plan.layout.state_size + 2 * self.plan.layout.slice_size
         seen = [
             np.diff(sensor.bounds).max() * sum(sensor.family.shape[2:])
@@ -153,7 +161,7 @@ class ChainDraws:
 
     @property
     def length(self) -> int:
-        """The number of floats of a whole draw, of all steps; see `Drawing`."""
+        """The number of floats of a whole draw of one run, of all steps."""
         layout = self.plan.layout
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
@@ -194,7 +202,12 @@ class ChainDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """Draw S = `count` trajectories for each run, of q or defensive ones; see `Drawing`."""
+        """Draw S = `count` trajectories for each run, from q or, if `defensive`, defensive ones.
+
+        Returns their values and log-densities. At a draw where a function is NaN or infinite the
+        model's log-density is NaN if the draw is defensive; otherwise a LinearisationError is
+        raised.
+        """
         plan, layout = self.plan, self.plan.layout
         shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
         total = np.repeat(self.reference[:, None], count, axis=1)
@@ -255,9 +268,10 @@ class ChainDraws:
 
     @property
     def excursions(self) -> Excursions:
-        """How defensive draws leave the Gaussian q for some steps.
+        """The law of the excursions on which defensive draws leave q for some steps.
 
-        If densities are relative they never follow the model's own CPDs there.
+        On an excursion a draw follows q's conditionals with wider tails, or, unless densities are
+        relative, the model's own CPDs.
         """
         return Excursions(self.plan.steps + 1, 0.0 if self.relative else PREDICTED)
 
@@ -267,7 +281,7 @@ class _Law:
     """Makes, from smoothed moments, Gaussian laws by which trajectories are drawn forward in time.
 
     layout: The vectors of states, slices and pairs.
-    prior, transition: Pairs of a CPD's `Link` and its density, as of `ChainDraws`.
+    prior, transition: Pairs of a CPD's `Link` and its `Term`.
     """
 
     layout: SliceLayout
@@ -289,8 +303,8 @@ class _Law:
     def path(self, beliefs: Beliefs, states: Conditional) -> Path:
         """The law of trajectories: the states at step 0, then each slice given the states before.
 
-        `beliefs` are the smoothed moments of all slices, `states` the conditionals of the states
-        given the slice after them, as of `onward`.
+        `beliefs` are the smoothed moments of all slices, `states` the conditionals p(states at t |
+        slice at t + 1, measurements up to t), (T, runs, ...).
         """
         places, front = self.layout.state_places, self.layout.state_size
         mean, cov = beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places)
@@ -305,8 +319,9 @@ class _Law:
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
     """The mask of components that have noise given their parents, of `shape` (rows, runs, n).
 
-    The n components are those of the slice, or, at step 0, of the states. `start` is the place of
-    the first of them in the vector by which the links count their children's places.
+    With the `links` of the prior there is one row, step 0, and n components of the states; with
+    those of the transition a row for each later step, and n components of the slice. `start` is the
+    place of the first of these in the vector to which the links refer.
     """
     free = np.zeros(shape, dtype=bool)
     for link, term in links:

@@ -2,7 +2,9 @@
 
 They are found by short smoothers that start from C other trajectories for each run, in one call on
 a plan that has every run C times (`repeated`): its run c · runs + r is the copy c of run r, and it
-has N = C · runs runs in all. n is the number of components of a slice.
+has N = C · runs runs in all. n is the number of components of a slice. A `Conditional` is an affine
+Gaussian. The *share* of a mode is the probability that a defensive draw of the audit, one from a
+density with wider tails than the answer's, is from the mode's Gaussian.
 """
 
 from __future__ import annotations
@@ -63,6 +65,7 @@ def find(
     Parameters
     ----------
     plan : ChainPlan
+        The chain with its evidence.
     answer : Beliefs
         The answer's smoothed moments of all runs.
     own : Conditional
@@ -89,10 +92,11 @@ def find(
 class Found(NamedTuple):
     """K other modes of some runs.
 
-    Each mode has its smoothed moments (T+1, runs, ...) in `beliefs`, and its conditionals of the
-    states given the slice after them, (T, runs, ...), in `states`. `shares` (K, runs) and `missed`
-    (runs,) are those of `Modes`. `answer` has the moments and conditionals of the Gaussian answer,
-    which take the place of a mode in runs that have fewer than K.
+    Each mode has its smoothed moments (T+1, runs, ...) in `beliefs`, its conditionals of the states
+    given the slice after them, (T, runs, ...), in `states`, and its share in `shares`, (K, runs).
+    `missed` (runs,) is the part of all modes' evidence that belongs to modes not drawn from.
+    `answer` has the moments and conditionals of the Gaussian answer, which take the place of a mode
+    in runs that have fewer than K.
     """
 
     beliefs: list[Beliefs]
@@ -105,7 +109,9 @@ class Found(NamedTuple):
 def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> Found:
     """Find the other modes of the runs of `plan`, by one call of the smoothers from all starts.
 
-    `answer`, `own` and `most` are as of `find`, of these runs.
+    Of these runs, `answer` has the smoothed moments of the Gaussian answer, and `own` its
+    conditionals of the states given the slice after them, (T, runs, ...). `most` is the largest
+    number of modes that are to be drawn from.
     """
     begun = starts(plan, answer.mean)
     steps, runs, count, size = begun.shape
@@ -128,7 +134,11 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
         place, there = np.maximum(index, 0) * runs + np.arange(runs), index >= 0
 
         def taken(other: Array, mine: Array, place: Array = place, there: Array = there) -> Array:
-            """The mode's array in the runs that have it, the answer's array in the rest."""
+            """The mode's array in the runs that have it, the answer's, `mine`, in the rest.
+
+            place: For each run, the index in `other` of the smoother that found the mode, (runs,).
+            there: The mask of the runs that have the mode, (runs,).
+            """
             return np.where(there.reshape(-1, *(1,) * (mine.ndim - 2)), other[:, place], mine)
 
         beliefs.append(Beliefs(taken(arrived.mean, answer.mean), taken(arrived.cov, answer.cov)))
@@ -140,8 +150,9 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
 def _joined(found: list[Found], make: MakePath) -> Modes:
     """The modes of all runs, from the modes found in parts of the runs, one part after another.
 
-    `make` makes the law of each mode, as of `find`. Where a part has fewer modes than another, its
-    Gaussian answer stands for each mode that it lacks, with a share of zero.
+    `make` makes the law of a mode from its smoothed moments and conditionals. Where a part has
+    fewer modes than another, its Gaussian answer stands for each mode that it lacks, with a share
+    of zero.
     """
     missed = np.concatenate([each.missed for each in found])
     laws = []

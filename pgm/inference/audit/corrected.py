@@ -105,20 +105,20 @@ class Compared:
 
 @dataclass(eq=False)
 class Sums:
-    """Weighed sums of the offsets of draws, and of their squares, for the moments of a scope.
+    """Weighted sums of draws' offsets δ, and of their squares δ δᵀ, for the moments of a scope.
 
     scope : tuple of Variable
         The variables whose joint moments are estimated.
     places : slice or ndarray
         The places of their components in a step's vector of draws.
     first : int
-        The first step at which all of the variables are: 1 with hidden controls, or with states of
-        the step before, otherwise 0.
+        The first step that has all of the variables: 1 with hidden controls, or with states of the
+        step before, otherwise 0.
     mean, cov : ndarray
         (steps, runs, n) and (steps, runs, n, n): the Gaussian answer's moments, of the n components
         of `scope`.
     judged : ndarray
-        (steps,): see `Compared`.
+        (steps,): whether the posterior's belief at a step is given all measurements, as q is.
     timed : bool
         Whether the network has steps.
     """

@@ -3,7 +3,9 @@
 Arrays are of S draws for each run. The child of a CPD is f(parents) + L s, with white noise s and
 the root L of the CPD's noise covariance. A child component is *free* where L has a pivot; any other
 component follows from the parents and from s of the free ones. A draw is *lost* if f is not finite
-at it. A *relative* density is that of the CPD divided by that of its linearisation.
+at it. A *relative* density is that of the CPD divided by that of its linearisation. A CPD has
+*rows*: the steps of a transition, the measurements of a sensor, or, in a network without time, the
+CPD's copies. Values of an angle on different *branches* differ by whole turns.
 """
 
 from __future__ import annotations
@@ -59,12 +61,12 @@ class Drawn(NamedTuple):
 class Term:
     """The density of a CPD at draws of its family.
 
-    `family` is the CPD at its rows: the steps of a transition, the measurements of a sensor. `own`
-    (rows or 1, runs or 1, d, d) is the root L of the CPD's noise. If `relative`, densities are
-    divided by those of the linearised CPD, the root of whose noise is `linearised`, (rows, runs, d,
-    d); it is None if densities are not relative, and of an affine CPD, whose relative density is
-    one. `taken` (rows, runs or 1, d) marks the components of a sensor's readings that were
-    measured, None for all; the other components are given unit variance, and count for nothing.
+    `family` is the CPD at its rows. `own` (rows or 1, runs or 1, d, d) is the root L of the CPD's
+    noise. If `relative`, densities are divided by those of the linearised CPD. `linearised` (rows,
+    runs, d, d) is the root of the linearised CPD's noise; it is None if densities are not relative,
+    and of an affine CPD, whose relative density is one. `taken` (rows, runs or 1, d) marks the
+    components of a sensor's readings that were measured, None for all; the other components are
+    given unit variance, and count for nothing.
     """
 
     family: Family
@@ -175,10 +177,10 @@ class Term:
     ) -> Array:
         """The log-density of a sensor's k measurements in `rows`, summed, (runs, S).
 
-        `parents` are (k, runs, S, n). `values` (k, runs or 1, d) are the measurements; `moved` (k,
-        runs, d) are the same with angles on the linearisation's branch, which densities of affine
-        and of linearised CPDs take. The log-density of a lost draw is NaN, or, if `strict`, a
-        LinearisationError is raised.
+        `parents` (k, runs, S, n) are the draws. `values` (k, runs or 1, d) are the measurements;
+        `moved` (k, runs, d) are the same with angles on the branch of the linearisation, at which
+        affine and linearised CPDs are evaluated. The log-density of a lost draw is NaN, or, if
+        `strict`, a LinearisationError is raised.
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
@@ -230,7 +232,7 @@ class Term:
         return residual if self.taken is None else np.where(self._seen(rows), residual, 0.0)
 
     def _seen(self, rows: int | slice) -> Mask | np.bool_:
-        """The mask of measured components, (k, runs or 1, 1, d); True for all."""
+        """The mask of the components measured in k rows, (k, runs or 1, 1, d); True for all."""
         return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:

@@ -1,4 +1,9 @@
-"""Excursions: where a defensive draw leaves the Gaussian answer, and the density of such draws."""
+"""Excursions: where a defensive draw leaves the Gaussian answer, and the density of such draws.
+
+At each slice a draw is in one of four *stages*, in this order: BEFORE its excursion, on one that
+follows the model's own CPDs (PREDICTION) or the answer's conditionals with wider tails (TAILS), or
+AFTER it.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +55,10 @@ class Excursions:
         return np.full((runs, count), BEFORE)
 
     def advance(self, index: int, stage: Integers, rng: np.random.Generator) -> Integers:
-        """Draw each draw's stage at slice `index` given that at the slice before, (runs, S)."""
+        """Choose the stages (runs, S) of draws at slice `index` at random.
+
+        stage: Their stages at the slice before, (runs, S).
+        """
         chance = rng.random(stage.shape)
         begin = self._begin(index)
         kind = np.where(chance < begin * self.predicted, PREDICTION, TAILS)
@@ -111,7 +119,7 @@ class Density(NamedTuple):
     """The density of draws up to a slice, by their stage there: `shares` times exp(`scale`).
 
     scale: (runs, S).
-    shares: (4, runs, S): of the four stages of `Excursions`, in their order.
+    shares: (4, runs, S): for each stage, in their order.
 
     A share that is too small for float64 beside another becomes zero and stays so, which changes
     little: what may follow one stage may follow the other.

@@ -3,7 +3,8 @@
 With p = p(x, z) of the model, the Gaussian answer q, the defensive density d and their mixture r =
 (q + d)/2, a draw has the weights y = p/r, w = p/q and v = q/r. S draws are from q and S from d, in
 this order along the last axis: two strata of equal size. Means over all are means by r, so that the
-mean of y is Z = p(z), and that of v is 1: v is a control variate.
+mean of y is Z = p(z), and that of v is 1: v is a control variate. The *peak* is the largest ln y of
+a run; weights y are kept as y / e^peak.
 """
 
 from __future__ import annotations
@@ -98,7 +99,9 @@ class Mixture:
     Where p is a multiple of q, no variance is left. References are in `Audit`.
 
     weighed : Weighed
+        The weights of the draws.
     evidence : Evidence
+        The estimate of Z.
     divergence, inclusive : Estimate
         KL(q ‖ p/Z), infinite where p is zero at a draw of q, and KL(p/Z ‖ q).
     undefined : ndarray

@@ -55,11 +55,13 @@ class Modes:
 
     @classmethod
     def made(cls, laws: Iterable[tuple[Callable[[], Path], Array]], missed: Array) -> Modes:
-        """The modes of some laws; each law is given as a function that makes it, and its shares.
+        """The modes of some laws, as far as these can be drawn from.
 
-        The shares are (runs,). A law that cannot be made, or has no density, is not drawn from. Its
-        part of all modes' shares is added to `missed`, (runs,), the part of the evidence of modes
-        left out already.
+        laws: Pairs of a function that makes the law of a mode, and the mode's shares, (runs,).
+        missed: The part of all modes' evidence that belongs to modes left out already, (runs,).
+
+        A law that cannot be made, or has no density, is left out, and the part of all modes' shares
+        that it had is added to `missed`.
         """
         paths, shares = [], []
         for make, share in laws:
@@ -123,8 +125,12 @@ class Chosen:
 
     index : ndarray
         (K, runs): which fixed point each mode is; −1 where a run has fewer.
-    shares, missed : ndarray
-        See `Modes`.
+    shares : ndarray
+        (K, runs): the probability that a defensive draw is from the mode; zero where a run has
+        fewer modes.
+    missed : ndarray
+        (runs,): the part of all modes' evidence that belongs to modes beyond these K; NaN where no
+        smoother arrived.
     """
 
     index: Integers
@@ -135,8 +141,9 @@ class Chosen:
 def choose(points: FixedPoints, mean: Array, std: Array, most: int = MOST) -> Chosen:
     """The likeliest distinct fixed points that are not the answer's mode.
 
-    Points are taken in the order of their evidence, each further than `APART` standard deviations
-    from the answer and from those taken before. Their masses are estimated by Laplace's method,
+    Points are taken in the order of their evidence, each further than one standard deviation, in
+    some component, from the answer and from those taken before; points with a log-evidence ten nats
+    or more below the best are left out. Their masses are estimated by Laplace's method,
 
         w_k ∝ exp(ln Z_k),
 

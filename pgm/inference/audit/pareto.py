@@ -27,7 +27,8 @@ def pareto_shape(log_weights: Array) -> Array:
     weights dwarf the rest: the lower quartile of the excesses is below 10⁻¹² of the largest.
 
     Source: Zhang & Stephens, A new and efficient estimation method for the generalized Pareto
-    distribution, 2009; Vehtari et al., as of `Audit`.
+    distribution, 2009; Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance sampling,
+    2024.
     """
     runs, count = log_weights.shape
     if count < FEWEST:

@@ -1,8 +1,9 @@
 """Proposals: draws of the free components of slices, from conditional Gaussians.
 
 A component is *free* if it has noise given its parents in the model; any other component is a
-function of its parents and the free ones, and is not proposed. S is the number of draws of a run, n
-that of the components of a slice, m that of the states before.
+function of its parents and the free ones, and is not proposed. A *slice* is a step of a chain, or
+all variables of a network without time. S is the number of draws of a run, n that of the components
+of a slice, m that of the states before.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ from pgm.kernels.moments import Conditional
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Affine Gaussians of a slice y given the states x before it, one for each row.
+    """Affine Gaussians of slices y given the states x before them, one for each slice and run.
 
-    They are y = F x + b + L s with white noise s ~ N(0, I), or, for tails, Student's t.
+    A *row* is a slice: arrays have one for each step, or a single one. The Gaussians are y = F x +
+    b + L s with white noise s ~ N(0, I), or, for tails, Student's t.
 
     matrix : ndarray
         (rows, runs, n, m): F; m is 0 where nothing is given.
@@ -42,9 +44,10 @@ class Proposal:
 
     @classmethod
     def make(cls, conditional: Conditional, free: Mask) -> Proposal:
-        """The proposal of the `free` components, from conditionals of all components.
+        """The proposal of the `free` components, from Gaussians of all components given x.
 
-        `free` is a mask (rows, runs, n). A NumericalError is raised if covariances are indefinite.
+        `conditional` has these Gaussians, (rows, runs, ...); `free` is a mask (rows, runs, n). A
+        NumericalError is raised if covariances are indefinite.
         """
         matrix, offset, cov = conditional
         # What an exact measurement determines may have a variance of zero less rounding.

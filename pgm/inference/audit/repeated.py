@@ -1,4 +1,8 @@
-"""A chain with each of its runs several times, so that smoothers from many starts are one call."""
+"""A chain with each of its runs several times, so that smoothers from many starts are one call.
+
+Arrays of a CPD are (rows, runs or 1, ...); rows are the steps of a transition, the measurements of
+a sensor, or, in a network without time, the CPD's copies.
+"""
 
 from __future__ import annotations
 

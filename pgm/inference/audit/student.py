@@ -35,9 +35,9 @@ def log_ratio(size: Integers, squared: Array) -> Array:
 
 
 def _log_constant(size: int) -> float:
-    """The constant c_n: the logarithm of the ratio of both densities at zero, of n components.
+    """The logarithm c_n of Student's t density over the Gaussian at zero, of n = `size` components.
 
-    It is ln of Γ((ν + n)/2) / (Γ(ν/2) (νπ)^(n/2)) (2π)^(n/2).
+    With ν = 5 it is ln [Γ((ν + n)/2) / Γ(ν/2)] + (n/2) ln [2π / (νπ)].
     """
     gammas = lgamma(0.5 * (FREEDOM + size)) - lgamma(0.5 * FREEDOM)
     return gammas + 0.5 * size * (LOG_2PI - log(FREEDOM * pi))

@@ -1,5 +1,9 @@
 """Draws of all variables of a network without time, with their log-densities.
 
+Draws are from the Gaussian answer q, the joint of the calibrated tree, or *defensive*, from a
+density with wider tails: from the prior, from q, both with Student's t for their noise, or from
+Gaussians at other modes.
+
 A component is *free* if it has noise given its parents; any other component is a function of its
 parents and the free ones. Where an observed CPD has no noise, or the posterior no density,
 densities are *relative*: each CPD's density is divided by that of the linearised CPD. n is the
@@ -102,12 +106,12 @@ class TreeDraws:
 
     @property
     def width(self) -> int:
-        """The number of floats that a draw of one run occupies while it is made; see `Drawing`."""
+        """The number of floats that a draw of one run occupies while it is made."""
         return 3 * self.density.model.layout.size
 
     @property
     def length(self) -> int:
-        """The number of components of a draw; see `Drawing`."""
+        """The number of floats of a draw of one run, which is that of its components."""
         return self.density.model.layout.size
 
     def sums(self) -> list[Sums]:
@@ -122,9 +126,11 @@ class TreeDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """Make S = `count` draws for each run, of q or defensive ones; see `Drawing`.
+        """Make S = `count` draws for each run, from q or, if `defensive`, defensive ones.
 
-        Defensive draws are from the prior, from q with Student's t, or of other modes.
+        Returns their values and log-densities. At a draw where a function is NaN or infinite the
+        model's log-density is NaN if the draw is defensive; otherwise a LinearisationError is
+        raised.
         """
         shape = len(self.reference), count
         excursions = Excursions(1, 0.0 if self.relative else PREDICTED)

@@ -35,8 +35,9 @@ class TreeDensity:
     """The product of all CPDs of a network with its evidence, over the hidden variables.
 
     model : Model
+        The linearised network with its evidence.
     terms : list of Term
-        The densities of the CPDs, one for each group of copies of a CPD in the layout.
+        The densities of the CPDs; copies of one CPD with the same parents hidden share a term.
     """
 
     model: Model

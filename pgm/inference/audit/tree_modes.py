@@ -50,8 +50,9 @@ def find(
     Parameters
     ----------
     plan : TreePlan
+        The rounds of messages by which the tree is calibrated.
     density : TreeDensity
-        The network of all runs.
+        The density of the network, of all runs.
     answer : tuple of ndarray
         The answer's mean (runs, n) and covariance (runs, n, n) of all variables.
     make : callable

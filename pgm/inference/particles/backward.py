@@ -266,10 +266,11 @@ class _Density:
         ]
 
     def _mean(self, law: Law) -> tuple[States, Root] | None:
-        """A CPD's means at all particles, (d, particles), and the root of its noise.
+        """The means of a CPD's child at all particles, (d, particles), and the CPD's noise.
 
-        None where the means depend on states of the same step, or the noise is singular or not
-        Gaussian.
+        `law` is the CPD with the values of its observed parents, `Root` the lower triangular root
+        of a noise covariance. None is returned where the means depend on states of the same step,
+        or the noise is singular or not Gaussian.
         """
         parents = [p for p in law.cpd.parents if p not in law.inputs]
         if not isinstance(law, GaussianLaw) or not all(p.lag for p in parents):

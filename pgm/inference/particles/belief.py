@@ -1,4 +1,9 @@
-"""Particle beliefs and the figures read from them: means, covariances, draws and histograms."""
+"""Particle beliefs and the figures read from them: means, covariances, draws and histograms.
+
+A *cloud* has the particles of all runs, one run after another, with their weights. Its states are
+an array (rows, particles), with a row for each component of its variables. A belief has a cloud for
+each of its steps, or a single one, and may be over some of the rows only.
+"""
 
 from __future__ import annotations
 
@@ -201,7 +206,7 @@ class ParticleBelief(PointMassBelief):
         return ParticleBelief(self._parts, clouds, chosen.shape[:-1], self.steps[each[0]])
 
     def _gathered(self, place: int, runs: Integers) -> Cloud:
-        """The particles of some of the runs, by number, at the belief's `place`-th step, from 0."""
+        """The cloud of the runs numbered `runs`, at the belief's step `place`, counted from 0."""
         cloud = self._clouds[place]
         if len(runs) == cloud.runs and (runs == np.arange(cloud.runs)).all():
             return cloud
@@ -215,7 +220,7 @@ class ParticleBelief(PointMassBelief):
 
     @property
     def _rows(self) -> list[int]:
-        """The rows of the belief's components in the states of its clouds."""
+        """For each component of the belief its row in the states of the clouds."""
         return [part.row for part in self._parts]
 
     @property

@@ -40,8 +40,9 @@ class CellProposal(InCode, Immutable):
 
     The sides of cells are along the axes of the state. The cells are to cover all places where the
     state may be: nothing is drawn outside of them, and a filter that starts from them loses the
-    probability that its prior has outside. The poses of a map that is turned in the world have
-    cells that would overlap.
+    probability that its prior has outside. A grid of centres that is turned against the axes of the
+    state, such as the poses of a map that is turned in the world, does not fit: its cells would
+    overlap, and are refused.
 
     Parameters
     ----------

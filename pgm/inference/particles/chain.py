@@ -9,6 +9,10 @@ a being the index of its ancestor, the particle of step t − 1 that it is moved
 measurements of step t, and q the transition or a proposal. The weights of a step, before they are
 normalised, sum to an estimate of p(z_t | z_0..t−1); the product of these estimates over the steps
 estimates p(z_0..t) without bias (Del Moral, Feynman–Kac formulae, 2004, section 7.4).
+
+The *place* of a particle is its index along the last axis of a cloud's arrays, which have the
+particles of all runs, those of run 0 first. CPDs are evaluated at `Some` particles, and draw by
+their `Drawing`, the particles' random generators.
 """
 
 from dataclasses import replace
@@ -48,10 +52,12 @@ class Placed(NamedTuple):
 
 
 class ParticleChain:
-    """A particle filter of all runs at once, with the methods of a forward sweep, `sweep.Onwards`.
+    """A particle filter of all runs at once.
+
+    A forward sweep calls `start` once, `predict` at each later step, and `take` at every step.
 
     model: The network with its evidence.
-    particles: The user's choice.
+    particles: The user's choice of particles: their number, proposal, resampling and so on.
     record: The record of the sweep, in which resampling, injection and impossible steps are noted.
     guide: Steers draws towards their step's measurements; None without a proposal.
     """
@@ -68,7 +74,11 @@ class ParticleChain:
         self.guide = None if proposal is None else Guide(graph, model, proposal)
 
     def generators(self, step: int, purpose: int = FORWARD) -> Generators:
-        """The random generators of a step's draws, one a run; `purpose` is one of `streams`."""
+        """The random generators of a step's draws, one for each run.
+
+        purpose: What is drawn; each of FORWARD, RESTARTED, STARTED and INJECTED has random numbers
+            of its own.
+        """
         first = self.model.bound.first_run
         runs = range(first, first + self.model.bound.runs)
         return [stream(self.particles.seed, run, step, purpose) for run in runs]
@@ -126,8 +136,9 @@ class ParticleChain:
         """The particles of a step, drawn from the transition or a proposal, given the step before.
 
         `cloud` is that of the step before, given its measurements. Runs whose weights have grown
-        unequal are resampled first (`_drawn_anew`). With a `LikelihoodSampling`, at a step with
-        measurements, all runs are resampled, until their likelihoods sum to its threshold.
+        unequal are resampled first. If the user's `LikelihoodSampling` chooses the number of
+        particles, all runs are resampled at a step with measurements: particles are drawn and moved
+        until their likelihoods sum to the user's threshold.
         """
         generators = self.generators(step)
         number = self.particles.number
@@ -192,6 +203,8 @@ class ParticleChain:
     ) -> Cloud:
         """The particles of a step, drawn until their likelihoods sum to the user's threshold.
 
+        number: The user's threshold, and the bounds of a run's number of particles.
+
         A particle's likelihood is counted as a share of the largest that the measurements could
         have at any state. A run without measurements has as many particles as before.
         """
@@ -220,7 +233,11 @@ class ParticleChain:
         return Cloud(*moved, cloud.averages)
 
     def _move(self, row: int, some: Some, drawing: Drawing) -> None:
-        """Draw the next states of particles into `some.now`, by the transition's CPDs at a row."""
+        """Draw the next states of the particles `some` into their array `some.now`, CPD by CPD.
+
+        row: The step's row in the observed parents' values of the transition's CPDs.
+        drawing: The source of the particles' noise.
+        """
         for law in self.model.transition:
             some.now[self.model.places[law.cpd.child]] = law.draw(row, some, drawing)
 
@@ -275,13 +292,16 @@ class ParticleChain:
         return known, log_density
 
     def _injected(self, step: int, cloud: Cloud, log_density: Array, injection: Injection) -> Cloud:
-        """Inject particles into runs of a cloud whose measurements fit worse than they used to.
+        """Replace particles in runs whose measurements fit worse than they used to.
 
-        The averages of the `Injection` are carried on by `log_density`, ln p(z_t | z_0..t−1),
-        (runs,); they give the share of each run's particles to be replaced. A run with such a share
-        is resampled, its weights become equal, and in this share of its particles the state of
-        `injection.cells` is replaced by a draw from these cells; other states stay. The cloud
-        returned has the new particles and averages.
+        log_density: ln p(z_t | z_0..t−1), (runs,).
+        injection: The user's choice: how a run's long-term and short-term averages of the
+            measurements' likelihood are formed, and the cells from which a state is drawn.
+
+        The averages are carried on by `log_density`, and give the share of a run's particles to be
+        replaced. A run with such a share is resampled, its weights become equal, and in this share
+        of its particles the state variable of the cells is drawn from them; other variables keep
+        their values. The cloud returned has the new particles and averages.
         """
         measured, cells = self.model.measured(step), injection.cells
         averages = injection.averaged(cloud.averages, log_density, measured)
@@ -365,9 +385,10 @@ class ParticleChain:
         )
 
     def _some(self, cloud: Cloud, step: int, first: int, last: int, before: Array) -> Some:
-        """The particles of `cloud`, at a step, in the places `first` to `last` − 1.
+        """The particles of `cloud` in the places `first` to `last` − 1, to evaluate CPDs at.
 
-        before: The states (d, last − first) that parents of the step before have for them.
+        before: The states of these particles at the step before, (d, last − first), for parents of
+            that step; where no CPD has such a parent, any array of this shape.
         """
         owner = None if cloud.runs == 1 else cloud.owner[first:last]
         return Some(step, cloud.states[:, first:last], before, owner)

@@ -43,8 +43,9 @@ class Cloud:
     starts: The place at which each run begins, and the end, (runs + 1,).
     ancestors: The place of each particle's ancestor in the cloud of the step before, (particles,);
         None where each ancestor has the same place as its particle.
-    averages: The logarithms of the long-term and short-term averages of an `Injection`, (2, runs);
-        None without one, or before the first measurements.
+    averages: The logarithms of the long-term and short-term averages of the measurements'
+        likelihood, by which an `Injection` replaces particles, (2, runs); None without an
+        `Injection`, or before the first measurements.
     """
 
     states: npt.NDArray[Any]
@@ -84,7 +85,10 @@ class Cloud:
         return np.add.reduceat(values, self.starts[:-1], axis=-1, dtype=np.float64)
 
     def spread(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Values (runs,) repeated for each run's particles, (particles,); of one run as given."""
+        """Values (runs,) repeated for each run's particles, (particles,).
+
+        If there is a single run, its value (1,) is returned as it is, to be broadcast.
+        """
         return values if self.runs == 1 else np.repeat(values, self.counts)
 
     def normalised(self, log_weights: Array) -> tuple[Cloud, Array]:
@@ -109,11 +113,11 @@ class Cloud:
         return replace(self, log_weights=log_weights)
 
     def blocks(self) -> Iterator[Block]:
-        """The particles in blocks to be worked on together; see `blocks`."""
+        """Blocks of at most 2^14 particles: whole runs together, or parts of a longer one."""
         return blocks(self.starts)
 
     def run(self, run: int) -> Cloud:
-        """The particles of one run; their ancestors keep their places among all runs."""
+        """The cloud of one run alone; its `ancestors` are still places in the cloud of all runs."""
         place = self.of(run)
         ancestors = None if self.ancestors is None else self.ancestors[place]
         starts = np.array([0, place.stop - place.start])

@@ -31,7 +31,8 @@ class Part(NamedTuple):
 def parts(places: Sequence[tuple[Variable, int]]) -> list[Part]:
     """The components of some variables, one after another.
 
-    places: By variable, a pair of it and the row of its first component in arrays of states.
+    places: For each variable, a pair of the variable and the row of its first component in arrays
+        of states, (d, particles).
     """
     label = iter(distinct_labels(variable for variable, _ in places))
     return [

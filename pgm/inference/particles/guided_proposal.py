@@ -11,7 +11,8 @@ x_t ≈ μ⁻ + A w, the belief after them is a Gaussian belief of w, too:
 A, like L, lower triangular. A proposal draws w from q, passes it through the transition as it
 is, and multiplies the particle's weight by N(w; 0, I) / q(w). Weights are exact, however bad the
 linearisation, and a component without noise stays a function of the others. m is the number of
-particles, n that of the slice's components.
+particles, n that of the slice's components. The *inputs* of the transition are the values of its
+observed parents, with a row for each step.
 """
 
 from __future__ import annotations
@@ -121,18 +122,23 @@ class Guide:
         return Moments(*before.by_run), Moments(*after.by_run)
 
     def _plan(self, row: int, some: Some) -> ChainPlan:
-        """The plan of a chain of one step for the lineariser, with a run for each particle.
+        """The plan of a chain that has the step alone, and each particle as a run of its own.
+
+        A filter of this plan gives the lineariser's belief of each particle's slice.
 
         row: The row of the step's inputs.
         some: The particles, at the step.
         """
 
         def own(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-            """Values (rows, runs or 1, d) of each particle's run, (rows, m or 1, d)."""
+            """Give each particle the values (rows, runs or 1, d) of its run, (rows, m or 1, d)."""
             return values if values.shape[1] == 1 or some.owner is None else values[:, some.owner]
 
         def reading(found: Reading, rows: range) -> Reading:
-            """Some rows of a reading, with the values of each particle's run, at step 1."""
+            """A sensor's measurements in some rows, as those of step 1 of a chain of particles.
+
+            A particle has the values of its run.
+            """
             chosen = slice(rows.start, rows.stop)
             return replace(
                 found,
@@ -159,9 +165,10 @@ class Guide:
 
 
 class Steered(Drawing):
-    """A `Drawing` whose white noise, (components, m), is fixed, and given out CPD by CPD in order.
+    """A source of fixed white noise, (components, m), in place of random generators.
 
-    It has no generators: it serves CPDs of Gaussian noise alone.
+    Each CPD that draws is given the next components of it. CPDs whose noise is not Gaussian cannot
+    draw by it.
     """
 
     def __init__(self, white: States) -> None:

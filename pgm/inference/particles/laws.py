@@ -201,8 +201,8 @@ class GaussianLaw(Law):
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all particles.
 
-        taken: The mask (d,) of the components that were measured, of which the density is the
-            marginal; None for all. Under singular noise, which no sensor may have, it is ignored.
+        taken: The mask (d,) of the components that were measured; the density is their marginal
+            density. None for all. Under singular noise, which no sensor may have, it is ignored.
         """
         root = self.root(row, some.step)
         if not root.regular:
@@ -217,12 +217,13 @@ class GaussianLaw(Law):
         return root.log_density(residual, some)
 
     def _within(self, root: Root, row: int, some: Some, child: States) -> Array:
-        """The log-densities (m,) under singular noise; −∞ where a child is off its subspace.
+        """The log-densities (m,) of a child (d, m) or (d, 1) under singular noise L w, L = `root`.
 
-        They are densities of the components with noise of their own, which determine all other
-        components. The child (d, m) may be off by a rounding of the states' type. Residuals of
-        angles are first taken unwrapped; a child that is off its subspace then is judged again with
-        its residuals of angles wrapped.
+        Such noise leaves the child in a subspace about its mean, where components with noise of
+        their own determine all others: the density is that of the former. It is zero, its logarithm
+        −∞, where a child is off the subspace by more than a rounding of the states' type. Residuals
+        of angles are first taken unwrapped; a child that is off then is judged again with its
+        residuals of angles wrapped.
         """
         # That of the child alone: a particle is what the law made of another, and others are near.
         mean, error = self.mean(row, some), np.finfo(self.dtype).eps * np.abs(child)
@@ -262,11 +263,11 @@ class GaussianLaw(Law):
         return mean.T
 
     def _called(self, arguments: list[States], due: tuple[int, ...], call: Call) -> States:
-        """The value of the user's function, (m, d), for arguments (m, d).
+        """The value of the user's function, (m, d), for the parents' values, `arguments`.
 
         A value of the states' type and of the shape `due`, (m, d), is returned as it is, so that
         float32 stays float32. Any other value is converted to a float64 array of that shape; where
-        it cannot be, or the function fails, an error of the `call` is raised.
+        it cannot be, or the function fails, a ModelError is raised, which `call` makes.
         """
         function = getattr(self.cpd, "function", None)
         if function is None:
@@ -281,7 +282,10 @@ class GaussianLaw(Law):
         return call.array(function, arguments, value, due)
 
     def _refuse(self, mean: States, values: Mapping[Variable, States], some: Some) -> None:
-        """Raise the LinearisationError for means (m, d) that are not finite, naming a particle."""
+        """Raise the LinearisationError for means (m, d) that are not finite, naming a particle.
+
+        values: The values (m, d) of each parent at the particles, for the text of the error.
+        """
         index = int(np.flatnonzero(~np.isfinite(mean).all(axis=-1))[0])
         run = self.first_run + (0 if some.owner is None else int(some.owner[index]))
         at = {v: a[index].tolist() for v, a in values.items()}
@@ -295,7 +299,10 @@ class GaussianLaw(Law):
         )
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse, by a ModelError, a sensor of singular noise at one of its rows; see `Law`."""
+        """Refuse, by a ModelError, a sensor that has singular noise at one of its rows.
+
+        `steps` are those of all its rows, (rows,), for the text of the error.
+        """
         for row, step in enumerate(steps.tolist()):
             if not self.root(row, step).regular:
                 raise ModelError(
@@ -349,7 +356,7 @@ class GaussianLaw(Law):
         return self.cpd.offset.reshape(-1, self.cpd.child.dimension).T.astype(self.dtype)
 
     def _runs_of(self, some: Some) -> Integers | slice:
-        """The index that takes each particle's column of `_offset`, or the one that all share."""
+        """The index of each particle's column in `_offset`; a full slice where all share one."""
         return slice(None) if self._offset.shape[1] == 1 or some.owner is None else some.owner
 
     @cached_property

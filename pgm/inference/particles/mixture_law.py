@@ -1,4 +1,9 @@
-"""The laws of CPDs by their kind; the law of a mixture is made from the laws of its parts."""
+"""The laws of CPDs by their kind; the law of a mixture is made from the laws of its parts.
+
+A law is a CPD with the values of its observed parents, which have a row for each step of the
+transition, or for each measurement of a sensor. m is the number of particles, d that of the
+components of the CPD's child.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +44,8 @@ class MixtureLaw(Law):
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all: ln Σ_k w_k p_k.
 
-        w_k is the mixture's weight of part k, p_k the density by its law. Parts that `open` refuses
-        are refused here, too.
+        w_k is the mixture's weight of part k, p_k the density by its law. Parts that differ in the
+        number of components with noise of their own are refused by a ModelError.
 
         taken: The mask (d,) of the components that were measured; None for all.
         """
@@ -66,7 +71,10 @@ class MixtureLaw(Law):
         return first
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse, by a ModelError, a sensor with a part of singular noise at a row; see `Law`."""
+        """Refuse, by a ModelError, a sensor with a part that has singular noise at one of its rows.
+
+        `steps` are those of all its rows, (rows,), for the text of the error.
+        """
         for part in self.parts:
             part.require_noise(steps)
 
@@ -82,7 +90,12 @@ def law(
 
     It is a `GaussianLaw` of Gaussian noise, a `MixtureLaw` of a mixture, and otherwise, robust
     noise included, a plain `Law`. Robust noise whose density has an infinite integral is refused by
-    a ModelError. The arguments are those of `Law`.
+    a ModelError.
+
+    inputs: By observed parent, its values (rows, runs or 1, d).
+    places: By hidden variable, the rows of its components in arrays of states, (rows, m).
+    dtype: The type of the states, float64 or float32.
+    first_run: The number of the first run, from which texts of errors count.
     """
     rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
     about = rows, places, dtype, first_run

@@ -1,8 +1,10 @@
 """A dynamic network with its evidence, as particles ask for it.
 
 The slice has the states and then the hidden controls: its components are the rows of arrays of
-states, (d, particles). A measurement is given by its row in the sensor's `Reading`, where rows are
-sorted by step. m particles may be of several runs.
+states, (d, particles). A *law* is a CPD with the values of its observed parents, its *inputs*,
+which have a row for each step of the transition, or for each measurement of a sensor. A measurement
+is given by its row in the sensor's `Reading`, where rows are sorted by step. `Some` particles are m
+in number, and may be of several runs.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ class ParticleModel:
     dtype: The type of the states, float64 or float32.
     first: The step before the first row of the transition's inputs.
 
-    places: By state and hidden control, the rows of its components.
+    places: By state and hidden control, the rows of its components in arrays of states.
     size: The number of components of the slice, d.
     """
 
@@ -85,7 +87,7 @@ class ParticleModel:
         return law(cpd, inputs, self.places, self.dtype, self.bound.first_run)
 
     def row(self, step: int) -> int:
-        """The row of the transition's inputs for a step."""
+        """The row of a step in the transition's inputs."""
         return step - self.first - 1
 
     def read(self, step: int) -> list[Variable]:

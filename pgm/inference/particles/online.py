@@ -1,4 +1,8 @@
-"""Filtering with particles in a robot's loop, one step at a time."""
+"""Filtering with particles in a robot's loop, one step at a time.
+
+A fixed-lag filter of Gaussian beliefs keeps a window of steps in a belief's `behind`; particles
+have none. *Inputs* are the values of the transition's observed parents.
+"""
 
 from __future__ import annotations
 
@@ -120,7 +124,9 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     Parameters
     ----------
     model : DynamicBayesianNetwork
+        The network, which may have leading axes of runs.
     belief : Particles
+        How many particles a belief has, and how they are drawn.
 
     Raises
     ------
@@ -159,8 +165,8 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     ) -> OnlineParticleBelief:
         """The belief one step later, by the inputs of that step.
 
-        Where draws depend on the new step's measurements (`_looks`), the new belief also holds the
-        particles of the old one, from which `_updated` draws again.
+        Where draws depend on the new step's measurements, as with a proposal, the new belief also
+        holds the particles of the old one, from which an update draws again.
         """
         step, before = belief.step + 1, self._spread(belief, bound)
         chain, record = self._chain(bound, belief.step)
@@ -172,9 +178,9 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     def _updated(self, belief: OnlineParticleBelief, bound: BoundEvidence) -> OnlineParticleBelief:
         """The belief given the measurements of its step.
 
-        Where draws depend on the measurements (`_looks`), the step's particles are first drawn
-        again, from the particles of the step before. With a `start`, those of step 0 are drawn
-        again from its cells.
+        Where draws depend on the measurements, as with a proposal, the step's particles are first
+        drawn again, from the particles of the step before. With a `start`, those of step 0 are
+        drawn again from its cells.
         """
         step = belief.step
         cloud = self._spread(belief, bound)
@@ -191,7 +197,11 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         return self._belief(step, FILTERED, known, chain.model, bound, log_evidence, record)
 
     def _chain(self, bound: BoundEvidence, first: int) -> tuple[ParticleChain, Record]:
-        """A `ParticleChain` whose inputs begin at step `first` + 1, and its record to that step."""
+        """A particle filter of the steps `first` and `first` + 1, and its record.
+
+        The inputs of the evidence, `bound`, begin at step `first` + 1. The record has the steps 0
+        to `first` + 1.
+        """
         model = ParticleModel(self.model, bound, self.belief.dtype, first)
         record = Record(first + 1, bound.runs)
         return ParticleChain(self._graph, model, self.belief, record), record
@@ -251,8 +261,13 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         record: Record,
         before: tuple[Cloud, BoundEvidence] | None = None,
     ) -> OnlineParticleBelief:
-        """The user's belief at a step, with its status, whose faults are warned of.
+        """Make the user's belief at a step, and warn if few of its particles are effective.
 
+        Measurements that no particle explained are warned of, too.
+
+        kind: Predicted, or filtered if the step's measurements have been taken.
+        cloud: The particles.
+        model, bound: The network with its evidence, and the evidence.
         log_evidence: ln p of all measurements so far, (runs,).
         record: What has happened at the step.
         before: The particles of the step before and the inputs that moved them, if they are to be

@@ -37,13 +37,16 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
     Attributes
     ----------
     graph : DynamicGraph
+        The compiled network.
     particles : Particles
+        The user's choice: how many particles there are, and how they were drawn.
     kind : Kind
         Filtered, fixed-lag or smoothed. A smoother's particles are trajectories: the i-th of each
         step are one draw of all steps together.
     log_evidence : ndarray
         (*runs): the logarithm of an unbiased estimate of p(measurements).
     status : ParticleStatus
+        How many particles are effective, and where measurements were impossible.
     filtered : ParticlePosterior
         The beliefs of the forward sweep; of a filter, the posterior itself.
 
@@ -82,7 +85,11 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
 
     @cached_property
     def associations(self) -> Found:
-        """By sensor, the `Associations` of sightings whose parent was given as `pgm.unknown`."""
+        """By sensor, the probabilities of what its sightings are of, as `Associations`.
+
+        Sensors are those with sightings of unknown things: the evidence gives ``pgm.unknown`` for a
+        parent of the sensor.
+        """
         lead = self.log_evidence.shape
         return MappingProxyType(
             dict(

@@ -18,9 +18,14 @@ class Record:
     steps: The number of the last step, T.
 
     clouds: The particles given the measurements up to each step, for the steps given to `keep`.
-    log_density: ln p(z_t | z_0..t−1), estimated, (T+1, runs).
+    log_density: ln p(z_t | z_0..t−1), estimated; z_t are the measurements of step t.
+    effective, number: The number of effective particles, and of all.
+    resampled: Whether the particles were drawn anew on the way to the step.
+    injected: The number of particles that were replaced by draws elsewhere.
+    ignored, restarted: Whether no particle explained the step's measurements, so that these were
+        ignored, or the run was restarted from the prior.
 
-    The other arrays are those of `ParticleStatus`, but (T+1, runs), zero until they are written.
+    All arrays are (T+1, runs), and zero until they are written.
     """
 
     def __init__(self, steps: int, runs: int) -> None:
@@ -34,8 +39,8 @@ class Record:
     def keep(self, step: int, predicted: Cloud, known: Cloud, log_density: Array | float) -> None:
         """Keep a step's cloud given its measurements, and their log-density, (runs,).
 
-        `known` is that cloud; `predicted`, the one before the measurements, which `sweep.Record`
-        asks for, is not kept.
+        `known` is that cloud. `predicted` is the cloud before the measurements, which a sweep gives
+        to any record; it is not kept.
         """
         del predicted
         self.clouds.append(known)

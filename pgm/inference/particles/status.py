@@ -91,7 +91,7 @@ class ParticleStatus(Shown, Immutable):
 
     @property
     def few(self) -> bool:
-        """Whether some step has few effective particles: less than ten, and than their number."""
+        """Whether, at some step, fewer than ten particles are effective, and not all of them."""
         return bool(self._few.any())
 
     @property
