@@ -1,7 +1,8 @@
 """Runs whose evidence has probability zero: refused, or given ln p = −∞ and beliefs of NaN.
 
 Such evidence is called impossible, and its runs *lost*. A run is one set of evidence of a batch; in
-shapes, [runs] is an axis that a single run lacks.
+shapes, [runs] is an axis that a single run lacks. The calibrated tables of a tree stand in one flat
+array, (entries of clusters + entries of sepsets, [runs]).
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ def beliefs_of(
 ) -> TreeBeliefs | AllowedBeliefs:
     """Calibrate a graph without loops: the beliefs of all clusters given the evidence.
 
-    If the evidence of some run has probability zero, `ImpossibleEvidence` is raised; with `allow`,
-    these runs are calibrated without evidence instead, and `AllowedBeliefs` are returned. `room`
-    limits how many table entries are computed at once, and how many are kept. Tables too large for
-    memory raise `GraphError`.
+    If the evidence of some run has probability zero, `ImpossibleEvidence` is raised. With `allow`,
+    such runs are calibrated without evidence, and the result is `AllowedBeliefs`, which hide this:
+    for these runs they answer NaN, and ln p = −∞. `room` limits how many table entries, times runs,
+    are computed at once, and how many are kept. Tables too large for memory raise `GraphError`.
     """
     try:
         return TreeBeliefs.of(graph, evidence, room)
@@ -67,7 +68,7 @@ class AllowedBeliefs:
 
     @property
     def storage(self) -> Storage:
-        """The layout of the flat array of all clusters' tables, which `read` gives its `reader`."""
+        """Where each cluster's table stands in the flat array of calibrated tables."""
         return self.possible.storage
 
     def marginal(self, variable: Discrete) -> Array:
@@ -77,9 +78,9 @@ class AllowedBeliefs:
     def read(self, reader: Callable[[Array], Array]) -> Array:
         """The result of `reader`, a function of the calibrated tables, with NaN in lost runs.
 
-        `reader` takes the tables of all clusters in one flat array, (entries or more, [runs]), in
-        the layout of `storage`, and returns an array (..., [runs]). It may be called for some of
-        the runs at a time.
+        `reader` takes the flat array, (entries of clusters + entries of sepsets, [runs]), in which
+        `storage` finds the table of a cluster, and returns an array (..., [runs]). It may be called
+        for some of the runs at a time.
         """
         return self._where_lost(np.nan, self.possible.read(reader))
 

@@ -21,8 +21,9 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
 def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: Semiring) -> None:
     """Multiply the evidence of each variable into its home's table, in place.
 
-    `tables` is one flat array of all clusters' tables, (entries or more, [runs]), in the layout of
-    `storage` and in the entries of the semiring.
+    `tables` is a flat array of all clusters' tables, (entries of tables + others, [runs]), laid out
+    by `storage` and in the entries of the semiring. The others, behind the tables, stay as they
+    are.
     """
     for variable, state in evidence.states.items():
         table = storage.by_state[variable].of(tables)

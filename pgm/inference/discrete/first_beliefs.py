@@ -29,6 +29,9 @@ class FirstBeliefs:
 
     Marginals and ln p(evidence) are computed at once. Joints, messages and beliefs of clusters are
     read from tables that a plan lays out and calibrates when the first of these is asked for.
+
+    _room: How many table entries that plan may compute at once, and keep.
+    _answer: The marginals and ln p(evidence).
     """
 
     graph: ClusterGraph
@@ -62,18 +65,19 @@ class FirstBeliefs:
 
     @cached_property
     def _planned(self) -> TreeBeliefs:
-        """The calibrated tables of a plan, made when more than marginals is first asked for."""
+        """The calibrated tables, by a plan; made when a joint, message or belief is first read."""
         return TreeBeliefs.of(self.graph, self.evidence, self._room)
 
     @property
     def storage(self) -> Storage:
-        """The layout of the flat array of all clusters' tables, which `read` gives its `reader`."""
+        """Where each cluster's table stands in the flat array of the plan's calibrated tables."""
         return self._planned.storage
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of `reader`, called with the calibrated tables of all clusters.
+        """The result of `reader`, called with the calibrated tables in one flat array.
 
-        The tables stand in one flat array, (entries or more,), in the layout of `storage`.
+        The array is (entries of clusters + entries of sepsets,); `storage` tells where in it each
+        cluster's table stands.
         """
         return self._planned.read(reader)
 
@@ -90,7 +94,10 @@ class FirstBeliefs:
 
 
 def _first(graph: ClusterGraph) -> bool:
-    """Whether a graph has had no question and no plan so far; it is marked as having had one."""
+    """Whether a graph has had no question and no plan so far; the graph is then marked as asked.
+
+    A later call thus returns False.
+    """
     if graph._derived:
         return False
     graph.derived(_asked)
@@ -98,5 +105,8 @@ def _first(graph: ClusterGraph) -> bool:
 
 
 def _asked(graph: ClusterGraph) -> bool:
-    """True, which ``graph.derived`` keeps as the mark that a question was asked of the graph."""
+    """True, to mark a graph as asked.
+
+    ``graph.derived`` calls this function, and keeps the result with the graph, as it keeps plans.
+    """
     return True

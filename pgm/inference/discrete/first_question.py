@@ -68,12 +68,17 @@ def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
 
 @np.errstate(all="raise")
 def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
-    """The beliefs of one run; underflow and impossible evidence raise `FloatingPointError`."""
+    """The marginals and ln p(evidence) of one run, computed in plain numbers.
+
+    Underflow, and evidence of probability zero, raise `FloatingPointError`.
+    """
     return _Tree(graph, evidence).answer()
 
 
 class _Tree:
     """The two passes of messages over the trees of a graph, for one set of evidence.
+
+    In a tiny network one cluster, made for the purpose, holds all variables.
 
     variables: The variables of the network; elsewhere each is denoted by its index here.
     order: The numbers of the clusters, parents before children.
@@ -246,7 +251,10 @@ class _Tree:
         least = [math.inf] * len(sizes)
 
         def offer(scope: Sequence[int], table: Array) -> None:
-            """Note a joint table for each variable of its scope, if smaller than all before it."""
+            """Offer a joint table over a scope, from which marginals may be summed.
+
+            For each variable of the scope it is noted if it is the smallest so far.
+            """
             size = table.size
             for place in scope:
                 if size < least[place]:

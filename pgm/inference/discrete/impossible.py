@@ -31,7 +31,8 @@ def require_possible(
     """Raise `ImpossibleEvidence` if the evidence has probability zero in some run.
 
     log_tops: (tops, [runs]): logarithms of the scales taken out of messages on the way to the
-        roots; in a run with impossible evidence at least one is −∞. See `tree_passes`.
+        roots, the sums of the roots' tables among them; in a run with impossible evidence at least
+        one is −∞.
     of_runs: Text that is appended to the error's message if the evidence has axes of runs.
     """
     # One sum finds out, whatever is infinite.
@@ -88,8 +89,8 @@ def _contradiction(
 def contradicted(empty: Mask, clusters: Iterable[Cluster], lead: tuple[int, ...]) -> EvidenceError:
     """The error, not raised, for a message or belief of a graph with loops that is zero throughout.
 
-    empty: (rows, runs): whether the message or belief of a row is zero throughout in a run; at
-        least one entry is true.
+    empty: (rows, runs): a row for each of some messages or beliefs, true in the runs in which it is
+        zero throughout; at least one entry is true.
     clusters: Of each row, the sender of the message, or the cluster whose belief it is.
     lead: The lengths of the user's axes of runs.
     """

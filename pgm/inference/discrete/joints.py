@@ -122,7 +122,8 @@ def _given(factor: Factor, sepset: States) -> Array:
 def _product(a: Factor, b: Factor) -> Factor:
     """The product of two factors, over all variables of both.
 
-    A product with more entries or axes than the limits allow raises `GraphError`.
+    A product of more than a gibibyte, in all runs together, or over more variables than an array
+    can have axes, raises `GraphError`.
     """
     scope = a[0] + tuple(v for v in b[0] if v not in a[0])
     runs = a[1].shape[len(a[0]) :]

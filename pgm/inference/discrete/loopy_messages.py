@@ -1,7 +1,13 @@
 """Messages between the clusters of a discrete network whose graph has any shape.
 
-A message goes from a cluster to a neighbour, over their sepset. Arrays end in the axis of runs; one
-array holds all messages, in *columns*: one for each joint state of a message's sepset.
+A message goes from a cluster to a neighbour, over their sepset. Arrays end in the axis of runs. The
+*entries* of all clusters' tables stand one after the other in one array. Another holds all
+messages, in *columns*: one for each joint state of a message's sepset.
+
+Messages have numbers: 2e goes along sepset e from the cluster of lower number to the other, 2e + 1
+back. A *round* is a set of messages that are computed together, all from the messages before it. It
+is laid out in *groups*, clusters of equally many neighbours and entries, with the messages that
+they send. A group's messages of equal shape are an *outlet*.
 """
 
 from __future__ import annotations
@@ -32,7 +38,10 @@ class TableMessages:
     summed over the variables outside the sepset. The product is made without dividing by the
     receiver's message, which may have zeros. The class implements `pgm.inference.loopy.Messages`.
 
-    potentials: (entries, runs): logarithms of potentials times evidence, in the order of `storage`.
+    plan: The layout of all messages, and of rounds.
+    storage: Where each cluster's table stands among the entries.
+    directed: The source and the target cluster of each message.
+    potentials: (entries, runs): logarithms of potentials times evidence.
     logs: (columns, runs): logarithms of the messages; `plan` says where each one stands.
     damping: The weight of the logarithm of the old message in the new one, in [0, 1); 0 for none.
     """
@@ -52,13 +61,16 @@ class TableMessages:
 
     @property
     def bounded(self) -> bool:
-        """True: changes are of probabilities, of which none exceeds one; see `loopy.Messages`."""
+        """True: the change of a message is that of probabilities, so that none exceeds one.
+
+        Therefore no run counts as diverged because the changes of its messages grow.
+        """
         return True
 
     def round(self, messages: Sequence[int]) -> Sequence[Group]:
-        """Lay out the computation of messages, given by number, as `loopy_plan` numbers them.
+        """Lay out the computation of the messages of these numbers, as one round.
 
-        Returns groups of clusters that send them, each group of equal degree and table size.
+        Returns the groups of clusters that send them.
         """
         if messages == range(len(self.directed)):
             return self.plan.everything(self.runs)
@@ -83,11 +95,11 @@ class TableMessages:
         return change
 
     def _products(self, group: Group) -> Array:
-        """Logarithms of a cluster's potential times all messages to it but one, for a group.
+        """Of the clusters of a group, the potential times all messages to the cluster but one.
 
-        The result is (neighbours · entries of the group, runs): first the products that leave out
-        the message of each cluster's first neighbour, at all entries of the group's tables; then
-        those that leave out the message of the second neighbour, and so on.
+        The result, of logarithms, is (neighbours · entries of the group, runs): first the products
+        that leave out the message of each cluster's first neighbour, at all entries of the group's
+        tables; then those that leave out the message of the second neighbour, and so on.
         """
         incoming = self.logs.take(group.incoming, 0)
         products = np.empty_like(incoming)
@@ -125,11 +137,10 @@ class TableMessages:
     def accept(self, round: Sequence[Group], active: Mask, lost: Mask) -> None:
         """Replace messages by those of the last `propose`, in the runs that are active.
 
-        `active`, (runs,), is the mask of these runs.
-        With damping d, the message that is kept is the new one to the power of 1 − d times the old
-        one to the power of d, normalised; if this product is zero throughout, an `EvidenceError` is
-        raised. `lost`, (runs,), marks runs whose messages have diverged; it is not used, as such
-        runs are not active.
+        `active`, (runs,), is the mask of these runs. With damping d, the message that is kept is
+        the new one to the power of 1 − d times the old one to the power of d, normalised; if this
+        product is zero throughout, an `EvidenceError` is raised. `lost`, (runs,), marks runs whose
+        messages have diverged; it is not used, as such runs are not active.
         """
         for group in round:
             for outlet in group.outlets:
@@ -139,16 +150,15 @@ class TableMessages:
                 self.logs[outlet.columns] = np.where(active, new, old)
 
     def relinearise(self, active: Mask) -> None:
-        """Return None, as `loopy.Messages` asks: no CPD of a discrete network is nonlinear."""
+        """Do nothing, and return None: no CPD of a discrete network is nonlinear."""
         return
 
     def beliefs(self) -> tuple[Array, Array]:
         """The clusters' beliefs as probabilities, (entries, runs), and ln Z_cluster of each.
 
         A belief is the cluster's potential times all messages to the cluster; Z_cluster is its sum,
-        by which it is divided. The logarithms ln Z_cluster are (clusters, runs). The entries of the
-        beliefs stand in the order of `storage`. A belief that is zero throughout raises
-        `EvidenceError`.
+        by which it is divided. The logarithms ln Z_cluster are (clusters, runs). A belief that is
+        zero throughout raises `EvidenceError`.
         """
         logs = self.potentials.copy()
         for group in self.plan.everything(self.runs):
@@ -177,7 +187,12 @@ class TableMessages:
 
 
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
-    """Raise `GraphError` if tables and products of messages, for all runs, exceed the limits."""
+    """Raise `GraphError` if the computation of messages would take too much memory.
+
+    A cluster's *products* are a table for each message that it sends. In a single run the products
+    of all clusters may take a gibibyte at most. In all runs together the tables of all clusters,
+    with the products of that cluster which has most, may take a gibibyte at most.
+    """
     # A cluster's table is multiplied by the messages of all neighbours but each in turn: where
     # these meet it is laid out for all clusters, the products are made for some at once.
     products = [size * max(1, len(graph.neighbours(k))) for k, size in enumerate(graph.sizes)]
@@ -203,6 +218,9 @@ def _segments(logs: Array, lengths: Integers) -> Array:
 class LoopyBeliefs:
     """The beliefs of a graph with loops after messages were sent, for a posterior to read.
 
+    messages: The messages that were sent last.
+    storage: Where each cluster's table stands among the entries.
+    evidence: The evidence of all runs.
     _tables: (entries, [runs]): the clusters' beliefs, of sum one; a single run has no axis.
     _totals: (clusters, runs): the logarithms of the beliefs' sums before normalisation.
     """

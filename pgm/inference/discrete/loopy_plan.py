@@ -4,6 +4,11 @@ Clusters are alike if they have equally many neighbours and table entries. Messa
 sepset e, from the cluster of lower number to the other, message 2e + 1 back. A *round* is a set of
 messages that are computed together, all from the messages before it. One array has all messages, in
 *columns*: one for each joint state of a message's sepset, in C order.
+
+A *group* is some clusters that are alike and send messages in a round. Its *products*, (neighbours
+· entries of the group, runs), are the clusters' potentials times all messages to a cluster but one:
+first those without the message of each cluster's first neighbour, at all entries of the group; then
+those without the second neighbour's, and so on. A message is a sum of products.
 """
 
 from __future__ import annotations
@@ -30,9 +35,9 @@ Kept = tuple[bool, ...]
 class Outlet:
     """The outgoing messages of equal shape from a group of clusters.
 
-    index: (rows, messages · columns): indices into the first axis of the products that
-        `TableMessages._products` returns; the sum of the indexed products over the rows has the
-        columns of the messages, one message after the other.
+    index: (rows, messages · columns): indices into the first axis of the group's products. A
+        column of a message is the sum of the products in the same column of `index`; the columns of
+        one message follow those of another.
     columns: (messages, columns): the indices of the messages' columns in the array of all messages.
     order: (messages,): the place of each message in the round, from 0.
     senders: (messages,): the numbers of the clusters that send the messages.
@@ -80,7 +85,11 @@ class LoopyPlan:
         self._shapes: dict[tuple[tuple[int, ...], Kept], tuple[Integers, Integers]] = {}
 
     def everything(self, runs: int) -> list[Group]:
-        """The groups of the round of all messages, laid out once while `runs` stays the same."""
+        """The groups of the round in which all messages are sent, for so many runs at once.
+
+        The layout is kept until another number of runs is asked for, on which the number of
+        clusters in a group depends.
+        """
         if self._all is None or self._all[0] != runs:
             self._all = runs, self.lay_out(range(len(self.directed)), runs)
         return self._all[1]
@@ -88,9 +97,9 @@ class LoopyPlan:
     def lay_out(self, messages: Sequence[int], runs: int) -> list[Group]:
         """The groups of clusters that send some messages, which are given by number.
 
-        The clusters of a group have equally many neighbours and entries. Their number is the most
-        for which the products that a group computes, (neighbours · entries of the group, runs),
-        have at most `limits.BATCH` entries, and at least one.
+        The clusters of a group have equally many neighbours and entries. There are as many of them
+        as keep the products of the group, (neighbours · entries of the group, runs), at 2²² numbers
+        (`limits.BATCH`) or fewer, but at least one.
         """
         asked: dict[int, list[tuple[int, int]]] = {}
         for order, message in enumerate(messages):

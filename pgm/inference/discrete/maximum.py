@@ -1,7 +1,13 @@
 """The most probable assignment of a discrete network.
 
-On a tree maxima go to the roots over the plan of `tree_plan`, which defines stacks, rows, columns
-and tops (scales). The *home* of a variable is the smallest cluster that holds it.
+Messages with maxima in place of sums go to the root of each tree, and the states of the maxima are
+traced back from there. A cluster's table is a matrix, with a *column* for each joint state of the
+variables that the cluster shares with its parent (a root has one column), and a *row* for each
+joint state of its other variables. A *stack* is some clusters of like shape and depth, whose
+matrices stand side by side in one. *Tops*, (tops, runs), are logarithms that sum to
+ln p(assignment, evidence): that of a root is the largest in its table, all others are 0. The *home*
+of a variable is the smallest cluster that holds it; ``plan.storage.homes`` maps variables to homes,
+and results have the variables in its order.
 """
 
 from __future__ import annotations
@@ -170,13 +176,20 @@ def most_probable(
     graph : ClusterGraph
         The graph of a discrete network, without loops, or of a dynamic network of tables.
     evidence : mapping of Discrete
-        As for `infer`. Weights of `soft` evidence count as factors of the probability.
+        The name or index of a state, an array of indices with −1 for "not observed in this run", or
+        `soft` weights, which count as factors of the probability; for a dynamic network arrays by
+        step, as for `infer`. Leading axes are runs.
     memory : number, optional
-        As for `infer`; where there are several workers, the memory of each.
+        How many bytes the tables of all runs may take, besides the compiled graph, the evidence and
+        the result; 2²⁸ (256 MiB), if not given. Of several workers each may take so much. Not for a
+        dynamic network.
     executor : concurrent.futures.Executor, optional
-        Its workers are handed parts of the runs, as by `infer`.
+        A pool of processes or threads, or another executor that `infer` takes, whose workers are
+        handed about equally many runs each. Not for a dynamic network.
     progress : bool or callable
-        As for `infer`.
+        Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
+        function, ``progress(done, total)``, called at the start of each stage and after each of its
+        items: steps, or parts of the runs.
 
     Raises
     ------
@@ -277,8 +290,8 @@ class _Search:
 def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
     """The results of `_search` for consecutive parts of the runs, one part for each worker.
 
-    Each result is a pair of states, (variables, runs of the part), and logarithms of scales,
-    (tops, runs of the part).
+    Each result is a pair: the most probable states, (variables, runs of the part), as indices, and
+    the tops, (tops, runs of the part).
     """
     runs = search.runs
     edges = [runs * k // workers.count for k in range(workers.count + 1)]
@@ -291,10 +304,10 @@ def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
 
 
 def _search(search: _Search) -> tuple[Integers, Array]:
-    """The most probable states, (variables, runs), and the logarithms of the scales, (tops, runs).
+    """The most probable states, (variables, runs), and the tops, (tops, runs).
 
     Variables are in the order of ``plan.storage.homes``; states are indices, in the smallest type
-    of integers that holds them all. The logarithms of a run sum to ln p(assignment, evidence).
+    of integers that holds them all. The tops of a run sum to ln p(assignment, evidence).
     """
     plan = plan_for(search.graph, search.runs, search.batch)
     homes = plan.storage.homes
@@ -323,13 +336,12 @@ def _assignment(
 
 
 def _maximise(plan: TreePlan, evidence: BoundStates) -> tuple[Integers, Array]:
-    """The most probable states of some runs, (variables, runs), and log-maxima, (tops, runs).
+    """The most probable states of some runs, (variables, runs), and the tops, (tops, runs).
 
     Messages with maxima in place of sums go to the roots. Then, parents before children, the states
     of the variables that a cluster shares with its parent pick a column of the cluster's table, and
-    the largest entry of the column gives the states of its other variables. A root's log-maximum is
-    the largest logarithm in its table; the other tops are 0. Variables are in the order of
-    ``plan.storage.homes``.
+    the largest entry of the column gives the states of its other variables. States are indices;
+    variables are in the order of ``plan.storage.homes``.
     """
     runs = evidence.runs
     start = enter(plan, evidence, MAX_PRODUCT)

@@ -82,8 +82,9 @@ class Place:
     def merged(self, wanted: States) -> Merged:
         """The shape of this contiguous table with neighbouring axes merged.
 
-        Axes that follow one another are merged if their variables are all in `wanted`, or none is.
-        `wanted` are some of the table's variables, in the order of the axes of arrays over them.
+        Axes that follow one another are merged if their variables are all in `wanted`, or none is:
+        a sum of the table to the wanted variables, or its product with an array over them, then has
+        few axes. `wanted` are some of the table's variables, in the order of that array's axes.
         """
         stored = self.stored
         runs = [list(same) for _, same in groupby(stored, wanted.__contains__)]

@@ -43,6 +43,8 @@ class DiscretePosterior(Posterior):
     batches whose tables do not fit there, marginals and log-evidence alone are kept, and each call
     of `joint`, `belief` or `message` computes the runs again: ask once for a joint of several
     variables. An answer of more than a gibibyte is refused with a `GraphError`.
+
+    `status` tells the iterations and residuals of the schedule, and whether each run converged.
     """
 
     graph: ClusterGraph
@@ -104,7 +106,7 @@ class DiscretePosterior(Posterior):
         return self._table(scope, self._beliefs.read(lambda t: joint(storage, t, scope)))
 
     def _require_room(self, scope: States, what: str) -> None:
-        """Raise `GraphError` if tables over a scope, one for each run, exceed the memory limit.
+        """Raise `GraphError` if tables over a scope, one for each run, take more than a gibibyte.
 
         `what` names the tables in the error's text. A single run is not checked.
         """
@@ -119,7 +121,7 @@ class DiscretePosterior(Posterior):
         state given for all runs; a variable observed by an array of states, one for each run, has
         an axis. After `Flooding`, `Sequential` or `Residual` a message sums to one. After exact
         inference on a tree it is the sum over the sender's potential times the messages to the
-        sender from its other neighbours, and its log-scale keeps its magnitude.
+        sender from its other neighbours, in full: the values times exp(log-scale) of the table.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         if j not in self.graph.neighbours(i):

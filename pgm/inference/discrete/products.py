@@ -49,9 +49,10 @@ class GatheredProduct:
         semiring.times(source, product, out)
 
     def columns(self, at: Integers) -> Integers:
-        """The columns of the messages, (messages, clusters, runs), at an entry of each cluster.
+        """The columns by which one entry of each cluster's table is multiplied in each run.
 
         `at`, (clusters, runs), are the indices of these entries, counted from the stack's first.
+        The result is (messages, clusters, runs): one column of each message to a cluster.
         """
         return self.index.take(at, 1)
 
@@ -65,8 +66,8 @@ class BlockProduct:
     sepset: The variables of the message, in the order of its columns.
     view: The shape of the table with neighbouring axes merged, if all or none are of the sepset.
     source: The slice of the message's columns in an array of all messages.
-    wide: The first axis of `view` along which the message is repeated in memory for a single run,
-        as it is along all later axes, so that NumPy's loops over the last axes are not short.
+    wide: For a single run the message is repeated in memory along the axes of `view` from this one
+        on, lest NumPy's loops over the last axes be short; the number of axes if that is not done.
     """
 
     children: Integers
@@ -102,7 +103,7 @@ class BlockProduct:
         semiring.times(table, message, out.reshape((*self.view.shape, *out.shape[1:])))
 
     def columns(self, at: Integers) -> Integers:
-        """The column of the message, (1, 1, runs), at an entry of the table in each run.
+        """The column by which one entry of the table is multiplied in each run, (1, 1, runs).
 
         `at`, (1, runs), are the indices of these entries, counted from the table's first.
         """

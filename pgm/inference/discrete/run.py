@@ -27,9 +27,13 @@ def run(
 ) -> DiscretePosterior:
     """The posterior of a discrete network after a schedule of messages on its cluster graph.
 
-    The arguments mean what they do in `pgm.infer`; any schedule but `Flooding`, `Sequential`
-    and `Residual`, and None too, is exact inference on a graph without loops. With these three,
-    `memory` and ``impossible="allow"`` are refused with a `GraphError`.
+    Any schedule but `Flooding`, `Sequential` and `Residual`, and None too, is exact inference on a
+    graph without loops. With these three, `memory` and ``impossible="allow"`` are refused with a
+    `GraphError`.
+
+    memory: How many bytes the tables of all runs may take; None for 256 MiB.
+    impossible: What is done with runs whose evidence has probability zero: ``"raise"`` refuses the
+        evidence, ``"allow"`` gives such runs beliefs of NaN and a log-evidence of −∞.
     """
     bound = bind_discrete(graph.network._places.keys(), evidence)
     allow = allows(impossible)
@@ -59,11 +63,12 @@ def run(
 def of_tree(
     graph: ClusterGraph, bound: BoundStates, room: Room, *, allow: bool = False
 ) -> DiscretePosterior:
-    """The exact posterior of a graph without loops, given evidence laid out by `bind_discrete`.
+    """The exact posterior of a graph without loops.
 
-    `room` limits how many table entries are computed at once and kept. Evidence of probability zero
-    in some run raises `ImpossibleEvidence`, or with `allow` gives that run beliefs of NaN; tables
-    too large for memory raise `GraphError`.
+    `bound` is the evidence, checked and laid out by run. `room` limits how many table entries,
+    times runs, are computed at once, and how many are kept. Evidence of probability zero in some
+    run raises `ImpossibleEvidence`, or with `allow` gives that run beliefs of NaN; tables too large
+    for memory raise `GraphError`.
     """
     beliefs = beliefs_of(graph, bound, room, allow=allow)
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)

@@ -1,6 +1,8 @@
 """Batches of evidence: pieces that fit into memory, and the different runs, each once.
 
-A run is one set of evidence of a batch.
+A run is one set of evidence of a batch. On a tree as many runs are *calibrated at once*, in one set
+of arrays, as fit into a limit; if that would be fewer than 64 (`FEW`), they are calibrated one by
+one.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ def at_once(entries: int, batch: int) -> int:
     """How many runs of a tree are calibrated at once: as many as fit into a limit, or one.
 
     `entries` is the number of entries of the tree's tables in one run, `batch` the limit on entries
-    times runs. If fewer than `FEW` runs fit, the result is one.
+    times runs. If fewer than 64 runs (`FEW`) fit, the result is one.
     """
     size = batch // entries
     return size if size >= FEW else 1
@@ -33,8 +35,8 @@ def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[Bou
     """The evidence in consecutive parts, each of as many runs as a tree calibrates at once.
 
     `entries` is the number of entries of the tree's tables in one run, `batch` the limit on entries
-    times runs; see `at_once`. A part of one run leaves out the variables that the run does not
-    observe.
+    times runs. Of a batch, a part that is a single run leaves out the variables that the run does
+    not observe.
     """
     for piece in pieces(evidence, at_once(entries, batch)):
         yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
@@ -104,9 +106,9 @@ class Distinct:
         return cls(some_runs(evidence, first), which)
 
     def spread(self, values: Array) -> Array:
-        """Copy values of distinct runs to all runs that share them.
+        """Copy values of the different runs to all runs of the batch that equal them.
 
-        Shape (..., [distinct]) becomes (..., [runs]); a single run has no axis.
+        Shape (..., [different runs]) becomes (..., [runs]); a single run has no axis.
         """
         if self.which is None:
             return values

@@ -48,7 +48,8 @@ class Storage:
     def table(self, entries: Array, cluster: int) -> Array:
         """A view of a cluster's table, with an axis for each variable, then one of runs, if any.
 
-        `entries` is the flat array, (entries or more, [runs]).
+        `entries` is the flat array, (entries or more, [runs]); what stands in it behind the tables
+        is not looked at.
         """
         return self.places[cluster].view(self.scopes[cluster]).of(entries)
 

@@ -127,7 +127,7 @@ class Marginals:
     first, widths: (variables,): of each marginal, its first index and its number of states.
     count: The number of states of all variables together.
     matrix: (length of the storage, count): of zeros and ones, whose product with the tables is the
-        marginals; None where it would have more than `SMALL` entries.
+        marginals; None where it would have more than 4096 entries (`SMALL`).
     """
 
     sums: Sequence[Sum]
@@ -195,10 +195,10 @@ class AxisSums:
 
     shape: The shape of the table, without the axis of runs.
     axes: The axes that are summed, in ascending order.
-    last: A matrix of zeros and ones, (entries of the last axes, sums): the product of the table
-        and this matrix sums over those of the last axes that are in `axes`. None where these axes
-        have more than `ENTRIES` entries or `SUMS` sums.
-    front: The axes that are summed one by one before that product.
+    last: A matrix of zeros and ones, (entries of the last axes, sums), by which a table of numbers,
+        of a single run, is multiplied: this sums over those of its last axes that are in `axes`.
+        None where the matrix would have more than 128 rows (`ENTRIES`) or 8 columns (`SUMS`).
+    front: The axes that are summed one by one before that product: all, if `last` is None.
     """
 
     shape: tuple[int, ...]
@@ -240,7 +240,10 @@ class AxisSums:
 
 
 def _one_by_one(table: Array, axes: Sequence[int], semiring: Semiring) -> Array:
-    """Sum a table over axes, given in ascending order, one at a time, which adds whole rows."""
+    """Sum a table over axes, given in ascending order, by one call for each.
+
+    Each call adds whole blocks of the axes behind the one that is summed, in long loops.
+    """
     for gone, axis in enumerate(axes):
         table = semiring.total(table, axis - gone, None)
     return table

@@ -31,29 +31,37 @@ class TreeBeliefs:
     """The calibrated beliefs of a graph without loops.
 
     Runs of equal evidence are computed once. Their tables are kept if they fit; else marginals
-    alone are, and the tables are calibrated anew, some runs at a time, whenever they are read.
+    alone are, and the tables are calibrated anew, some runs at a time, whenever they are read. In
+    fields with an underscore, runs are the different runs alone.
+
+    plan: The layout of the passes of messages.
+    storage: Where each cluster's table stands in the flat array of calibrated tables.
+    evidence: The evidence of all runs.
+    _room: How many table entries, times runs, are computed at once, and how many are kept.
+    _distinct: The different runs, and which of them each run of the batch equals.
+    _kept: The calibrated tables of consecutive parts of the runs, each with its number of runs;
+        None where they would take too much room.
+    _given: The marginals, (states of all variables, [runs]), where tables are not kept, else None.
+    _log_tops: (tops, [runs]): logarithms of the scales taken out of messages; they sum to
+        ln p(evidence).
     """
 
     plan: TreePlan
     storage: Storage
     evidence: BoundStates
     _room: Room
-    # The different runs, each once; the fields below are of these.
     _distinct: Distinct
-    # The tables of consecutive parts of these runs, and their numbers of runs; None where they
-    # would take too much room.
     _kept: Sequence[tuple[Calibrated, int]] | None
-    # The marginals, (states of all variables, [runs]), where tables are not kept.
     _given: Array | None
-    # Logarithms of the scales taken out of messages, (tops, [runs]); they sum to ln p(evidence).
     _log_tops: Array
 
     @classmethod
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> TreeBeliefs:
-        """Calibrate a graph without loops, as many runs at a time as `room` allows.
+        """Calibrate a graph without loops, as many runs at a time as fit into `room`.
 
-        Evidence of probability zero in some run raises `ImpossibleEvidence`; tables, or marginals
-        of all runs, that are too large raise `GraphError`.
+        `room` also limits the tables that are kept. Evidence of probability zero in some run raises
+        `ImpossibleEvidence`; tables, or marginals of all runs, that are too large raise
+        `GraphError`.
         """
         distinct = Distinct.of(evidence)
         runs = distinct.evidence.runs
@@ -82,7 +90,7 @@ class TreeBeliefs:
     def _marginals(self) -> Array:
         """The marginals of all variables one after the other, (states of all variables, [runs]).
 
-        The runs are the different ones, of `_distinct`.
+        The runs are the different ones, each once.
         """
         given = self._read(self.plan.marginals.read) if self._given is None else self._given
         # Tables of parts of it are handed out as they are.
@@ -103,7 +111,11 @@ class TreeBeliefs:
         return self._distinct.spread(self._read(reader))
 
     def _read(self, reader: Callable[[Array], Array]) -> Array:
-        """The result of `read` for the different runs, of `_distinct`, each once."""
+        """The result of a function of the calibrated tables, for the different runs, each once.
+
+        `reader` is called with parts of these runs; it takes their tables in one flat array,
+        (entries of clusters + entries of sepsets, [runs]), and returns an array (..., [runs]).
+        """
         found = _Gathered(self._distinct.evidence.runs)
         if self._kept is not None:
             for done, runs in self._kept:

@@ -140,9 +140,10 @@ HELD = 2**26
 def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
     """The potentials of all clusters, with the evidence of some runs entered, for `collect`.
 
-    With numbers, potentials are those of `conditionals`, and only the stacks on the ways from the
-    evidence to the roots are active. With logarithms, or in graphs of more than `HELD` entries,
-    potentials are products of CPDs, and all stacks are active.
+    With numbers, a cluster's potential is p(cluster | sepset with its parent) without evidence, and
+    only the stacks of roots, and those on the ways from the evidence to the roots, are active: they
+    send messages. With logarithms, or in graphs of more than 2²⁶ table entries (`HELD`), potentials
+    are products of CPDs, and all stacks are active.
 
     Raises
     ------
@@ -223,8 +224,8 @@ class Calibrated:
 def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
     """Calibrate the tables with evidence, in numbers, or in logarithms if a number underflows.
 
-    For a single run without soft evidence in a tiny network, the tables are summed from the joint
-    of all variables instead; see `TreePlan.enumeration`.
+    In a network so small that the plan has the joint of all its variables, the tables of a single
+    run without soft evidence are summed from this joint instead, without messages.
     """
     if evidence.runs == 1 and not evidence.weights and plan.enumeration is not None:
         tables, total = plan.enumeration.given(evidence.states)

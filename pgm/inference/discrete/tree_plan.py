@@ -8,9 +8,11 @@ with parents of like shape, form a *stack*: their tables are the columns of one 
 messages of a stack are one sum. A set of stacks is an integer with a bit for each.
 
 Flat storage holds the *entries* of all clusters' tables, then the columns of all sepsets. *Tops*
-are scales taken out of messages, and of the tables of *hubs*, clusters of more than `CHUNK`
-children. The *home* of a variable is the smallest cluster that holds it; evidence for the variable
-is multiplied into the table of its home. In shapes, [runs] is an axis that a single run lacks.
+are scales taken out of messages, and of the tables of *hubs*, clusters of more than 32 (`CHUNK`)
+children. A *large* table is contiguous, has a stack alone and is used where it stands; the entries
+of others are gathered by index. The *home* of a variable is the smallest cluster that holds it;
+evidence for the variable is multiplied into the table of its home. In shapes, [runs] is an axis
+that a single run lacks.
 
 In a tiny network each message would take NumPy calls on a few numbers. There all tables are instead
 computed from the joint of all variables, by one product with a matrix of zeros and ones.
@@ -67,7 +69,7 @@ class Enumeration:
     ) -> Enumeration | None:
         """The joint of a network's variables.
 
-        None if the network is not tiny (`tables` would have more than `TINY` entries) or has
+        None if the network is not tiny (`tables` would have more than 2¹⁴ entries, `TINY`) or has
         several trees, or if a probability underflows.
 
         sepsets: Of each cluster, its sepset with its parent.
@@ -287,9 +289,9 @@ SMALL = 2**12
 def plan_for(graph: ClusterGraph, runs: int, batch: int) -> TreePlan:
     """The plan of a graph without loops for evidence of some runs.
 
-    A graph keeps two plans: one for runs that are computed one by one, and one for batches, in
-    which smaller tables count as large. `batch` is the limit on table entries, times runs, that are
-    computed at once.
+    `batch` is the limit on table entries, times runs, that are computed at once. A graph keeps two
+    plans: one for runs that are computed one by one, as where fewer than 64 fit into this limit;
+    and one for batches, in which tables of 512 entries count as large, in place of 8192.
     """
     if runs == 1 or at_once(sum(graph.sizes), batch) == 1:
         return graph.derived(make_plan, LARGE)
