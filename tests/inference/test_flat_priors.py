@@ -436,5 +436,5 @@ def test_a_rule_of_points_is_refused_whichever_cpd_comes_first(first, flat):
         [by_slope, by_points] if first else [by_points, by_slope],
         [pgm.LinearGaussianCPD(z, {a: 1.0, b: 1.0}, cov=0.1)],
     )
-    with pytest.raises(pgm.LinearisationError, match="at step 1 the belief over its parents still has"):
+    with pytest.raises(pgm.LinearisationError, match="its parents still has an infinite"):
         pgm.filter(model, {z: [[1.0], [2.0]]})

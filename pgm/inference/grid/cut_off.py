@@ -59,7 +59,7 @@ class Tails(NamedTuple):
     left: The shares of the belief that have left the bounds at the step, (axes, 2); zero at ends
         that are not at the bounds.
     before: The marginals' shares in these cells before the step's measurements, (axes, 2).
-    after: Their shares given the step's measurements, or `before` if nothing was measured, (axes, 2).
+    after: Their shares given the step's measurements, (axes, 2); `before` if nothing was measured.
     """
 
     axes: tuple[Axis, ...]
