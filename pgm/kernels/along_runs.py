@@ -1,7 +1,7 @@
 """Gaussian predictions and updates of many runs at once; the last axis of all arrays is the runs.
 
 Each operation on a component goes along a contiguous row of runs. Covariances P (n, n, runs) are
-exactly symmetric. A measurement of a belief N(m, P) is z = H x + n, n ~ N(0, R), of d components;
+exactly symmetric. A measurement of a belief N(m, P) is z = H x + v, v ~ N(0, R), of d components;
 r = z − H m is its residual, S = H P Hᵀ + R the covariance of r. The measurement is *mild* where S
 is at most a thousand times R in every direction: then it shrinks no variance more than a thousand
 times.
@@ -28,10 +28,10 @@ _SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
-    """Put the covariance F P Fᵀ + noise of a prediction F x + n into `out`, (d, d, runs).
+    """Put the covariance F P Fᵀ + Q of a prediction F x + w, w ~ N(0, Q), into `out`, (d, d, runs).
 
-    F is `matrix`, (d, n, runs), P = `cov`, (n, n, runs), the covariance of x, and `noise`,
-    (d, d, runs or 1), that of n.
+    F is `matrix`, (d, n, runs), P = `cov`, (n, n, runs), the covariance of x, and Q = `noise`,
+    (d, d, runs or 1).
     """
     half = np.einsum(_TIMES_TRANSPOSED, matrix, cov)
     np.einsum(_TIMES_TRANSPOSED, half, matrix, out=out)
@@ -134,11 +134,11 @@ def update(
 
 
 def open_share(cov: Array) -> float:
-    """The smallest ratio of a component's variance given the components before it to its variance.
+    """The least share of a component's variance that the components before it leave open.
 
-    It is the minimum of L_ii² / P_ii over all components i and all runs of covariances P = L Lᵀ,
-    (n, n, runs), and at most 1. `cov` is P and is overwritten; components without a variance do not
-    count.
+    The share of component i is its variance given the components before it, divided by its whole
+    variance: L_ii² / P_ii for P = L Lᵀ. The least is over all components and runs, and at most 1.
+    `cov` is P, (n, n, runs), and is overwritten; components without a variance do not count.
     """
     variances = np.einsum("iir->ir", cov)
     variances[variances == 0.0] = 1.0

@@ -176,9 +176,10 @@ def times_symmetric(a: Array, b: Array) -> Array:
 
 
 def _along_runs(product: str, a: Array, b: Array, width: int) -> Array:
-    """An einsum of A and B, (..., rows of A, width), with all leading axes fastest in memory.
+    """A product of stacked matrices A and B by einsum, with its leading axes fastest in memory.
 
-    `product` is its subscripts; `width` is the number of columns of the result.
+    The result is (..., rows of A, width). `product` has the subscripts of the einsum, which say
+    whether B is transposed.
     """
     lead, other = a.shape[:-2], b.shape[:-2]
     if lead != other:

@@ -31,7 +31,10 @@ Canonical = tuple[Array, Array, Array]
 
 
 def strict_root(matrix: Array) -> Array:
-    """The lower triangular L, L Lᵀ = A, of A (..., n, n); NaN where A is not positive definite."""
+    """The lower triangular roots L, A = L Lᵀ, of matrices A = `matrix` (..., n, n).
+
+    They are NaN where A is not positive definite.
+    """
     lower = roots.root(matrix)
     singular: Mask = np.asarray(roots.determined(lower).any(axis=-1))
     if singular.any():
@@ -189,9 +192,10 @@ def _split(root: Array, vector: Array) -> tuple[Array, Array]:
 def _backward_indefinite(
     matrix: Array, offset: Array, noise: Array, precision: Array, h: Array, g: Array
 ) -> Canonical:
-    """The integral of `backward`, with its arguments, for an indefinite K.
+    """The canonical form over x of ∫ N(y; F x + b, Σ) C(y; K, h, g) dy, for an indefinite K.
 
-    The quotient of two messages can have an indefinite K. It has no root, so that a root L of the
+    F is `matrix` (..., d, n), b `offset` (..., d), Σ `noise` (..., d, d) and K `precision`
+    (..., d, d), such as that of a quotient of two messages. K has no root, so that a root L of the
     noise, Σ = L Lᵀ, is used instead. The integral converges where I + LᵀKL is positive definite;
     elsewhere the result is NaN.
     """

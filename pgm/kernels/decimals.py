@@ -53,7 +53,10 @@ def floats(array: Decimals) -> Array:
 
 
 def sqrt(array: Decimals) -> Decimals:
-    """The square roots of decimals; NaN for a negative one, within the context of `precision`."""
+    """The square roots of decimals, rounded to the digits of the current decimal context.
+
+    That of a negative number is NaN in the context that `precision` opens; elsewhere it may raise.
+    """
     return np.asarray(_root(array), dtype=object).reshape(np.shape(array))
 
 

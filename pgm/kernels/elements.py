@@ -29,7 +29,7 @@ from pgm.kernels.arrays import (
 
 
 class Element(NamedTuple):
-    """The element of a segment: y = F x + b + n, n ~ N(0, cov), and exp(−½ xᵀK x + hᵀx + g).
+    """The element of a segment: y = F x + b + e, e ~ N(0, cov), and exp(−½ xᵀK x + hᵀx + g).
 
     F, cov and K are (..., n, n), b and h (..., n), g (...); g is None where no log-evidence is
     wanted.
@@ -120,7 +120,10 @@ def _log_weight(mean: Array, h: Array, rest: Array, white: Array, upper: Array) 
 
 
 def push(belief: Belief, element: Element) -> Belief:
-    """The belief at a segment's right end, from the belief at its left end."""
+    """The belief at a segment's right end, from the belief at its left end.
+
+    The segment's evidence, which its `element` has, is taken into account.
+    """
     known = condition(belief, Likelihood(element.K, element.h, element.g))
     spread = multiply(known.X, transpose(element.F))
     return Belief(
@@ -152,7 +155,13 @@ class Known(NamedTuple):
 
 
 def condition(belief: Belief, likelihood: Likelihood) -> Known:
-    """The belief N(m, P) times a likelihood: covariance C = (I + PK)⁻¹P, mean m + C (h − K m)."""
+    """The product of a belief N(m, P) and a likelihood exp(−½ xᵀK x + hᵀx + g).
+
+    With P = L Lᵀ, the lower triangular root U of I + LᵀKL, and X = U⁻¹Lᵀ, the product has the
+    covariance C = XᵀX = (I + PK)⁻¹P and the mean m + C (h − K m). The result has this mean, X, U,
+    the vector X (h − K m), and the logarithm of the product's integral, None if an argument has no
+    log-scale.
+    """
     mean, cov, weight = belief
     precision, h, g = likelihood
     factor, upper = _meet(cov, precision)

@@ -173,7 +173,8 @@ def inverse_unit(unit: Twofold) -> Twofold:
 def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
     """A generalised inverse U⁻ᵀ D⁺ U⁻¹ of A = U diag(D) Uᵀ, (..., n, n), exact on A's range.
 
-    U and D = `pivots` are as `eliminated` gives them; D⁺ is zero where D is.
+    U = `unit` (..., n, n) is lower triangular with ones on its diagonal, D is `pivots` (..., n). D⁺
+    has the reciprocals of D, and zero where D is zero.
     """
     back = inverse_unit(unit)
     return back.mT @ _divided(back, pivots)

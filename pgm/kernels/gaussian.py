@@ -4,9 +4,9 @@ Each function chooses the fastest code: for one small Gaussian, Python generated
 (`unrolled`); for a larger one LAPACK; for a batch of runs `along_runs`. Where S is nearly singular,
 all go to `moments`, which tells singular covariances from rounding.
 
-A measurement of d components of a belief N(m, P) is z = H x + n, n ~ N(0, R); S = H P Hᵀ + R is the
-covariance of its residual z − H m. A component of a prediction F x + b + n is *bare* if n is zero
-in it, so that the component is that of F x + b.
+A measurement of d components of a belief N(m, P) is z = H x + v, v ~ N(0, R); S = H P Hᵀ + R is the
+covariance of its residual z − H m. A component of a prediction F x + b + w, with the noise w, is
+*bare* if w is zero in it, so that the component is that of F x + b.
 """
 
 from __future__ import annotations
@@ -179,11 +179,11 @@ def extend(
     noise: Array,
     bare: tuple[int, ...] = (),
 ) -> None:
-    """Write the moments of a child y = F x + b + n into those of a joint that has room for it.
+    """Write the moments of a child y = F x + b + w into those of a joint that has room for it.
 
     `mean` (m, *batch) and `cov` (m, m, *batch) of the joint are changed in place at the components
     `child`; x is at the components `parents`. `value` (d, *batch) is the mean F E[x] + b of y,
-    `matrix` F (d, number of parents, *batch) and `noise` (d, d, *batch) the covariance of n. `bare`
+    `matrix` F (d, number of parents, *batch) and `noise` (d, d, *batch) the covariance of w. `bare`
     are the places in y of its bare components: where the variance of such a component is no more
     than rounding, its variance and covariances become zero.
     """
@@ -234,7 +234,7 @@ def update(
     sharp: Array | None = None,
     least: float = NEARLY_SINGULAR,
 ) -> Update:
-    """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), of residual z − H mean.
+    """Condition N(mean, cov) on a measurement z = H x + v, v ~ N(0, noise), of residual z − H mean.
 
     The mean is m + G (z − H m), and the covariance (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of
     semidefinite terms, with the gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise. `mean` is m (n, *batch),

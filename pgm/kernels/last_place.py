@@ -34,9 +34,9 @@ def rounding(mean: Array, std: Array, largest: Array) -> Array:
 def may_count(mean: Array, variance: Array, share: float) -> bool:
     """Whether u(m) of some mean (..., n) may be more than `share` standard deviations.
 
-    `variance` (..., n) are the variances of the means. The answer is found in little time from a
-    bound: the farthest mean of each component is compared with the component's least variance that
-    is not zero.
+    `variance` (..., n) are the variances that belong to the means. A quick bound decides: for each
+    of the n components, the mean farthest from zero, over all leading axes, is compared with the
+    least variance that is not zero.
     """
     axes = tuple(range(mean.ndim - 1))
     farthest = np.maximum(mean.max(axis=axes, initial=0.0), -mean.min(axis=axes, initial=0.0))

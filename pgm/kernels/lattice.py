@@ -159,9 +159,10 @@ def _residual(
 
 
 def _norm(residual: tuple[Array, Array], excess: Array) -> Array:
-    """The size of the two residuals of `_residual` together, (kernels,).
+    """The size of the residuals of mean and excess together, for each kernel, (kernels,).
 
-    It is |residual of the mean| + |residual of the excess| / max(excess, 1).
+    `residual` has by how much the kernels miss their means and `excess`, (kernels,) each. The size
+    is |residual of the mean| + |residual of the excess| / max(excess, 1).
     """
     return np.abs(residual[0]) + np.abs(residual[1]) / np.maximum(excess, 1.0)
 
@@ -237,10 +238,10 @@ def matrices(
 def along(matrix: Array, array: Array, axis: int, by: tuple[int, ...]) -> Array:
     """The array with each of its lines along `axis`, of source cells, multiplied by a matrix.
 
-    `matrix` is (n, target cells, source cells). Each of the n places along the axes `by`, which are
-    ascending and do not contain `axis`, has a matrix of its own, in C order of the places; n is one
-    if `by` is empty. Lines that differ only in further axes share a matrix. The result has the
-    target cells along `axis`.
+    `matrix` is (n, target cells, source cells). Each combination of indices along the axes `by`,
+    which are ascending and without `axis`, has a matrix of its own: n counts these combinations, in
+    C order, and is one if `by` is empty. Lines that differ only in their indices along further axes
+    share a matrix. The result has the target cells along `axis`.
     """
     rest = tuple(k for k in range(array.ndim) if k not in (axis, *by))
     last = axis == array.ndim - 1 and by + rest + (axis,) == tuple(range(array.ndim))

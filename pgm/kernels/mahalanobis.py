@@ -12,9 +12,9 @@ from pgm.kernels.roots import NEGLIGIBLE
 
 
 def square_within(probability: float, dimension: Integers) -> Array:
-    """The chi-square quantiles q, νᵀ S⁻¹ ν < q with `probability`, for ν of `dimension` components.
+    """The chi-square quantiles q: νᵀ S⁻¹ ν is below q with the probability `probability`.
 
-    They have the shape of `dimension`.
+    `dimension` has the numbers of components of ν, one for each quantile, in any shape.
     """
     from scipy.special import chdtri  # here, since it is slow to import
 

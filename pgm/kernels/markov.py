@@ -35,7 +35,7 @@ def masses(rows: Array) -> Array:
 def forward(
     applies: Iterable[Apply], weights: Array, belief: Array, rows: Array, every: int = EVERY
 ) -> Masses:
-    """Fill rows with forward messages; returns the masses of the rows and of the beliefs before.
+    """Fill rows with forward messages; returns their masses and those of the beliefs before them.
 
     Row t is weights[t] times the transition applied to the belief before it, which is row t − 1, or
     after every `every` steps a copy of row t − 1 scaled to mass one. Each of `applies`, one a step,
@@ -124,10 +124,11 @@ class Blocks:
         self.scale = np.ascontiguousarray(self.scale.T)
 
     def forward(self, belief: Array, rows: Array) -> Masses:
-        """Fill rows (steps, states) with forward messages; returns masses as `markov.forward` does.
+        """Fill rows (steps, states) with forward messages; returns two arrays of masses, (steps,).
 
-        The masses returned are those of the rows, and those of the beliefs that the rows were made
-        from, (steps,) both. `belief` (states,), of mass one, is the belief before the first step.
+        The first has the masses of the rows; the second those of the beliefs that the rows were
+        made from, each the row before it or a belief scaled to mass one. `belief` (states,), of
+        mass one, is the belief before the first step.
         """
         held = self._starts(belief)
         found = np.empty(self.weights.shape)

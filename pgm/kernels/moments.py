@@ -2,7 +2,7 @@
 
 Rounding leaves a variance that ought to be zero at up to about 10⁻¹⁴ of the summands that it was
 computed from (`ROUNDING`): by this bound zeros are told from small variances. A measurement of d
-components of a belief N(m, P) is z = H x + n, n ~ N(0, noise); S = H P Hᵀ + noise is the covariance
+components of a belief N(m, P) is z = H x + v, v ~ N(0, noise); S = H P Hᵀ + noise is the covariance
 of its residual z − H m.
 """
 
@@ -52,7 +52,7 @@ class Update(NamedTuple):
 def update(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array, *, exact: bool = True
 ) -> Update:
-    """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), residual z − H mean.
+    """Condition N(mean, cov) on a measurement z = H x + v, v ~ N(0, noise), residual z − H mean.
 
     The mean is m + G (z − H m) with the gain G = P Hᵀ S⁺; the covariance is (I − GH) P (I − GH)ᵀ +
     G noise Gᵀ. H is `matrix` (..., d, n), `residual` (..., d), `noise` (..., d, d). With `exact`,
@@ -119,7 +119,7 @@ def certain(cov: Array, rounding: Array) -> Array:
 
 
 class Conditional(NamedTuple):
-    """An affine Gaussian, p(x | y): x = F y + b + n, n ~ N(0, cov), F = matrix, b = offset.
+    """An affine Gaussian, p(x | y): x = F y + b + e, e ~ N(0, cov), F = matrix, b = offset.
 
     For x of n and y of d components F is (..., n, d), b (..., n) and cov (..., n, n).
     """
@@ -132,12 +132,13 @@ class Conditional(NamedTuple):
 def reverse(
     mean: Array, cov: Array, matrix: Array, noise: Array, forward_mean: Array, forward_cov: Array
 ) -> Conditional:
-    """Bayes' rule for y = A x + c + n, n ~ N(0, noise): p(x | y) from x ~ N(mean, cov).
+    """Bayes' rule for y = A x + c + w, w ~ N(0, noise): p(x | y) from x ~ N(mean, cov).
 
-    A is `matrix` (..., d, n), `noise` (..., d, d), m `mean` and P `cov`. The prediction of y is
-    N(m_y, P_y), m_y = `forward_mean` (..., d) and P_y = `forward_cov` (..., d, d). With the gain
-    G = P Aᵀ P_y⁺ the result is x = G y + (m − G m_y) + e. The covariance of e is computed as
-    (I − GA) P (I − GA)ᵀ + G noise Gᵀ, which subtracts nothing from P.
+    A is `matrix` (..., d, n), `noise` (..., d, d), m `mean` (..., n) and P `cov` (..., n, n). The
+    prediction of y is N(m_y, P_y), m_y = `forward_mean` (..., d), P_y = `forward_cov` (..., d, d).
+    With the gain G = P Aᵀ P_y⁺ the result is x = G y + (m − G m_y) + e: its matrix is G, its offset
+    m − G m_y, and its covariance, that of the noise e, is computed as (I − GA) P (I − GA)ᵀ +
+    G noise Gᵀ, which subtracts nothing from P.
     """
     cross = transpose(times_symmetric(matrix, cov))
     # The rest is right for any gain: only what is no more than rounding has to go.
@@ -148,7 +149,10 @@ def reverse(
 
 
 def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
-    """The mean and covariance of F x + b + n for x ~ N(mean, cov); F, b and n of a conditional."""
+    """The mean (..., d) and covariance (..., d, d) of y for x ~ N(mean, cov) and p(y | x).
+
+    `conditional` is p(y | x), that is y = F x + b + e; x is of n components, y of d.
+    """
     matrix, offset, noise = conditional
     return apply(matrix, mean) + offset, make_symmetric(sandwich(matrix, cov) + noise)
 

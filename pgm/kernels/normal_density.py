@@ -30,7 +30,10 @@ SLACK = 3.0 * NEGLIGIBLE**0.5
 
 
 def draw(mean: Array, lower: Array, white: Array) -> Array:
-    """The points mean + L w, (..., d), draws from N(mean, L Lᵀ) for w = `white` from N(0, I)."""
+    """The points m + L w, (..., d): draws from N(m, L Lᵀ) if w was drawn from N(0, I).
+
+    m is `mean` and w `white`, one point each, (..., d); L is `lower`.
+    """
     return mean + apply(lower, white)
 
 
@@ -75,12 +78,13 @@ def log_density(lower: Array, white: Array) -> Array:
 
 
 def off(lower: Array, left: Array, error: Array) -> Mask:
-    """Whether residuals, wrong by at most `error` (..., S, d), are off the range of L, (..., S).
+    """The mask (..., S) of residuals that are off the range of L, where the density is zero.
 
-    Off the range the density is zero. `left` (..., S, d) is, at each determined component, the
-    residual less the value that the open components determine for it, and zero at open components.
-    A residual is off if some |left| exceeds the most that `error` can add to it, |L⁻¹| error, with
-    ones for the zero pivots of L, by more than 10⁻⁶ standard deviations of the component.
+    `left` (..., S, d) is, at each determined component, the residual less the value that the open
+    components determine for it, and zero at open components. `error` (..., S, d) bounds how far
+    each component of a residual may be wrong: this can change |left| by at most |L⁻¹| error, with
+    ones for the zero pivots of L. A residual is off if |left| exceeds that bound by more than 10⁻⁶
+    standard deviations in some component.
     """
     # What is left depends linearly on the residuals: by this matrix.
     spread = np.abs(solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))

@@ -233,7 +233,10 @@ class _Work:
         self.cut(shape[0])
 
     def cut(self, size: int) -> None:
-        """Make `column`, `row` and the arrays of indices views of work space for `size` poses."""
+        """Cut the work space to `size` poses, at most as many as it was made for.
+
+        `column`, `row` and the arrays of indices become views of its first `size` rows.
+        """
         self.column, self.row = self._floats[:, :size]
         self._index, self._other = self._indices[:, :size]
 

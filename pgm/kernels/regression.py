@@ -66,8 +66,9 @@ class Fit(NamedTuple):
 def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
     """The weighted regression on points s (N, n), as one matrix to multiply values Y (N, d) with.
 
-    It holds for a root L without a zero column. The mean and covariance of s are those of the
-    sample.
+    The product has the regression line's value at s = 0, its slope, and a root of the covariance of
+    the residuals. The matrix holds for a root L without a zero column. The mean and covariance of s
+    are those of the sample.
     """
     count, size = s.shape
     s_mean = mean_weights @ s

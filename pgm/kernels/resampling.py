@@ -97,9 +97,10 @@ def _edges(weights: Array, count: int) -> Array:
 
 
 def _between(below: Array | Integers) -> Integers:
-    """How many draws each particle gets, (n,), from the numbers of draws `below` each edge, (n,).
+    """How many draws each of n particles gets, (n,).
 
-    Edge i is the upper one of particle i, as `_edges` gives them.
+    `below` (n,) has, for each particle, how many draws fall to it and to all particles before it:
+    those below its upper edge, the cumulative weight up to and with this particle.
     """
     ends, counts = below.astype(np.intp), np.empty(len(below), dtype=np.intp)
     counts[:1] = ends[:1]

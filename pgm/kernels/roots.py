@@ -109,7 +109,7 @@ def smallest_pivot(lower: Array) -> float:
 
 
 def is_regular(cov: Array, least: float) -> bool:
-    """Whether each component keeps more than `least` times its variance given those before it.
+    """Whether each component's pivot is more than `least` times the component's variance.
 
     All covariances (..., n, n) of the stack are to pass; a component without a variance passes, an
     indefinite matrix does not.

@@ -101,14 +101,17 @@ def choose(active: Mask, new: Rows, old: Rows) -> Rows:
     each = active[:, None, None, None]
 
     def matrix(a: Array, b: Array) -> Array:
-        """The matrices `a` in the runs that `active` marks, `b` in all others.
+        """The new matrices `a` in the runs to be changed, the old ones `b` in all other runs.
 
-        Where runs share a matrix, it is that of `a`.
+        They are A or C, (V, B, rows, s). Where all runs share a matrix, it is that of `a`.
         """
         return a if shared else np.where(each, a, b)
 
     def right(a: Array, b: Array) -> Array:
-        """The right sides `a` in the runs that `active` marks, and `b` in all other runs."""
+        """The new right sides `a` in the runs to be changed, the old ones `b` in all other runs.
+
+        They are r or c, (V, B, rows, N).
+        """
         return np.where(active if shared else each, a, b)
 
     chosen = Rows(matrix(new.matrix, old.matrix), right(new.right, old.right))

@@ -44,7 +44,7 @@ class Rows(NamedTuple):
 class Eliminated(NamedTuple):
     """A factor over (x, s) as a conditional p(x | s), times the factor over s that is left.
 
-    p(x | s) is x = gain s + offset + n, n ~ N(0, noise); for x of d variables and s of e, `gain` is
+    p(x | s) is x = gain s + offset + v, v ~ N(0, noise); for x of d variables and s of e, `gain` is
     (..., d, e), `offset` (..., d, N), a column for each right side, and `noise` (..., d, d). `rest`
     is the factor over s, with an upper triangular A (..., e, e); `log_scale` (..., N) is its g less
     that of the given factor. `contradiction` (..., N) marks right sides whose exact relations

@@ -37,9 +37,9 @@ def compose_conditionals(first: Conditional, then: Conditional) -> Conditional:
 
 
 def push_moments(belief: Moments, conditional: Conditional) -> Moments:
-    """The moments of F x + b + n, n ~ N(0, cov), for x of the moments `belief`.
+    """The moments of y = F x + b + e, e ~ N(0, Σ), for an x with the moments `belief`.
 
-    F, b and cov are the `matrix`, `offset` and `cov` of the conditional.
+    F, b and Σ are the `matrix`, `offset` and `cov` of the conditional p(y | x).
     """
     return Moments(*moments.push(*belief, conditional))
 

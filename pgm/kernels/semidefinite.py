@@ -17,9 +17,10 @@ _VISIBLE = 1e-12
 def semidefinite(cov: Array, largest: float) -> Array:
     """Covariances (..., n, n) without the asymmetry and negative eigenvalues left by rounding.
 
-    The eigenvalues are those of the correlations. Negative ones become zero where the least is
-    between −`largest` and −10⁻¹². A covariance with an eigenvalue of −`largest` or less, which is
-    no rounding, is only made symmetric, and so are all if an entry of any is infinite or NaN.
+    The eigenvalues are those of the correlations. Where the least one is between −`largest` and
+    −10⁻¹², all negative ones become zero. Otherwise a covariance is only made symmetric: a least
+    eigenvalue of −`largest` or less is no rounding. If an entry of any covariance is infinite or
+    NaN, all are only made symmetric.
     """
     cov = symmetric(cov)
     unit = deviation(cov)

@@ -61,7 +61,7 @@ class Transition(ABC):
     @property
     @abstractmethod
     def smallest(self) -> float:
-        """The smallest positive entry; 1 if that is larger or there is none."""
+        """The smallest positive entry, but at most 1; 1 if no entry is positive."""
 
     @abstractmethod
     def dense(self) -> Array:

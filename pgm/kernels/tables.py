@@ -90,9 +90,9 @@ def _combined(
 def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
     """The mask (...) of tables that lost no digits in `result`, the product or quotient of a and b.
 
-    A table whose largest entry is finite and above 10⁻⁶ has lost only entries 10⁻³⁰⁰ times smaller.
-    Any other finite table has lost nothing if all its entries are 10⁻³⁰⁰ or more, apart from those
-    where a or b is zero.
+    A table whose largest entry is finite and above 10⁻⁶ counts, as underflow can only have touched
+    entries that are 10³⁰⁰ times smaller. Any other finite table counts if all its entries are at
+    least 10⁻³⁰⁰, apart from those where a or b is zero.
     """
     top = largest(result, axes)
     held = (top > SAFE) & (top < np.inf)

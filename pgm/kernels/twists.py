@@ -33,7 +33,8 @@ def motions(twists: Array, share: Array | float = 1.0) -> Array:
 def twists(steady: Array) -> Array:
     """The twists (..., 3) of steady motions (..., 3), which must turn by less than a whole turn.
 
-    A turn within a millionth of a whole turn is too much: there the twist would be huge.
+    The caller is to refuse turns of 2π (1 − 10⁻⁶) or more either way: a steady motion of a whole
+    turn ends where it began, so that near it the twist would be huge.
     """
     half = 0.5 * steady[..., 2]
     chord = turned(steady[..., :2], -half) / _sinc(half)[..., None]

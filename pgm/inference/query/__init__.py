@@ -1,4 +1,9 @@
-"""Single queries: the joint of a few variables, from the part of a network that it depends on."""
+"""Single queries: `query` gives the joint of a few variables of a discrete network given evidence.
+
+It finds the part of the network that the joint depends on (`requisite`), plans an order of the
+other variables of that part (`plan`) and sums them out in this order (`elimination`). Whether the
+evidence on the rest of the network is possible is examined separately (`left_out`).
+"""
 
 from pgm.inference.query.question import query
 

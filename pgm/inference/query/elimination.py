@@ -34,8 +34,9 @@ from pgm.variables import Discrete
 def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
     """The joint probabilities of the variables asked for, given evidence, (sizes..., runs or 1).
 
-    The variables are in the plan's order. Runs of impossible evidence have NaN. If any number
-    under- or overflows, all is computed again with logarithms.
+    The variables are in the plan's order. `evidence` is that of the plan, for all or some of its
+    runs. Runs of impossible evidence have NaN. If any number under- or overflows, all is computed
+    again with logarithms.
     """
     try:
         with np.errstate(all="raise"):
@@ -62,7 +63,7 @@ def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) ->
 
 
 class Tables:
-    """The tables of an elimination, made step by step from a plan and evidence.
+    """The tables of an elimination, made step by step by a plan, from its evidence in some runs.
 
     Their entries are numbers or logarithms, as a semiring has them. `last` is the table that the
     last step done has made, (sizes..., runs or 1).
@@ -171,7 +172,10 @@ class Tables:
 
 
 def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
-    """Raise ImpossibleEvidence if probabilities (sizes..., runs or 1) are NaN in any run."""
+    """Raise ImpossibleEvidence if probabilities (sizes..., runs or 1) are NaN in any run.
+
+    They are the result of the elimination `plan`, whose evidence the error names.
+    """
     lost = lost_runs(probabilities)
     if lost.any():
         raise refusal(plan, lost, plan.requisite.evidence.lead)
@@ -202,12 +206,11 @@ def refusal(plan: EliminationPlan, lost: Mask, lead: tuple[int, ...]) -> Impossi
 
 
 def _contradiction(plan: EliminationPlan, run: int) -> tuple[list[Discrete], States]:
-    """The evidence of a run that contradicts itself, and the variables whose states it excludes.
+    """The variables whose evidence contradicts itself in a run, and those whose states it excludes.
 
-    The elimination is done again up to the first table that is zero throughout. Returns the
-    variables whose evidence went into that table, first those with hard, then those with soft
-    evidence; and the variables of the product that the table is the sum of, all of whose joint
-    states are impossible.
+    The elimination is done again up to the first step whose product is zero throughout. The list
+    has the variables whose evidence went into this product: those with hard evidence, then those
+    with soft. The tuple is the scope of the product: all joint states of it are impossible.
     """
     evidence = some_runs(plan.requisite.evidence, slice(run, run + 1))
     tables = Tables(plan, evidence, LOG_SUM_PRODUCT)

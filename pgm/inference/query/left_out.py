@@ -52,7 +52,10 @@ class Contradiction:
     part: EliminationPlan | TableCPD
 
     def error(self, evidence: BoundStates) -> ImpossibleEvidence:
-        """The error that refuses the impossible evidence; `evidence` is of the whole network."""
+        """The error that refuses the impossible evidence.
+
+        `evidence` is the evidence of the whole network.
+        """
         if isinstance(self.part, EliminationPlan):
             return refusal(self.part, self.lost, evidence.lead)
         cpd, lead = self.part, evidence.lead
@@ -109,11 +112,11 @@ def _state(variable: Discrete, evidence: BoundStates) -> int | Integers:
 
 
 def _has_zero(family: Family, evidence: BoundStates) -> bool:
-    """Whether a CPD's table has a zero after known states that are equal in all runs are put in.
+    """Whether a CPD's table has a zero at the known states of its variables.
 
-    A variable that is unknown, or whose state is given by run, counts with all its states. Where a
-    CPD is stored in a shorter form, such as a sparse matrix, and its full table would be above the
-    limit of memory, the table is not examined: the answer is then False.
+    All states are examined of a variable that is unknown, and of one whose known state may differ
+    from run to run. Where a CPD is stored in a shorter form, such as a sparse matrix, and its full
+    table would be above the limit of memory, the answer is False without an examination.
     """
     cpd, unknown = family
     if cpd._maps and math.prod(sizes(discrete(cpd.scope))) > limits.LIMIT:

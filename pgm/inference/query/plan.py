@@ -93,12 +93,12 @@ class EliminationPlan:
         weights: Sequence[int],
         stages: Sequence[int],
     ) -> EliminationPlan:
-        """The plan in weighted min-fill order: variables of stage 0 first, which are summed out.
+        """The plan in weighted min-fill order, with the variables asked for last.
 
-        Variables of stage 1, those asked for, come last. Here variables are numbers, their places
-        in `requisite.hidden`: they are the vertices of the graph `adjacent`, and `families` has
-        those of each CPD's table. `weights` (numbers of states, or ones) and `stages` have an entry
-        for each variable.
+        Here a variable is a number, its place in `requisite.hidden`. `families` has the variables
+        of each CPD's table, and `adjacent` the neighbours of each variable, with which it shares a
+        table. `weights` (numbers of states, or ones) and `stages` have an entry for each variable:
+        the stage is 1 for a variable asked for, 0 for one that is summed out.
         """
         found = min_fill(adjacent, weights, stages)
         position = [0] * len(found)
@@ -127,7 +127,10 @@ class EliminationPlan:
 
     @cached_property
     def peak(self) -> int:
-        """The largest number of entries of steps' tables held at a time, for one run."""
+        """The most entries, for one run, that the tables held at the same time have together.
+
+        Counted are the product of a step, and the results of earlier steps not used up before.
+        """
         first = len(self.scopes)
         states = [v.size for v in self.order]
         waiting: dict[int, int] = {}
@@ -140,7 +143,10 @@ class EliminationPlan:
         return peak
 
     def require_size(self) -> None:
-        """Raise a GraphError if `peak` is above the limit of memory, before any table is made."""
+        """Raise a GraphError if the tables need more memory at a time than the limit allows.
+
+        This is known from their sizes, before any table is made.
+        """
         if self.peak <= limits.LIMIT:
             return
         sizes = self.sizes
@@ -160,11 +166,12 @@ class EliminationPlan:
 def _steps(scopes: Sequence[tuple[int, ...]], sizes: Sequence[int], hidden: int) -> list[Step]:
     """The steps of bucket elimination, which sums the first `hidden` variables out one by one.
 
-    `scopes` are those of the tables to begin with, `sizes` the numbers of states of all variables.
-    Each table waits in the bucket of the first of its variables; a step multiplies the tables of a
-    bucket, and its result goes to a later bucket. A result alone in its bucket is summed over one
-    more variable by the step that makes it. The last step multiplies the tables that are left, and
-    sums over nothing.
+    `hidden` counts the variables not asked for. `scopes` are those of the CPDs' tables and of the
+    evidence weights, `sizes` the numbers of states of all variables in the plan's order. Each table
+    waits in the bucket of the first of its variables; a step multiplies the tables of a bucket, and
+    its result goes to a later bucket. A result alone in its bucket is summed over one more variable
+    by the step that makes it. The last step multiplies the tables that are left, and sums over
+    nothing.
     """
     buckets: list[list[int]] = [[] for _ in range(hidden + 1)]
     held = list(scopes)

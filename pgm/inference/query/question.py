@@ -55,19 +55,20 @@ def query(
     .. math:: p(\text{variables} \mid \text{evidence})
               \propto \sum_{\text{others}} \prod_{\text{CPDs}} p(\text{child} \mid \text{parents})
 
-    The answer is exact, and that of ``infer(compile(network), evidence).joint(*variables)`` if the
-    columns of CPDs sum to one exactly; rounded ones may change it as much as they are off. It is
-    computed from what bears on the variables alone: CPDs on which nothing that is asked for or
-    observed depends are left out, and those that the evidence separates from the variables. So a
-    network whose junction tree is too large may still be asked. One question costs less than all
-    marginals; for many at the same evidence, `infer` once.
+    The answer is exact, and equal to ``infer(compile(network), evidence).joint(*variables)`` if all
+    columns of the CPDs sum to one exactly; otherwise the two may differ by as much as the sums
+    differ from one. CPDs that do not bear on the variables are left out: those of variables that
+    are neither asked for nor observed and have no such descendant, and those that the evidence
+    separates from the variables asked for. A query may therefore be possible in a network whose
+    junction tree is too large. One query costs less than all marginals; for many at the same
+    evidence, call `infer` once.
 
     Parameters
     ----------
     network : BayesianNetwork or ClusterGraph
-        Discrete. With a compiled tree, the tree's posterior gives the answer where that takes less
-        time: keep the graph where a small network is asked often. A graph with loops stands for its
-        network.
+        Discrete. If it is a compiled tree, the answer is read from the tree's posterior where that
+        takes less time: for many queries of a small network, compile it once and pass the graph. Of
+        a compiled graph with loops, the network that it was compiled from is used.
     variables : Discrete or iterable of Discrete
         Not observed in all runs. The axes of the result are in this order.
     evidence : mapping of Discrete, optional
@@ -141,10 +142,11 @@ def query(
 def _require_possible_elsewhere(
     elsewhere: Sequence[Contradiction], evidence: BoundStates, before: int
 ) -> None:
-    """Raise the error of the first run with a contradiction, if that run is before run `before`.
+    """Raise the error of the first contradiction, if its first run is before run `before`.
 
-    `elsewhere` are the contradictions among the CPDs that the query leaves out, `evidence` is that
-    of the whole network.
+    `elsewhere` are the contradictions among the CPDs that the query leaves out, each with a mask of
+    runs; the first is the one of the earliest run. `evidence` is that of the whole network.
+    `before` is the first run that the query's own part finds impossible, or the number of runs.
     """
     first = min(elsewhere, key=lambda each: int(each.lost.argmax()), default=None)
     if first is not None and int(first.lost.argmax()) < before:

@@ -1,4 +1,8 @@
-"""The part of a discrete network that bears on a query."""
+"""The part of a discrete network that bears on a query: its CPDs, hidden variables and evidence.
+
+Outside this part are the CPDs of variables that are neither asked for nor observed and have no such
+descendant, and the CPDs that the evidence separates from the variables asked for.
+"""
 
 from __future__ import annotations
 
