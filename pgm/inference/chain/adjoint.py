@@ -137,7 +137,8 @@ class CarefulSmoothed:
     `slices` has for each step its belief given all measurements, or given the measurements up to a
     fixed lag after the step. `beliefs` are the moments of these beliefs in float64. `layout` says
     where the variables stand in a slice. If `beliefs` has infinite variances at any step, `proper`
-    (T+1, runs, n, n) are finite covariances along the directions that are known; else it is None.
+    (T+1, runs, n, n) has finite covariances in their place, at which CPDs can be linearised: those
+    without the part that unknown directions of δ add; else it is None.
     """
 
     careful: Careful
@@ -195,7 +196,8 @@ class CarefulSmoothed:
         """The smoothed moments, as a point at which CPDs can be linearised.
 
         They are the moments of the slices and the covariances of `pairs`. The latter are None if
-        one CPD makes the whole slice of the whole slice before, which does not need them.
+        the transition is one CPD, of the whole slice given the whole slice before, since the
+        moments of the slices are enough to linearise it.
         """
         pairs = None if self.layout.single else self.pairs()
         return Point(self.beliefs.mean, self.beliefs.cov, pairs, self.proper)
@@ -220,6 +222,7 @@ class CarefulSmoothed:
         """A copy of the result whose smoothed means are `mean` (T+1, runs, n).
 
         A step control (Levenberg–Marquardt) reports means of its own in place of the solution's.
+        Covariances stay as they are, and `plan` is not used.
         """
         shift = mean - self.beliefs.mean
         slices = [

@@ -1,16 +1,20 @@
 r"""Associating sightings of unknown identity, for Gaussian beliefs: each with a candidate.
 
-A sighting is one measurement of a sensor. It is *open* if one parent of the sensor is unknown: one
-of k candidates m_j with prior probabilities w_j, say the landmarks of a map. An open sighting may
-also be *spurious*, or of a *new* thing that is no candidate. At the belief N(μ, P) of its step, a
-sighting z that is linearised with candidate m_j as ẑ_j + H_j (x − μ) + e, e ~ N(0, R_j), has the
-innovation ν_j = z − ẑ_j with covariance S_j = H_j P H_jᵀ + R_j. Candidates whose ν_jᵀ S_j⁻¹ ν_j
-exceeds the χ² quantile of the candidates' gate, a probability, are ruled out. Of the others the one
-of largest ln w_j + ln N(ν_j; 0, S_j) is chosen. The user gives a sensor's `association`: with
-"likelihood" each sighting is decided by itself, with "joint" all of a step together
-(`joint_compatibility.py`); "sum", a sum over the candidates, is refused here. The belief is
-conditioned on the step's sightings that are not open first, then on those of one open sensor after
-another, with the candidates chosen.
+A sighting is one measurement of a sensor, of d components. It is *open* if one parent of the sensor
+is unknown: one of k candidates m_j with prior probabilities w_j, say the landmarks of a map. An
+open sighting may also be *spurious*, or of a *new* thing that is no candidate. At the belief
+N(μ, P) over the slice x of its step, the vector of n hidden components, a sighting z that is
+linearised with candidate m_j as ẑ_j + H_j (x − μ) + e, e ~ N(0, R_j), has the innovation
+ν_j = z − ẑ_j with covariance S_j = H_j P H_jᵀ + R_j. Candidates whose ν_jᵀ S_j⁻¹ ν_j exceeds the χ²
+quantile of the *candidates' gate*, a probability, are ruled out. Of the others the one of largest
+ln w_j + ln N(ν_j; 0, S_j) is chosen. The user gives a sensor's `association`: with "likelihood"
+each sighting is decided by itself, with "joint" all of a step together; "sum", a sum over the
+candidates, is refused here. The belief is conditioned on the step's sightings that are not open
+first, then on those of one sensor with open sightings after another, with the candidates chosen.
+
+There may be a *filter's gate*, too: one probability for all sensors, or a mapping from sensors to
+theirs. A sighting whose νᵀS⁻¹ν exceeds the χ² quantile of that is not used; of an open sighting
+this is the ν of the candidate chosen.
 """
 
 from __future__ import annotations
@@ -60,9 +64,9 @@ def associated(
 ) -> Associated:
     """Associate the open sightings of all steps by a filter that linearises each CPD once.
 
-    `bound` is the evidence, open sightings included. `gate` is the filter's gate (see `gate.py`),
-    for all sightings: an open one is tested with its chosen candidate. None is no gate. An
-    EvidenceError refuses a prior of infinite variance, and sensors whose `association` is "sum".
+    `bound` is the evidence, open sightings included. `gate` is the filter's gate, for open and
+    other sightings; None is no gate. An EvidenceError refuses a prior of infinite variance, and
+    sensors whose `association` is "sum".
     """
     known = replace(bound, readings=tuple(r for r in bound.readings if r.unknown is None))
     plan = ChainPlan.make(graph, known, lineariser)
@@ -97,9 +101,9 @@ def associated_at(
     """Associate the open sightings of one step, at its predicted `belief`.
 
     `bound` has the measurements of that step alone, as its step 0; `step` is the step's number in
-    the chain, for CPDs that depend on time and for the texts of errors. `gate` is the filter's gate
-    for all sightings, None for no gate. An EvidenceError refuses sensors whose `association` is
-    "sum".
+    the chain, for CPDs that depend on time and for the texts of errors. `gate` is the filter's
+    gate, for open and other sightings; None is no gate. An EvidenceError refuses sensors whose
+    `association` is "sum".
     """
     pending = [_Pending(reading, gate) for reading in bound.readings if reading.unknown is not None]
     known = tuple(reading for reading in bound.readings if reading.unknown is None)
@@ -129,7 +133,7 @@ class _Pending:
 
     `reading` has all sightings of the sensor at all steps, one *row* a sighting, sorted by step; it
     names the unknown parent and its candidates. An EvidenceError refuses the association "sum".
-    `gate` is that of the filter, None for no gate.
+    `gate` is the filter's gate, None for no gate.
 
     The lists `probability`, `values` and `taken` have an array for each sighting decided so far, in
     the order of the rows. `probability` (runs, k + 2) is that of the sighting being of each
@@ -210,10 +214,10 @@ class _Pending:
 
         The result is 0 for the choice and −∞ for all else, (sightings, runs, k + 2). `terms`, of
         the same shape, are the logarithms of unnormalised probabilities in the order of
-        `probability`, −∞ outside the gate. `pairs` are the innovations of each sighting with each
-        candidate, and `cov` is P (runs, n, n). The candidates must have a gate. A sighting without
-        a candidate is taken for spurious or new, whichever is likelier. A search of too many
-        hypotheses is refused with an EvidenceError.
+        `probability`, −∞ outside the candidates' gate, which there must be. `pairs` are the
+        innovations of each sighting with each candidate, and `cov` is P (runs, n, n). A sighting
+        to which the search gives no candidate is taken for spurious or new, whichever is likelier.
+        A search of too many hypotheses is refused with an EvidenceError.
         """
         assert self.unknown.gate is not None
         compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
@@ -267,7 +271,7 @@ class _Pending:
         )
 
     def part(self, rows: range) -> Reading:
-        """The sightings at some rows, with the candidates chosen for them, all put at a step 0.
+        """The sightings at some rows, as if all of step 0, with the candidates chosen for them.
 
         Candidates must have been chosen for all these sightings before.
         """
@@ -310,9 +314,9 @@ def _taken(
 ) -> Moments:
     """The belief over the slice at `step`, conditioned on measurements of that step, `readings`.
 
-    Each reading has its sightings at a step 0; `step` is the step's number in the chain. `gate`
-    decides which sightings are used, None for all. Of the evidence `bound` only the number and the
-    axes of the runs are used.
+    Each reading has its sightings at a step 0; `step` is the step's number in the chain. `gate` is
+    the filter's gate, None if all sightings are to be used. The evidence `bound` tells only how
+    many runs there are, and how the user lays them out along axes.
     """
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
@@ -323,9 +327,9 @@ def _taken(
 class _Pairs(NamedTuple):
     """The innovation ν of each sighting with each candidate, (rows, runs, candidates, ...).
 
-    Rows are the sightings, and n is the slice's number of components. `density` is ln N(ν; 0, S),
-    `square` νᵀS⁻¹ν, `size` the number of components measured. `matrix` is H (..., d, n), `residual`
-    ν (..., d), `noise` R (..., d, d); a missing component has H = 0, ν = 0 and unit variance.
+    Rows are the sightings. `density` is ln N(ν; 0, S), `square` νᵀS⁻¹ν, `size` the number of
+    components measured. `matrix` is H (..., d, n), `residual` ν (..., d), `noise` R (..., d, d); a
+    component that was not measured has H = 0, ν = 0 and, in R, unit variance without correlation.
     """
 
     density: Array
@@ -347,10 +351,11 @@ def _innovations(
 ) -> _Pairs:
     """The innovations of each sighting with each candidate, linearised at the belief of its run.
 
-    `reading` has each sighting with each candidate as a run of its own, in the layout of
-    `_expanded`, and `rows` is the number of sightings. `belief` is over the slice at `step`; its
-    runs are those of `bound`, of which nothing else is used. An S that is singular, indefinite or
-    not finite is refused with a NumericalError.
+    `reading` has a run for each sighting, run of `bound` and candidate, with that candidate as the
+    value of the unknown parent; of these runs candidates vary fastest and sightings slowest. `rows`
+    is the number of sightings. `belief` is over the slice at `step`, in the runs of `bound`; of
+    `bound` only the number of runs is used. An S that is singular, indefinite or not finite is
+    refused with a NumericalError.
     """
     every = reading.values.shape[1]
     one = BoundEvidence(0, (every,), (), (reading,))

@@ -1,9 +1,12 @@
 """The backward sweep: Bayes' rule reverses every transition, then beliefs flow back.
 
 The vector of a step, its *slice* (n components), holds states and hidden controls; only the states
-act on the next slice. A transition, with the filtered belief before it, is reversed to an affine
+act on the next slice. A *conditional* is affine, p(y | x) of y = F x + b + noise: a matrix F, an
+offset b and a noise covariance. A transition, with the filtered belief before it, is reversed to a
 conditional of the states at t given the slice at t + 1 and the measurements up to t. The filtered
-belief at T is the smoothed one there, and is pushed back through these conditionals.
+belief at T is the smoothed one there, and is pushed back through these conditionals. So a backward
+pass needs the forward pass (`Ahead`), which has the predicted and the filtered moments of all
+steps, and the reversed chain (`Reverse`), which has the conditionals.
 
 The reversed chain exists even where messages in information form (`messages.py`) do not, as for a
 static state that is measured without noise. Arrays have the steps first and the runs second.
@@ -32,10 +35,10 @@ _FEW_STEPS = 64
 
 
 def transition(plan: ChainPlan) -> Conditional:
-    """The slice at t given the states at t − 1, all CPDs as one affine conditional: (T, runs, ...).
+    """The conditional p(slice at t | states at t − 1) that the transition's CPDs make together.
 
-    Row t − 1 is of step t; the matrix has a row for each component of the slice, and a column for
-    each component of the states.
+    Its arrays are (T, runs, ...), and row t − 1 is of step t. The matrix (T, runs, n, m) has a
+    column for each of the m components of the states.
     """
     if plan.layout.single:
         family = plan.transition[0].family
@@ -196,7 +199,11 @@ class _Step(NamedTuple):
 
 
 def _reverse(step: _Step) -> Conditional:
-    """p(states at t | slice at t + 1, measurements up to t) by Bayes' rule, for many t at once."""
+    """p(states at t | slice at t + 1, measurements up to t) by Bayes' rule, for many t at once.
+
+    `step` has the filtered moments of the states at these t, the transitions from there, and the
+    predicted moments of the slices at t + 1. The result has the same rows.
+    """
     return moments.reverse(*step)
 
 
@@ -233,9 +240,10 @@ class Beliefs:
 
 
 def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
-    """Smoothed moments of every slice: by a scan, or step by step where that is faster.
+    """Smoothed moments of every slice: by a parallel scan, or step by step where that is faster.
 
-    Moments that `reverse` has already are returned as they are.
+    Machine code may have found them when it reversed the chain; then `reverse` has them, and they
+    are returned.
     """
     if reverse.beliefs is not None:
         return reverse.beliefs
@@ -244,7 +252,11 @@ def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
 
 
 def scan(forward: Ahead, reverse: Reverse) -> Beliefs:
-    """Smoothed moments of every slice by a parallel scan, in 2 log₂ T rounds."""
+    """Smoothed moments of every slice by a parallel scan, in 2 log₂ T rounds.
+
+    A round composes conditionals of `reverse`, or pushes beliefs through such products, at many
+    steps at once. The scan begins with the filtered belief at T, from `forward`.
+    """
     start = Moments(forward.mean[-1:], forward.cov[-1:])
     back = Conditional(*(part[::-1] for part in reverse.whole))
     found = prefixes(start, levels(back, compose_conditionals), push_moments)
@@ -256,7 +268,10 @@ def scan(forward: Ahead, reverse: Reverse) -> Beliefs:
 
 
 def sweep(forward: Ahead, reverse: Reverse) -> Beliefs:
-    """Smoothed moments of every slice, one step after another."""
+    """Smoothed moments of every slice, one step after another.
+
+    The filtered belief at T, from `forward`, is pushed back through the conditionals of `reverse`.
+    """
     mean, cov = np.empty_like(forward.mean), np.empty_like(forward.cov)
     last = forward.mean[-1], forward.cov[-1]
     for step, belief in loops.backward(reverse, len(mean) - 1, last):
@@ -297,10 +312,11 @@ def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
 
 
 def pairs(beliefs: Beliefs, reverse: Reverse, steps: slice | int) -> Beliefs:
-    """Smoothed moments of the pairs (states at t − 1, slice at t), from those of the slices.
+    """Joint smoothed moments of the pairs (states at t − 1, slice at t).
 
-    `steps` picks values of t − 1, which is from 0 to T − 1, by a Python slice or an int. Moments
-    are (picked steps, runs, ...), or (runs, ...) for an int.
+    `beliefs` are the smoothed moments of the slices. `steps` picks values of t − 1, which is from 0
+    to T − 1, by a Python slice or an int. The result is (picked steps, runs, ...), or (runs, ...)
+    for an int; components are those of the states, then those of the slice.
     """
     conditional = Conditional(*(part[steps] for part in reverse.states))
     slice_mean, slice_cov = beliefs.mean[1:][steps], beliefs.cov[1:][steps]

@@ -29,9 +29,10 @@ from pgm.kernels.prefixes import take
 class BalancedPosterior(ChainPosterior):
     """The beliefs of a balanced cluster tree after a schedule of messages.
 
-    Only its messages and beliefs of clusters differ from those of the chain of slices. After
-    smoothing messages and beliefs are those of a calibrated tree. After filtering a message down to
-    a segment knows only the measurements up to the segment's left end, and cluster 0 is sent none.
+    Beliefs over variables and slices are found as on the chain of slices; messages and beliefs of
+    clusters are those of the balanced tree `graph`. After smoothing they are those of a calibrated
+    tree. After filtering a message down to a segment knows only the measurements up to the
+    segment's left end, and cluster 0 is sent none.
     """
 
     graph: BalancedGraph
@@ -157,7 +158,11 @@ class BalancedPosterior(ChainPosterior):
 
 
 def _composed(segments: Element) -> Element:
-    """The S successive segments (S, ...) composed to one, (1, ...), in log₂ S rounds."""
+    """The S successive segments (S, ...) composed to one, (1, ...), in log₂ S rounds.
+
+    Segments are given by the affine conditional of the states at their end given those at their
+    beginning, and a likelihood over the latter.
+    """
     while (count := segments.F.shape[0]) > 1:
         even = count - count % 2
         pairs = compose(take(segments, slice(0, even, 2)), take(segments, slice(1, even, 2)))
@@ -168,7 +173,11 @@ def _composed(segments: Element) -> Element:
 
 
 def _side_by_side(left: Canonical, right: Canonical) -> Canonical:
-    """The product of two canonical forms, over the variables of the first and then the second."""
+    """The product of two canonical forms, over the variables of the first and then the second.
+
+    Each form is K (..., m, m), h (..., m) and g (...), over variables of its own; the product has
+    2m components.
+    """
     size = left[1].shape[-1]
     precision = np.zeros((*left[1].shape[:-1], 2 * size, 2 * size))
     precision[..., :size, :size], precision[..., size:, size:] = left[0], right[0]

@@ -199,11 +199,11 @@ def update(
 class CarefulUpdate:
     """The belief after a step's measurements, and the estimate of δ given all measurements so far.
 
-    `belief` is a function of δ, `unknown` the estimate of δ, and `mean` (runs, n) and `spread` are
-    the moments of the belief in float64 with that estimate. `log_density` (runs,) is ln
-    p(measurements | earlier ones). `components` are the scalar measurements in the order in which
-    they were taken in; `information` (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S over these and all
-    earlier ones.
+    `belief` is a function of δ, and `unknown` the estimate of δ. With that estimate the belief has
+    in float64 the mean `mean` (runs, n) and the covariance `spread`, which is infinite along
+    directions still unknown. `log_density` (runs,) is ln p(measurements | earlier ones).
+    `components` are the scalar measurements in the order in which they were taken in; `information`
+    (runs, 1 + q, 1 + q) is Σ [v V]ᵀ[v V] / S over these and all earlier ones.
     """
 
     mean: Array
@@ -264,11 +264,12 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
     ) -> CarefulReading:
         """The update of a predicted belief by the measurements at `step`.
 
-        `step` counts from the plan's first, which is 0. `mean` (runs, n) and `spread` are
-        the moments of `belief` in float64, δ being estimated from `information`. With a schedule
-        the schedule's gates reject sightings, and `gated` is not used. Without one the plan's
-        linearisations are used, and the gates `gated` reject sightings, None for no gates. Gates
-        decide in this call alone, at the predicted belief, not again at later linearisations.
+        `step` counts from the plan's first, which is 0. `mean` (runs, n) and `spread` are the mean
+        and the covariance of `belief` in float64, δ being estimated from `information`; `spread` is
+        infinite along directions still unknown. With a schedule the schedule's gates reject
+        sightings, and `gated` is not used. Without one the plan's linearisations are used, and the
+        gates `gated` reject sightings, None for no gates. Gates decide in this call alone, at the
+        predicted belief, not again at later linearisations.
         """
         chain, at = MomentChain(plan, schedule, gated=gated), Moments.of(plan, mean, spread.shown)
         parts = chain.readings(step)
@@ -294,7 +295,11 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
     def raised(self, found: CarefulUpdate, surplus: Array | float) -> CarefulUpdate:
-        """The same belief, with `surplus` added to the log-density of its measurements."""
+        """The update `found`, with `surplus` (runs,) or one number added to its log-density.
+
+        Robust noise is N(0, R/w) with a weight w in an update; the surplus is the log-density of
+        the robust noise itself less that of N(0, R/w).
+        """
         return replace(found, log_density=found.log_density + surplus)
 
     @quiet()

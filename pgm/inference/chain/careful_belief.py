@@ -76,8 +76,9 @@ class Belief(NamedTuple):
     def of(cls, mean: Array, cov: Array) -> Belief:
         """A belief in twice the digits, from moments (runs, n) and (runs, n, n) in float64.
 
-        Its bounds are those of float64: a few ε of each variance, and for each mean ε of itself and
-        10⁻⁸ standard deviations, which earlier steps may have moved it by.
+        Its bounds are those of float64, of relative rounding ε: a few ε of each variance, and for a
+        mean ε of itself and 10⁻⁸ standard deviations, for the rounding of earlier steps. The result
+        does not depend on δ (q = 0).
         """
         found = cls.first(Twofold(mean[..., None]), Twofold(cov), _LAST_DIGIT, _EPS)
         return found._replace(drift=found.drift + diagonal(_STEPS**2 * np.abs(variances(cov))))
@@ -191,7 +192,10 @@ def through(matrix: Array, bound: Array) -> Array:
 
 
 def _summed(matrix: Array, cov: Array) -> Array:
-    """Σ_jk |F_ij| |P_jk| |F_ik|, (..., d): the size of the summands of each variance of F P Fᵀ."""
+    """Σ_jk |F_ij| |P_jk| |F_ik|, (..., d): how large the summands of each variance of F P Fᵀ are.
+
+    F is `matrix` (..., d, n), P is `cov` (..., n, n).
+    """
     size = np.abs(matrix)
     found: Array = ((size @ np.abs(cov)) * size).sum(axis=-1)
     return found
@@ -292,8 +296,9 @@ def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
 def rounded_belief(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
     """The mean m + D δ (runs, n) and the covariance P + D Cov(δ) Dᵀ in float64, at an estimated δ.
 
-    `unknown` is the estimate of δ. The covariance is a `Diffuse`, whose open directions are D O,
-    the columns of O being the directions of δ of which nothing is known.
+    `unknown` is the estimate of δ. The covariance is a `Diffuse`: it has, apart from the finite
+    P + D Cov(δ) Dᵀ, the directions in which the variance is infinite, as the columns of D O; the
+    columns of O are the directions of δ of which nothing is known.
     """
     mean, cov = (belief.columns @ unknown.weights).hi[..., 0], belief.cov
     if unknown.open.shape[-1]:
@@ -388,9 +393,9 @@ def take(
 
 
 def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twofold, Twofold, Mask]:
-    """The measurements of a step as D scalars z = h x + e with independent errors e.
+    """The measurements of a step as k scalars z = h x + e with independent errors e.
 
-    Returns the rows [h z] (runs, D, n + 1), the errors' variances (runs, D), and the mask (runs, D)
+    Returns the rows [h z] (runs, k, n + 1), the errors' variances (runs, k), and the mask (runs, k)
     of the scalars that were measured; rows of the rest are zero. `parts` has the linearised
     measurements of each sensor, and `width` is n. h is over the slice, and the CPD's offset is
     subtracted from z. With a noise covariance R = U diag(r) Uᵀ that has correlations, U being unit

@@ -14,7 +14,7 @@ filter and smoother can cancel so, and each has its ratio κ:
   readings before it leave open is its pivot L_jj² (S = L Lᵀ), and κ = (Σ_i |h_i| σ_i)² / L_jj².
 
 Every κ must stay below `MODERATE`, 2·10⁷, which leaves κ ε ≤ 4.4·10⁻⁹. The segments that a
-balanced tree composes multiply such losses, hence their limit is lower, `GENTLE`.
+balanced tree composes multiply such losses, hence their limit is lower, `GENTLE`, 4·10⁶.
 
 Means have a test of their own. A mean is rounded to ε times the largest number that it came from,
 which may stand at another step: a start of 10⁸ m, say, for a state that is known to 1 mm later. The
@@ -74,9 +74,9 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits.
 
     `smoothed` are the smoothed covariances (T+1, runs, n, n), or None after a filter; the plan is
-    as it was linearised for the pass. A `Filtered` is a pass that kept no predicted covariances: of
-    it only the means are judged, and `closest`, the smallest share of a variance that its sweep
-    found left, given other components or after a measurement.
+    as it was linearised for the pass. A `Filtered` is a pass that kept no predicted covariances.
+    Only its means are judged, and its `closest`: the smallest 1/κ of the module's first two
+    ratios κ, as recorded during the pass.
     """
     with np.errstate(all="ignore"):  # a ratio of what is not finite is no moderate one
         if swept.far and _means_sink(swept, both=smoothed is not None):
@@ -98,8 +98,9 @@ def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
     """Whether segments of a chain with these covariances compose without a loss of digits.
 
     `predicted` and `known` are the covariances before and after measurements, (T+1, runs, n, n).
-    Segments compose if no measurement leaves less than 1 / `limit` of a variance, and each
-    component keeps over 1 / `limit` of its variance, given the components before it in the vector.
+    Segments compose if the measurements of no step leave less than 1 / `limit` of a variance, other
+    than zero, and each component keeps over 1 / `limit` of its variance, given the components
+    before it in the vector.
     """
     with np.errstate(all="ignore"):
         stands = _hold(predicted, known, limit)
@@ -109,10 +110,10 @@ def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
 def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
     """Whether the rounding of a mean that is large at one step counts at another one.
 
-    Rounding moves a mean by ε |m| / σ standard deviations. The error is carried along the chain, to
-    later steps, and with `both`, after smoothing, to earlier ones: there it is at most as many
-    standard deviations. It counts where it is over 3·10⁻⁸ and over 30 times the rounding of the
-    step's own means.
+    Rounding moves a mean by ε |m| / σ standard deviations. The error is carried to later steps, and
+    by a smoother, which `both` says, to earlier ones; it is taken for as many standard deviations
+    there, which bounds it. At another step it counts where it is over 3·10⁻⁸, and over 30 times
+    the rounding of that step's own means.
     """
     mean, left = swept.mean, variances(swept.cov)
     if not last_place.may_count(mean, left, _COUNTS):
@@ -139,7 +140,8 @@ def _hold(before: Array, after: Array, limit: float) -> bool:
     """Whether no variance falls to less than 1 / `limit` from before measurements to after them.
 
     `before` and `after` are covariances (T+1, runs, n, n), the latter maybe smoothed. A variance
-    that falls to zero is known exactly, which loses nothing; a negative one is rounding.
+    that falls to zero is known exactly, which loses nothing, so that it passes; one that falls
+    below zero is rounding, and does not.
     """
     left = variances(after)
     fallen = limit * left < variances(before)

@@ -191,8 +191,8 @@ def _of_reading(moved: Array, family: Family, cov: Array, noise: Array) -> Array
     """The squared shares of measurements, e²/R · HPHᵀ/(HPHᵀ + R), (rows, runs, d).
 
     `moved` is e (rows, runs, d), `cov` P (rows, runs, n, n) of the parents, of n components, before
-    the measurement, and `noise` the variances R (rows, runs, d). A component without noise leaves
-    no variance to count in, and HPHᵀ takes the place of R.
+    the measurement, and `noise` the variances R (rows, runs, d). Where R is zero HPHᵀ takes its
+    place, as the belief after the measurement has no standard deviation there to divide by.
     """
     known = np.maximum(variances(sandwich(family.matrix, cov)), 0.0)
     floor = np.where(noise > 0.0, noise, known)

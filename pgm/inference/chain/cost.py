@@ -64,9 +64,9 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
 def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Array]]:
     """The links of prior and transition, each with the moments of its parents and its child's mean.
 
-    Yields the link, its parents' means (rows, runs, n) and covariances (rows, runs, n, n), n being
-    the parents' number of components (in `at` it is the slice's), and the child's means
-    (rows, runs, d), all at the point `at`. There is one row for the prior, T for a transition.
+    `at` has the moments of all slices. Yields the link, its parents' means (rows, runs, k) and
+    covariances (rows, runs, k, k), k being the parents' number of components, and the child's means
+    (rows, runs, d), all as `at` has them. There is one row for the prior, T for a transition.
     """
     states = plan.layout.state_places
     mean, cov = at.start(states)
@@ -147,7 +147,8 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
 
     `residual` has the r, (k, runs, d), `cov` the C, (k, runs, d, d). Components of infinite
     variance do not count, nor do those that the components before them determine, where C is
-    singular. An indefinite C is refused with a NumericalError that names the CPD.
+    singular. A C that is indefinite or not finite is refused with a NumericalError that names the
+    CPD.
     """
     total = squares(residual, cov)
     if total is None:
@@ -164,7 +165,8 @@ def squares(residual: Array, cov: Array) -> Array | None:
     """The sum of rᵀ C⁺ r over k residuals r with their covariances C, (runs,).
 
     `residual` has the r, (k, runs, d), `cov` the C, (k, runs, d, d). Components of infinite
-    variance do not count. The result is None if, without these, any C is indefinite or not finite.
+    variance do not count, nor do those that the components before them determine. The result is
+    None if any C is indefinite or not finite, apart from its infinite variances.
     """
     flat = np.isinf(np.einsum("...ii->...i", cov))
     if flat.any():
@@ -181,11 +183,11 @@ def squares(residual: Array, cov: Array) -> Array | None:
 def require_cost(
     schedule: Filtering | Smoothing, families: Iterable[Family], *, first: bool = True
 ) -> None:
-    """Refuse nonlinear CPDs of singular noise if steps are controlled by their cost.
+    """Refuse nonlinear CPDs of singular noise, with a ModelError, if a cost controls the steps.
 
-    Their cost would be infinite nearly everywhere; the refusal is a ModelError. Other schedules and
-    families pass. `first` says that the first linearisation is a filter's, so that a schedule of
-    one iteration has no step to control.
+    Their cost would be infinite nearly everywhere. Schedules without Levenberg–Marquardt damping
+    pass, and so do linear CPDs. `first` says that the first linearisation is made by a filter; a
+    schedule of this single iteration controls no step, and passes.
     """
     once = first and schedule.iterations == 1
     if once or not isinstance(schedule.damping, LevenbergMarquardt):

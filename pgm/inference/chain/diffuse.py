@@ -93,8 +93,9 @@ class Diffuse(NamedTuple):
 
         `matrix` is H (..., d, n), `residual` ν = z − Hμ (..., d), `noise` R (..., d, d). Where
         U = H O is zero the innovations are ν, and their covariances (..., d, d) are S. Else they
-        are Cν and C S Cᵀ, with a zero of unit variance in place of each of the rank U (...)
-        combinations that are unknown, so that their square νᵀS⁻¹ν is that of d − rank U components.
+        are Cν and C S Cᵀ, filled up to d components with a zero of unit variance in place of each
+        of the rank U combinations that are unknown, which adds nothing to their square νᵀS⁻¹ν. The
+        third result is rank U (...).
         """
         reach = self.reach(matrix)
         lead = reach.shape[:-2]

@@ -246,10 +246,11 @@ class Beginning(NamedTuple):
 class Window:
     """A window after its last iteration: its forward pass `ahead`, and its smoothed `beliefs`.
 
-    `moved` (steps, runs, n) is `beliefs.mean` less the means of the last solution, zero unless step
-    control held the former back. `residuals` has for each relinearisation the largest distance of a
-    mean from where it was linearised, in standard deviations, (runs,); `converged` (runs,) marks
-    the runs that settled. `careful` is the solution in twice the digits, where float64 had too few.
+    `moved` (steps, runs, n) is `beliefs.mean` less the means of the last solution, zero unless a
+    step control kept other means than the solution's. `residuals` has for each relinearisation the
+    largest distance of a mean from where it was linearised, in standard deviations, (runs,);
+    `converged` (runs,) marks the runs that settled. `careful` is the solution in twice the digits,
+    where float64 had too few.
     """
 
     plan: ChainPlan
@@ -343,8 +344,9 @@ def _cut(
 ) -> tuple[ChainPlan, Beginning | None]:
     """The plan of the steps first..last, and the belief that it begins with.
 
-    This is `begin`, given the measurements of step `first`; if `begin` has one run, the result has
-    it for each run of the plan. None means that the plan begins with the prior; so does the result.
+    `begin` is the belief at step `first`, given its measurements, and is returned with a copy for
+    each run of the plan if it has one run only. If it is None, the plan begins with the prior, and
+    None is returned in its place.
     """
     if begin is None:
         return plan.window(first, last), None
@@ -357,9 +359,11 @@ def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
 
 
 def _settled(chain: Chain[Either], schedule: FixedLag) -> Iterated[Either]:
-    """Smooth a window, of which `chain` has the plan and the solver, until it settles.
+    """Smooth a window again and again, as the schedule says, until its means settle.
 
-    A linear window is settled by its first solution.
+    `chain` has the window's plan, linearised already, and the solver. Returns the last solution,
+    its means as step control left them, and which runs converged. A linear window is settled by its
+    first solution.
     """
     plan = chain.plan
     linear = all(family.settled for family in plan.families if family.step.size)

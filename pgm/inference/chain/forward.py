@@ -51,11 +51,11 @@ class Forward:
 
     `predicted_mean` and `predicted_cov` are those before measurements. Controls at step 0 are zero.
     `log_density` (T+1, runs) is ln p of each step's measurements given those of the steps before.
-    `closest` is the smallest share that is left of a component's variance, given the components
-    before it or after a measurement; zero if it was not looked for. `far` says that a mean may be
-    10⁸ standard deviations from zero; it is true also if that was not checked. `diffuse` has the
-    covariances before measurements along their known and their unknown directions, None unless a
-    flat prior leaves some unknown.
+    `closest` is the smallest share that any component's variance keeps when the components before
+    it in the slice are given, or when a step's measurements are; zero if it was not looked for.
+    `far` says that a mean may be 10⁸ standard deviations from zero; it is true also if that was not
+    checked. `diffuse` has the covariances before measurements along their known and their unknown
+    directions, None unless a flat prior leaves some unknown.
     """
 
     predicted_mean: Array
@@ -92,11 +92,12 @@ class Forward:
 class Filtered:
     """The known beliefs of a forward sweep; a second sweep finds the predicted beliefs if asked.
 
-    `mean` (T+1, runs, n) and `cov` (T+1, runs, n, n) are the known moments, and `log_density`
-    (T+1, runs) is ln p of each step's measurements given those of the steps before. `plan` is the
-    one that was swept, and `schedule` that of the second sweep. `closest` is the smallest share
-    that is left of a component's variance, given the components before it or after a measurement.
-    `far` says that a mean may be 10⁸ standard deviations from zero, or that this was not checked.
+    `mean` (T+1, runs, n) and `cov` (T+1, runs, n, n) are the known moments, and `log_density` (T+1,
+    runs) is ln p of each step's measurements given those of the steps before. `plan` is the one
+    that was swept, and `schedule` says how the second sweep linearises. `closest` is the smallest
+    share that any component's variance keeps when the components before it in the slice are given,
+    or when a step's measurements are. `far` says that a mean may be 10⁸ standard deviations from
+    zero, or that this was not checked.
     """
 
     plan: ChainPlan
@@ -114,12 +115,14 @@ class Filtered:
 
 
 class Watch:
-    """An observer of a sweep, which finds the smallest share of a variance left, for `certificate`.
+    """An observer of a sweep, which finds how small a share of a variance is ever left.
 
-    `closest` is the smallest share so far of a component's variance that is left given the
-    components before it in the vector, or after a *sharp* measurement. A measurement is *mild* if
-    it is known to leave a thousandth of each variance or more, else sharp. Covariances are looked
-    at before and after sharp measurements, where variances have grown, and at some steps between.
+    The share tells whether float64 had digits enough (`certificate`). A step's measurements are
+    *mild* if they are known to leave a thousandth of each variance or more, else *sharp*. `closest`
+    is the smallest share so far that any component's variance keeps when the components before it
+    in the slice are given, or when sharp measurements are. The first kind is looked for where
+    measurements are sharp, where a variance has grown by a factor of 100, at every eighth step, and
+    at the last.
     """
 
     def __init__(self) -> None:
@@ -166,7 +169,10 @@ class _Record:
         self._room: Room | None = None
 
     def room(self, step: int) -> Room:
-        """The arrays (n, [runs]) and (n, n, [runs]) that the update of a step may write into."""
+        """The arrays for the known mean and covariance of a step, which an update may write into.
+
+        They are (n, runs) and (n, n, runs), or (n,) and (n, n) if there is one run.
+        """
         self._room = self.mean[step], self.cov[step]
         return self._room
 
@@ -315,8 +321,8 @@ def _swept(
     means, covariances and log-densities, `predicted` means and covariances, or nothing if they are
     not to be kept. Without a schedule the plan's linearisations are used; with one, `keep` says
     whether the plan stores the new linearisations. The result tells how the sweep went: residuals
-    and convergence of its iterations by run, the smallest share that is left of a variance given
-    other components or after a measurement, and whether a mean may be far from zero.
+    and convergence of its iterations by run; the smallest share of a variance that is left, be it
+    given other components or after measurements; and whether a mean may be far from zero.
     """
     rest = known, predicted
     found = compiled.forward(plan, schedule, *rest, keep=keep)
@@ -356,10 +362,11 @@ def _stepwise(
     """Sweep by NumPy, not by machine code, into the arrays `known` and `predicted`.
 
     `known` has means, covariances and log-densities, `predicted` means and covariances. All runs
-    are swept together, or, if `predicted` is empty, in parts of at most `MOST` runs, whose arrays
+    are swept together, or, if `predicted` is empty, in parts of at most 10,000 runs, whose arrays
     stay in the processor's cache. Without a schedule the plan's linearisations are used; with one,
     `keep` says whether the plan stores the new ones. The result tells how the sweep went: residuals
-    and convergence of its iterations by run, and the smallest share of a variance that was left.
+    and convergence of its iterations by run, and, if `predicted` is empty, the smallest share of a
+    variance that was left, be it given other components or after measurements; else zero.
     """
     parts, closest, converged = 1, 0.0 if predicted else 1.0, np.ones(plan.runs, dtype=bool)
     if not predicted:

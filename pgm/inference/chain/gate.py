@@ -194,9 +194,10 @@ _WELL = 1e-6
 def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:
     """νᵀS⁻¹ν of a sensor's `count` sightings at a step, and their numbers of measured components.
 
-    Both results are (count, *batch). Components that were not measured do not count, so that νᵀS⁻¹ν
-    is 0 if none was measured. The predicted belief over the slice has a mean (n, *batch) and a
-    covariance (n, n, *batch).
+    Both results are (count, *batch). `seen` has the sightings as linearised, their components one
+    after another. Components that were not measured do not count, so that νᵀS⁻¹ν is 0 if none was
+    measured. The predicted belief over the slice has a mean (n, *batch) and a covariance (n, n,
+    *batch).
     """
     sensor, height = seen.sensor, len(seen.value) // count
     if not sensor.whole:
@@ -223,8 +224,9 @@ def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array,
 def _diffuse_squares(seen: Measured, mean: Array, belief: Diffuse) -> tuple[Array, Integers]:
     """νᵀS⁻¹ν of each sighting at a diffuse belief, (sightings, *batch), and its degrees of freedom.
 
-    `mean` (n, *batch) is the predicted mean of the slice, and `belief` has its covariance, the runs
-    first. Combinations of a sighting's components that depend on an unknown direction do not count.
+    `seen` has the sightings of one sensor at a step as linearised. `mean` (n, *batch) is the
+    predicted mean of the slice, and `belief` has its covariance, the runs first. Combinations of a
+    sighting's components that depend on an unknown direction do not count.
     """
     sensor, batch = seen.sensor, mean.shape[1:]
     height = sensor.height
