@@ -67,10 +67,11 @@ U = TypeVar("U", bound=Solution)
 class IteratedUpdate(Generic[U]):
     """The belief at a step after its last linearisation, and how the iteration went.
 
-    `solution` is the belief found with the last linearisation, with the measurements' log-density.
-    `mean` (runs, n) is its mean, or the one that a step control kept instead. `residuals` has for
-    each relinearisation the largest distance of a mean from where it was linearised, in standard
-    deviations, (runs,). `converged` (runs,) marks runs that settled, or had nothing to iterate.
+    `solution`, of a type `U` such as `Updated`, is the belief found with the last linearisation,
+    with the measurements' log-density. `mean` (runs, n) is its mean, or the one that a step control
+    kept instead. `residuals` has for each relinearisation the largest distance of a mean from where
+    it was linearised, in standard deviations, (runs,). `converged` (runs,) marks runs that settled,
+    or had nothing to iterate.
     """
 
     solution: U
@@ -115,19 +116,21 @@ class UpdateProblem(ABC, Generic[U]):
             self.move(part, mean, cov, some)
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
-        """Linearise one sensor at moments (n, *batch), (n, n, *batch) of the slice.
+        """Linearise the sightings `part` of one sensor, which keeps the result as `part.seen`.
 
-        It is a hook for subclasses whose covariances may be infinite.
+        The point has the moments (n, *batch) and (n, n, *batch) of the slice. Runs that are not
+        `active` (runs,) keep their linearisations; None means all are active. Subclasses whose
+        covariances may be infinite override this method.
         """
         part.linearise(mean, cov, active)
 
     def solve(self, anchor: Anchor | None = None) -> U:
         """The belief given the measurements as linearised, and the anchor's if there is one.
 
-        Robust sightings are weighed anew at each belief found, until no weight moves by more than
-        10⁻¹⁰, or 200 times. The log-density then includes their surplus. An anchor is given in a
-        try of a step control, which is to leave no trace: the weights are afterwards those from
-        before the call.
+        Robust sightings are weighed anew at each belief found, at most 200 times, until no weight
+        moves by more than 10⁻¹⁰. The log-density then includes their surplus. An anchor is given
+        when a step control tries a step, and a try is to leave no trace: the weights are afterwards
+        those from before the call.
         """
         found = self._solved(anchor)
         if not any(part.sensor.robust for part in self.parts):
@@ -154,17 +157,18 @@ class UpdateProblem(ABC, Generic[U]):
         return self.raised(found, surplus)
 
     def settled(self) -> Mask | bool:
-        """Whether robust weights moved by at most 10⁻⁶ at the end of the last solution, (runs,).
+        """Whether no robust weight moved by more than 10⁻⁶ when `solve` last stopped, (runs,).
 
-        True where no noise is robust.
+        True where no noise is robust, and before the first call of `solve`.
         """
         return self._weighed
 
     def _solved(self, anchor: Anchor | None) -> U:
-        """The belief by `taken_in`; if that fails, a linearisation that is not finite is blamed.
+        """The belief given the measurements as linearised, and the anchor's, if it is not None.
 
-        If `taken_in` raises NumericalError and some sensor's linearisation has NaN or infinity, the
-        LinearisationError for that sensor is raised instead.
+        Robust weights stay as they are. If the update (`taken_in`) raises NumericalError, and some
+        sensor's linearisation has NaN or infinity, the LinearisationError for that sensor is raised
+        instead.
         """
         try:
             return self.taken_in(anchor)
@@ -218,10 +222,11 @@ class UpdateProblem(ABC, Generic[U]):
         return total
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means (1, runs, n) moved to where the exact measurements hold: their cost is finite.
+        """The means `mean` (1, runs, n), moved to where the exact measurements hold.
 
-        The result is the mean of N(`mean`, P), with the predicted covariance P, given the sightings
-        of those sensors alone whose noise is singular. The moments of `found` are not read.
+        There their cost is finite. The result is the mean of N(`mean`, P), with the predicted
+        covariance P, conditioned on the sightings of those sensors alone whose noise is singular.
+        `found` is the solution, which other problems read; here its moments do not matter.
         """
         exact = [seen for seen in self.measured if seen.sensor.exact]
         first = self._moments(found._replace(mean=mean))[0]
@@ -235,7 +240,11 @@ class UpdateProblem(ABC, Generic[U]):
 
 
 class MomentUpdate(UpdateProblem[Updated]):
-    """An update in moment form and float64: the measurements of a step are one vector."""
+    """The update of a predicted belief, given as mean and covariance, in float64.
+
+    The measurements of the step are stacked to one vector and taken in together, or, where their
+    joint predictive covariance is nearly singular, one after another.
+    """
 
     def taken_in(self, anchor: Anchor | None) -> Updated:
         """The belief given the measurements as linearised, and the anchor's, if it is not None.
@@ -251,9 +260,10 @@ class MomentUpdate(UpdateProblem[Updated]):
 
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array of a sweep, (..., *batch), as a `Point` has it, (1, runs, ...).
+    """An array with the runs last, (..., *batch), turned into (1, runs, ...), as in a `Point`.
 
-    `own` is the number of axes before those of the batch.
+    `own` is the number of the axes "...", such as 2 for a covariance. The first axis of a `Point`
+    is that of steps, of which there is one here.
     """
     if array.ndim == own:
         return array[None, None]
@@ -261,13 +271,14 @@ def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
 
 
 def iterated(reading: UpdateProblem[U], schedule: Filtering) -> IteratedUpdate[U]:
-    """The solution of the update `reading`, its sensors relinearised until it settles.
+    """Solve an update problem, `reading`, and relinearise its sensors until the solution settles.
 
-    The first linearisation is at the prediction, each further one at the solution before, or where
-    the schedule's damping puts the next point; all start from the predicted belief, so that no
-    measurement counts twice. A run ends when no mean is more than `schedule.tolerance` standard
-    deviations from where it was linearised and its robust weights have settled; all end after
-    `schedule.iterations` linearisations. Where all sensors are affine there is one linearisation.
+    The sensors are linearised at the predicted belief first, and each further time at the solution
+    before, or where the schedule's damping puts the next point. Each solution conditions the
+    predicted belief anew, so that no measurement counts twice. A run ends when no mean is more than
+    `schedule.tolerance` standard deviations from where it was linearised and its robust weights
+    have settled; all end after `schedule.iterations` linearisations. Where all sensors are affine
+    there is one linearisation.
     """
     predicted = reading.predicted
     reading.linearise(predicted, None)

@@ -27,14 +27,13 @@ def joint_moments(
 
     `variables` are hidden ones, each with a step, no two the same; n counts their components.
     `reverse` has the reversed transitions. `beliefs` are the slices' moments given all
-    measurements, or after a filter those up to their step; only the belief at the latest step
-    wanted is read. With the gain A_t of the slice x_t given x_{t+1}, the covariance of the slice at
-    s with those of all later steps is that of its successor, moved back once:
+    measurements, or after a filter those up to their step. Only the belief at the latest step
+    wanted is read: a pass back from there carries its mean and covariance through the reversed
+    transitions, which gives those of each earlier slice. With the gain A_s of the slice x_s given
+    x_{s+1}, the pass also finds the covariance of a slice with every wanted variable x_t of a later
+    step, by one product a step:
 
         cov(x_s, x_t) = A_s cov(x_{s+1}, x_t),    t > s.
-
-    One pass back from the latest step wanted finds the covariances of each variable with all later
-    ones in this way, by one product a step.
     """
     steps = [variable.step for variable in variables if variable.step is not None]
     order = sorted(range(len(variables)), key=steps.__getitem__)

@@ -1,4 +1,8 @@
-"""Posteriors of which only the marginals of some variables are kept."""
+"""Posteriors of dynamic networks that keep the marginals of some variables alone.
+
+They take less memory than a `ChainPosterior`, which keeps the beliefs over all hidden variables,
+and answers for joints, messages and innovations too. The steps are 0..T.
+"""
 
 from __future__ import annotations
 
@@ -133,7 +137,10 @@ class KeptPosterior(Posterior):
 
     @property
     def lost(self) -> Lost:
-        """Innovations, which tell where a belief was lost, are not kept: raises EvidenceError."""
+        """Where the belief was lost is not known here: raises EvidenceError.
+
+        That would be found from innovations, which are not kept.
+        """
         raise EvidenceError(self._missing("innovations, which tell where a belief was lost"))
 
     def joint(self, *variables: Variable) -> NoReturn:

@@ -106,22 +106,27 @@ def of_step(moments: Moments) -> Array | float:
 
 
 def of_each_step(moments: Moments) -> Array:
-    """The largest e/σ of `of_step` without its threshold, (runs,), however small."""
+    """The largest e/σ after a step of an online filter, (runs,), however small it is.
+
+    e is 1½ u(m), and `moments` are those of the slice, the vector of the step's hidden variables,
+    after the step's measurements.
+    """
     return np.asarray(_FORWARD * of_beliefs(*moments.by_run, np.zeros(1)))
 
 
 def _may_count(mean: Array, cov: Array) -> bool:
-    """Whether ½ u(m)/σ may exceed 10⁻⁶ for some mean (..., n), by a bound that takes little time.
+    """Whether ½ u(m)/σ may exceed 10⁻⁶ for some component of the means m, `mean` (..., n).
 
-    The means have the covariances `cov` (..., n, n).
+    That is told by a bound that takes little time: False is certain, True is not. σ² are the
+    variances in `cov` (..., n, n).
     """
     return last_place.may_count(mean, variances(cov), 2.0 * TOLD)
 
 
 def _counts(mean: Array, cov: Array) -> bool:
-    """Whether ½ u(m)/σ exceeds 10⁻⁶ for some mean (..., n) of covariances (..., n, n).
+    """Whether ½ u(m)/σ exceeds 10⁻⁶ for some component of the means m, `mean` (..., n).
 
-    No largest deviation bounds σ from below.
+    σ² are the variances in `cov` (..., n, n). σ is not raised to 10⁻⁹ of the largest deviation.
     """
     return bool((of_beliefs(mean, cov, np.zeros(1)) > TOLD).any())
 
@@ -136,9 +141,10 @@ def of_beliefs(mean: Array, cov: Array, largest: Array) -> Array:
 
 
 def _old(plan: ChainPlan, ahead: Forward) -> Array:
-    """The largest share of a predicted variance that is not new noise, max 1 − Q/P⁻_t, (T, runs).
+    """The part of a predicted variance that is not new noise, max 1 − Q/P⁻_t, (T, runs).
 
-    `ahead` is the forward pass of the plan, of T steps.
+    The maximum is over the components of the slice, for t = 1..T; Q are the variances of the
+    transition's noise. `ahead` is the forward pass.
     """
     front, spread = plan.layout.state_size, variances(ahead.predicted_cov)[1:]
     new = np.zeros(spread.shape)

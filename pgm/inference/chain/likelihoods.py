@@ -99,14 +99,14 @@ class Readings:
         return Likelihood(added, h)
 
     def log_density(self, known: Array, predicted: Moments) -> Array:
-        """The part of each step's log-density that is not in the `evidence` that `know` finds.
+        """A part of ln p of each step's measurements given earlier ones, (T+1, runs).
 
-        The sum of both is ln p of the step's measurements given earlier ones. This part adds up, to
-        (T+1, runs), ln N(z − h(x⁺); 0, R) of whitened measurements at the means x⁺ given the
-        measurements up to their step, the surplus of robust ones, and the log-density of each of
-        the `stacks` under the predictions. `known` (T+1, runs, n) are the x⁺ and `predicted` the
-        moments before a step's measurements, both counted from the reference. The plan has to be
-        linearised as it was when these readings were made.
+        The other part is found with the beliefs, when they are conditioned on the whitened
+        measurements. This part is the sum of ln N(z − h(x⁺); 0, R) over these measurements z, x⁺
+        being the mean given the measurements up to their step; of the surplus of the robust ones;
+        and of the log-densities of the `stacks` under the predictions. `known` (T+1, runs, n) are
+        the x⁺, and `predicted` the moments before a step's measurements, both counted from the
+        reference. The plan has to be linearised as it was when these readings were made.
         """
         total = np.zeros(known.shape[:2])
         for each in self._whitened:
@@ -123,8 +123,8 @@ class Readings:
 class Known(NamedTuple):
     """Moments (..., n), (..., n, n) of x − reference given the measurements of a step.
 
-    `evidence` (...) is the log-density of these measurements less the term ln N(z − h(x⁺); 0, R) of
-    each one, x⁺ being the mean; see `know`.
+    `evidence` (...) is the log-density of these measurements under the belief before them, less the
+    term ln N(z − h(x⁺); 0, R) of each measurement z, x⁺ being the mean.
     """
 
     mean: Array
@@ -239,7 +239,10 @@ class Whitened:
         return _by_step(self.sensor, density)[0]
 
     def _white(self, rows: slice) -> Array:
-        """The whitening matrices L⁻¹ of some rows, or the single one that serves for all."""
+        """The whitening matrices L⁻¹ of some rows, (rows or 1, runs or 1, d, d).
+
+        The first axis has length one where one matrix serves for all rows.
+        """
         return self.white if len(self.white) == 1 else self.white[rows]
 
     def _residual(self, rows: slice, mean: Array) -> Array:
@@ -303,7 +306,10 @@ def _by_step(
 
 
 def _added(parts: Array, counts: Integers) -> Array:
-    """Sum rows (M, runs, ...) by step, `counts` rows each, to (steps, runs, ...)."""
+    """The sum of each step's rows: `parts` (M, runs, ...) becomes (steps, runs, ...).
+
+    counts[k] rows are of step k.
+    """
     memory = np.moveaxis(parts, (0, 1), (-2, -1))
     out = np.zeros((*memory.shape[:-2], counts.size, memory.shape[-1]))
     some = np.flatnonzero(counts)

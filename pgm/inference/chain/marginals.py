@@ -116,7 +116,10 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
 
 
 def _of_measurement(layout: SliceLayout, variable: Variable) -> str:
-    """The text of an error: a sensor's measurement has no marginal, and what to ask for instead."""
+    """The text of an error: a sensor's measurement, `variable`, has no marginal.
+
+    It says also what to ask for instead, such as innovations.
+    """
     name, residuals = variable.template.name, ""
     if not layout.model.discrete:
         residuals = f"; how far readings were from what was expected: posterior.innovations[{name}]"
@@ -131,9 +134,9 @@ def _of_measurement(layout: SliceLayout, variable: Variable) -> str:
 def require_at_steps(layout: SliceLayout, variables: Sequence[Variable], last: int) -> Scope:
     """The scope of a joint, checked: one hidden variable or more, each at a step up to `last`.
 
-    An EvidenceError refuses an empty sequence, a variable without a step, and any variable that
-    `located` refuses; a ModelError refuses a variable that stands twice, and a set, which has no
-    order.
+    An EvidenceError refuses an empty sequence, a variable without a step, one that is not hidden
+    (an input or a measurement), and one at a step where it does not stand. A ModelError refuses a
+    variable that stands twice, and a set, which has no order.
     """
     if not variables:
         raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")

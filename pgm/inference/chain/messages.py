@@ -33,9 +33,9 @@ from pgm.kernels.prefixes import levels, prefixes, take
 def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
     """The messages p(measurements after t | states at t), t = 0..T, as (K, h, g), (T+1, runs, ...).
 
-    NaN where none exists. Messages are carried about the filtered mean, so that large coordinates
-    cost no digits, and moved to the origin at the end: by a scan, or step by step where that is
-    faster.
+    NaN where a message has no canonical form. Messages are carried back about the filtered means,
+    so that large coordinates cost no digits, by a scan, or step by step where that is faster; at
+    the end they become functions of the states themselves.
     """
     states, size = plan.layout.state_places, plan.layout.state_size
     message: Canonical = (
@@ -69,10 +69,10 @@ def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonica
 
 
 def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | None:
-    """The messages of `_stepwise` by a scan of 2 log₂ T rounds; None where one is not finite.
+    """The messages about the filtered means, (T+1, runs, ...), by a scan of 2 log₂ T rounds.
 
-    `last` is the message of step T, called `message` there. A message is not finite where a root or
-    inverse does not exist.
+    `last` (runs, ...) is the message of step T, all zeros. None if any message is not finite, since
+    a root or inverse does not exist.
     """
     segments = take(absorbed_at_once(plan, forward), slice(None, None, -1))
     tree = levels(segments, lambda later, sooner: elements.compose(sooner, later))
@@ -132,11 +132,12 @@ def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
 def absorbed(
     plan: ChainPlan, forward: Forward, conditionals: Conditional, later: int
 ) -> tuple[Conditional, Canonical | None]:
-    """p(x[t] | x[t − 1], z[t]) and the likelihood p(z[t] | x[t − 1]) of a step t, `later`.
+    """p(x[t] | x[t − 1], z[t]) and p(z[t] | x[t − 1]) of one step t, which is the argument `later`.
 
-    x are the states, z the measurements. Row t − 1 of `conditionals` (T, runs, ...) is the slice at
-    t given the states at t − 1. Both results are about the filtered means, and have (runs, ...)
-    arrays; the likelihood is None without measurements.
+    x are the states, z the measurements. The first result is an affine conditional, the second a
+    likelihood (K, h, g) over x[t − 1], None if the step has no measurements; both are about the
+    filtered means, with (runs, ...) arrays. `conditionals` (T, runs, ...) are the transitions: row
+    t − 1 is the slice at t given the states at t − 1.
     """
     layout = plan.layout
     select = np.eye(layout.slice_size)[layout.state_places]
@@ -213,7 +214,7 @@ def likelihoods(plan: ChainPlan, reference: Array) -> Canonical:
 def first_potential(plan: ChainPlan, forward: Ahead) -> Canonical:
     """The potential (K, h, g) of cluster 0, over its states: prior and measurements of step 0.
 
-    Its arrays are (runs, ...).
+    Its arrays are (runs, ...). The prior's moments are the predicted ones of `forward` at step 0.
     """
     states = plan.layout.state_places
     reference = forward.predicted_mean

@@ -79,10 +79,11 @@ class MomentChain:
         return np.full(self.plan.runs, self.plan.linear)
 
     def start(self) -> Moments:
-        """The belief over the slice at the plan's step 0 before its measurements, controls zero.
+        """The belief over the slice at the plan's step 0, before the measurements of that step.
 
-        If `plan.begin` takes the prior's place, the result is `plan.begin`, which knows the
-        measurements of that step already.
+        Controls, which do not exist at step 0, have zero mean and covariance. If `plan.begin` takes
+        the prior's place, the result is `plan.begin`, which knows the measurements of that step
+        already.
         """
         plan = self.plan
         if plan.begin is not None:
@@ -161,8 +162,9 @@ class MomentChain:
     ) -> tuple[Moments, Array | float]:
         """The belief given some measurements of its step, and their log-density (*batch).
 
-        `parts` are the sightings by sensor, as `readings` returns them; `step` is the number that
-        errors name, that of the plan's first step plus t, and `belief` the predicted one.
+        `parts` are the sightings by sensor, as `readings` returns them, and `belief` is the
+        predicted one. `step` is the number that errors name: the plan's first step has the number
+        `plan.first`.
         """
         mean, cov, _ = belief
         schedule = self.schedule
@@ -195,9 +197,9 @@ class MomentChain:
     ) -> tuple[Moments, Array | float]:
         """The belief given sightings of which some are robust, and their log-density (*batch).
 
-        At each linearisation the robust ones are weighed until their weights settle. Linearisations
-        are as many as the schedule says, or one with `check`, which first refuses one that is not
-        finite. N(mean, cov) is the predicted belief.
+        N(mean, cov) is the predicted belief. After each linearisation the robust sightings are
+        weighed until their weights settle. There are as many linearisations as the schedule says;
+        with `check` there is one, and LinearisationError refuses it if it is not finite.
         """
         if self.check:
             for part in parts:
@@ -208,9 +210,10 @@ class MomentChain:
     def _iterated(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
-        """The belief given sightings, relinearised until it settles, and their log-density.
+        """The belief given sightings, and their log-density (*batch).
 
-        Gates decide once, at the predicted belief N(mean, cov).
+        The sensors are relinearised, as the schedule says, until the belief settles. Gates decide
+        once, at the predicted belief N(mean, cov).
         """
         if self.gate is not None:
             seen = [part.linearise(mean, cov) for part in parts]
@@ -318,10 +321,10 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
 
 
 def largest(record: list[Array], residuals: Iterable[Array]) -> list[Array]:
-    """The larger residuals of two records, each a list of (runs,) by relinearisation.
+    """The larger of two steps' residuals, in a list with an array (runs,) for each relinearisation.
 
-    A record that is shorter, since its step settled earlier, is continued with its last residual;
-    an empty one does not count.
+    `record` and `residuals` are such lists. The shorter one, whose step settled earlier, is
+    continued with its last residual; an empty one does not count.
     """
     residuals = list(residuals)
     if not record or not residuals:

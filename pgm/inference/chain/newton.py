@@ -77,8 +77,9 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
 def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
     """The normal equations A ξ = r of the means, as moves ξ from the reference of `readings`.
 
-    With x_t = F x_{t−1} + b + n, n ~ N(0, Q), diagonal blocks are Q⁻¹ + Fᵀ Q⁻¹ F + HᵀR⁻¹H, and the
-    blocks to the right of them −Fᵀ Q⁻¹. None where the prior's covariance or some Q is singular.
+    With transitions x_t = F x_{t−1} + b + n, n ~ N(0, Q), and measurements of slope H and noise
+    covariance R, the blocks on the diagonal of A are Q⁻¹ + Fᵀ Q⁻¹ F + HᵀR⁻¹H, and those to the
+    right of them −Fᵀ Q⁻¹. None where the prior's covariance or some Q is singular.
     """
     layout = plan.layout
     states = layout.state_places
@@ -136,9 +137,11 @@ class _Terms(NamedTuple):
 
 
 def _terms(move: _Move, precision: _Precision) -> _Terms:
-    """The products Fᵀ W F, W F, Fᵀ W b and W b of transitions and their precisions W.
+    """The products Fᵀ W F, W F, Fᵀ W b and W b of transitions x[t] = F x[t − 1] + b + noise.
 
-    F and b are those of `move`, and W those of `precision`.
+    `move` has F (steps, runs, n, n) and b (steps, runs, n); `precision` has the inverse covariances
+    W of the noise, (steps or 1, runs or 1, n, n). The products are (steps, runs, n, n), the last
+    two (steps, runs, n).
     """
     across = multiply(precision.matrix, move.matrix)
     after = apply(precision.matrix, move.offset)

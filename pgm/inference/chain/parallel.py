@@ -57,10 +57,11 @@ class Scanned:
     `predicted_cov`) and after measurements (`mean`, `cov`) are (T+1, runs, ...), not counted from
     the reference.
 
-    `agrees` says that composing segments loses no digits, in the backward pass either: each belief
-    follows from the one before it to 10⁻⁷ standard deviations, and more than 2.5·10⁻⁷ of each
-    variance is left, given the components before it in the slice as well as after the measurements
-    of a step, unless these leave exactly zero.
+    `agrees` says that composing segments has lost no digits, and will lose none in a backward pass.
+    It is true if each belief is found again, to 10⁻⁷ standard deviations, when it is predicted from
+    the one before it, and if more than 2.5·10⁻⁷ of each component's variance is left both by the
+    measurements of a step, unless they leave exactly zero, and by conditioning on the components
+    before it in the slice.
     """
 
     predicted_mean: Array
@@ -72,7 +73,10 @@ class Scanned:
 
 
 def whole(ahead: Ahead) -> Forward:
-    """The forward pass as a `Forward`, with the log-densities that a scan has put off."""
+    """The forward pass as a `Forward`: a `Scanned` one gets the log-densities that it put off.
+
+    A `Forward` is returned as it is.
+    """
     if isinstance(ahead, Scanned):
         predicted = ahead.predicted_mean, ahead.predicted_cov
         closest = 1.0 / certificate.GENTLE if ahead.agrees else 0.0
@@ -124,11 +128,12 @@ def run(plan: ChainPlan) -> Ahead:
 
 
 def _guess(plan: ChainPlan, moves: Conditional) -> Array:
-    """Means (T+1, runs, n) near the beliefs of an affine model, for a reference.
+    """Means (T+1, runs, n) near the beliefs of an affine model, to serve as the reference.
 
-    They are the smoothed means, by normal equations. Where angles are measured, or there are no
-    normal equations (`newton.step`), they are the prior's means propagated by the transition
-    `moves`, and the measured angles are moved to the branch nearest to their values there.
+    They are the smoothed means, by normal equations. Where angles are measured, or noise is
+    singular or correlated, so that there are no normal equations, they are the prior's means
+    propagated by the transitions `moves` (T, runs, ...), and the measured angles are moved to the
+    branch nearest to their values there.
     """
     start = MomentChain(plan, None).start().by_run[0]
     if not any(sensor.variable.angle_mask.any() for sensor in plan.sensors):
@@ -141,9 +146,10 @@ def _guess(plan: ChainPlan, moves: Conditional) -> Array:
 
 
 def _move(plan: ChainPlan, mean: Array) -> bool:
-    """Move measured angles to the branch nearest their values at means (T+1, runs, n), in place.
+    """Move the plan's measured angles, in place, to the branch nearest their expected values.
 
-    Returns whether any angle has changed its branch.
+    The expected values are those at the slices' means `mean` (T+1, runs, n). Returns whether any
+    angle has changed its branch.
     """
     changed = False
     for sensor in plan.sensors:
@@ -184,10 +190,11 @@ def _solve(
     """The forward pass by a scan, about the reference of `readings`.
 
     `moves` are the transitions between slices (T, runs, ...), `first` is the solution of step 0.
-    The beliefs before measurements are the prefixes of the elements of all steps; `know` conditions
-    them on the measurements. The result's `agrees` tells whether they can be trusted: if each is
-    found again when it is predicted from the one before, where rounding in sharp elements would
-    show, and if neither measurements nor correlations leave too little of a variance.
+    The beliefs before measurements are the prefixes of the elements of all steps; conditioned on
+    the measurements they give the beliefs after. The result's `agrees` tells whether the beliefs
+    can be trusted: if each is found again when it is predicted from the one before, where rounding
+    in sharp elements would show, and if neither measurements nor correlations leave too little of a
+    variance.
     """
     reference = readings.reference
     near = about(moves, reference)
@@ -232,9 +239,9 @@ def _solve(
 
 
 def _read(predicted: Moments, readings: Readings) -> Moments:
-    """The moments of beliefs after the measurements of their steps, from those before, `predicted`.
+    """The moments after the measurements of each step, from `predicted`, those before them.
 
-    The moments before and after are about the reference of `readings`, (T+1, runs, ...).
+    Both are (T+1, runs, ...), about the reference of `readings`, which are the measurements.
     """
     mean, cov, _ = in_chunks(
         know, Belief(*predicted, np.zeros(predicted.mean.shape[:2])), readings.likelihood

@@ -1,4 +1,10 @@
-"""The results of inference on a chain: beliefs over time, joints and messages on request."""
+"""The results of inference on a chain: beliefs over time, joints and messages on request.
+
+A `ChainPosterior` keeps the moments that the passes over a Gaussian dynamic network found, and
+computes from them, when asked, marginals, joints, and the messages, beliefs and potentials of
+clusters. The steps are 0..T. A canonical form (K, h, g) is exp(−½ xᵀK x + hᵀx + g). A pass in
+*twice the digits* works with pairs of float64.
+"""
 
 from __future__ import annotations
 
@@ -116,7 +122,10 @@ class ChainPosterior(Innovated, Posterior):
         return self._planned
 
     def _marginals(self, beliefs: Beliefs, kind: Kind) -> Marginals:
-        """Marginals of one kind (predicted, filtered, smoothed), read from slices' moments."""
+        """The marginals of hidden variables, cut out of `beliefs`, the moments of all slices.
+
+        `kind` tells which measurements they know: predicted, filtered, fixed-lag or smoothed.
+        """
         return Marginals(self.graph.layout, beliefs, self._planned.lead, kind)
 
     @property
@@ -168,7 +177,10 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def _reverse(self) -> Reverse:
-        """The reversed chain p(x[t] | x[t + 1], measurements up to t), given or made here."""
+        """The reversed chain p(x[t] | x[t + 1], measurements up to t).
+
+        If the passes have made it, it is theirs; else it is made here, when first asked for.
+        """
         return self._reverse_given or Reverse.make(self._plan, self._forward)
 
     @cached_property

@@ -128,11 +128,12 @@ def update(
 def _absorb(
     parts: Sequence[Measured], step: int, belief: Moments, least: float, room: Room | None = None
 ) -> tuple[Moments, Array | float] | None:
-    """The result of `update` with all sightings taken in as one vector, or None.
+    """The belief given all sightings, as one vector, and their log-density (*batch); or None.
 
-    None means that their predictive covariance S is nearly singular: some component, given those
-    before it, keeps less than the share `least` of its variance in S. That is returned only for a
-    `least` of `NEARLY_SINGULAR`, 10⁻⁶; with a smaller one there is always a result.
+    `step` is the number that errors name, `belief` the predicted one, and `room` the mean and
+    covariance to write into. None is returned only if `least` is `NEARLY_SINGULAR`, 10⁻⁶, and the
+    predictive covariance S of the sightings is nearly singular: if some component, given those
+    before it, keeps less than this share of its variance in S.
     """
     mean, cov, _ = belief
     sharp, first = None, parts[0]
@@ -206,7 +207,7 @@ class Reading:
     def take(self, taken: Mask | None) -> None:
         """Use only the components that `taken` (D, *batch) marks, None for all.
 
-        The weights of robust noise begin again at one.
+        The weights of robust noise begin again at one, unless the linearisation is fixed.
         """
         sensor, at = self.sensor, self.at
         self.taken, self.weights = taken, None
@@ -256,7 +257,10 @@ class Reading:
         return found
 
     def _keep_error(self, error: Array | None, active: Mask | None) -> None:
-        """Keep the covariance of a linearisation's error, (D, D, *batch), for the active runs."""
+        """Keep the covariance of a linearisation's error, (D, D, *batch), as the new `error`.
+
+        Runs that are not `active` (runs,) keep theirs; None means all are active.
+        """
         if active is not None and self.error is not None and error is not None:
             error = np.where(active, error, self.error)
         self.error = error
@@ -291,7 +295,8 @@ class Reading:
     def loss(self, left: Array, cov: Array) -> Array:
         """Twice the sum of the losses ρ of residuals `left` (runs, D) of robust sightings, (runs,).
 
-        `cov` (runs, n, n) is that of the belief over the slice, for rules that take expectations.
+        With a lineariser that takes expectations ρ is that of the expected square of a residual,
+        under a belief over the slice of covariance `cov` (runs, n, n).
         """
         weights, height = self.weights, self.sensor.height
         assert weights is not None
@@ -351,7 +356,10 @@ class Reading:
 
 
 def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
-    """A measurement (D, *batch), its angles at `turning` moved to within half a turn of a value."""
+    """A measurement, `reading`, its angles moved by whole turns to within half a turn of `value`.
+
+    Both are (D, *batch); `turning` are the places of the angles among the D components.
+    """
     moved = reading
     for k in turning:
         if reading.ndim == 1:

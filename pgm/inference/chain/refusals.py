@@ -94,10 +94,10 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
 
 
 def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
-    """Raise NumericalError if a covariance (d, d, *batch) predicted by a CPD is indefinite.
+    """Raise NumericalError if the covariance `cov` (d, d, *batch) predicted by a CPD is indefinite.
 
-    This is tested only for a CPD whose linearisation's error may have an indefinite covariance.
-    With `finite` a covariance that is not finite is refused, too.
+    `link` is the CPD of the d components. Only if its linearisation's error may have an indefinite
+    covariance is this tested. With `finite` a covariance that is not finite is refused, too.
     """
     family, whole = link.family, bool(np.isfinite(cov).all())
     proper = family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2)))

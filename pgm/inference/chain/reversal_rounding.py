@@ -103,14 +103,14 @@ def _swept(
     added: Array,
     doubtful: Mask,
 ) -> float:
-    """The largest share of a smoothed variance that the bound E comes to, by a sweep back.
+    """The largest ratio of the bound E to a smoothed variance, by a sweep back over the steps.
 
-    It is infinite as soon as a share exceeds 10⁻⁷. `added` (T, runs) is the bound that costs
-    little: the rounding of all later steps, as a share of P. `doubtful` (T, runs) marks where it
-    comes to more than 10⁻⁷ of a smoothed variance; only runs with such a step are swept, from the
-    last of these steps back, beyond which E is the cheap bound. `moves` are the transitions between
-    slices. `predicted`, `known` and `smoothed` (T+1, runs, n, n) are the slices' covariances before
-    the measurements of their steps, after them, and given all.
+    It is infinite as soon as one exceeds 10⁻⁷. `added` (T, runs) is the bound that costs little:
+    the rounding of a step and all later ones, as a share of P. `doubtful` (T, runs) marks where it
+    comes to more than 10⁻⁷ of a smoothed variance. Only runs with such a step are swept, from the
+    last of these steps back; after that step E is the cheap bound. `moves` are the transitions
+    between slices, (T, runs, ...). `predicted`, `known` and `smoothed` (T+1, runs, n, n) are the
+    slices' covariances before the measurements of their steps, after them, and given all.
     """
     runs, size = np.flatnonzero(doubtful.any(axis=0)), predicted.shape[-1]
     end = int(np.flatnonzero(doubtful.any(axis=1))[-1]) + 1
@@ -139,7 +139,10 @@ def _swept(
 
 
 def _some(part: Array, rows: slice, runs: Integers) -> Array:
-    """Some steps and runs of an array (steps or 1, runs or 1, ...); an axis of one is for all."""
+    """The steps `rows` and the runs `runs` of an array (steps or 1, runs or 1, ...).
+
+    An axis of length one stands for all steps or runs, and stays as it is.
+    """
     part = part[rows] if len(part) > 1 else part
     return part[:, runs] if part.shape[1] > 1 else part
 

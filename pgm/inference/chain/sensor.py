@@ -42,12 +42,12 @@ from pgm.variables import Variable
 
 @dataclass(eq=False)
 class GateRecord:
-    """A sensor's gate decisions, filled in by a forward pass; a window's record is a view of it.
+    """A sensor's gate decisions, filled in by a forward pass.
 
     `gate` is the probability of the χ² quantile; `given` (M, runs, d) marks the components that
     were measured, and `rejected` (M, runs) the sightings left out. `square` (M, runs) is νᵀS⁻¹ν of
-    the innovation ν, S its covariance, NaN where nothing was measured or decided. A window is a
-    stretch of consecutive steps.
+    the innovation ν, S its covariance, NaN where nothing was measured or decided. The record of a
+    window, a stretch of consecutive steps, is a view of the whole one.
     """
 
     gate: float
@@ -195,12 +195,12 @@ class Sensor:
         return [int(k) for k in np.flatnonzero(self.variable.angle_mask)]
 
     def sharpness(self, noise: Array) -> Array | None:
-        """The bound on det S below which a sighting with noise covariance R = `noise` is mild.
+        """A bound on det S, (runs or 1,): a sighting with a smaller det S is mild, any other sharp.
 
-        The bound is (runs or 1,). S = H P Hᵀ + R is the predictive covariance, P that of the belief
-        and H the linearised sensor's slope; a mild sighting surely leaves a thousandth of each
-        variance or more, others count as sharp (`kernels.along_runs.sharpness`). None unless
-        `noise` is the very array that all measurements of the sensor have in common.
+        S = H P Hᵀ + R is the predictive covariance of a sighting, R = `noise` that of its noise, P
+        that of the belief, and H the linearised sensor's slope. An update by a mild sighting surely
+        leaves a thousandth or more of each variance. The result is None unless `noise` is the very
+        array that all measurements of the sensor have in common.
         """
         return self._sharpness if noise is self._constant else None
 
@@ -214,7 +214,11 @@ class Sensor:
 
     @cached_property
     def _sharpness(self) -> Array:
-        """The bound of `sharpness`, (runs or 1,), for the noise covariance `_constant`."""
+        """A bound on det S, (runs or 1,), for the noise that all measurements have in common.
+
+        A sighting whose predictive covariance S has a smaller determinant surely leaves a
+        thousandth or more of each variance.
+        """
         assert self._constant is not None
         return along_runs.sharpness(self._constant)
 

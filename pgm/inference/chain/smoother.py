@@ -91,7 +91,10 @@ class Smoothed:
         return Point(self.beliefs.mean, self.beliefs.cov, joint)
 
     def at(self, plan: ChainPlan, mean: Array) -> Smoothed:
-        """The smoothed chain with other means (T+1, runs, n), as step control may keep them."""
+        """The same chain with other smoothed means, such as those that a step control kept.
+
+        The reversed chain is moved to `mean` (T+1, runs, n); forward pass and covariances stay.
+        """
         reverse = self.reverse.moved(mean, plan.layout.state_places)
         return Smoothed(self.forward, reverse, Beliefs(mean, self.beliefs.cov), self.paired)
 
@@ -240,12 +243,13 @@ def _newton(
 def _compiled(
     plan: ChainPlan, schedule: Smoothing, first: Smoothed | Point
 ) -> tuple[Smoothed, Status] | None:
-    """Smooth by Gauss–Newton steps in machine code, from `first`, a solution or where to linearise.
+    """Smooth by Gauss–Newton steps in machine code.
 
-    At the end the last linearisation is swept, too. The result is None where machine code does not
-    know a part of the plan, where its equations have no solution, and where the last step and the
-    sweep differ in a mean by more than 10⁻⁷ standard deviations, or in a standard deviation by more
-    than 3·10⁻⁹ of it. The reason is then noted in `plan.account`.
+    `first` is the solution of a first linearisation, or the point at which to make it. At the end
+    the last linearisation is also solved by a sweep forward and back, whose result is returned.
+    None where machine code does not know a part of the plan, where its equations have no solution,
+    and where the last step and the sweep differ in a mean by more than 10⁻⁷ standard deviations, or
+    in a standard deviation by more than 3·10⁻⁹ of it. `plan.account` then notes the reason.
     """
     from pgm.inference.chain.compiled.newton import Newton
 
@@ -384,10 +388,11 @@ class Chain(Generic[Either]):
         return cost.trajectory(self.plan, at)
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means (T+1, runs, n) projected onto the solutions of the exact CPDs.
+        """The trajectory nearest to `mean` (T+1, runs, n) that satisfies the exact CPDs.
 
-        Exact CPDs are the linear ones of singular noise. Where rounding leaves a run off their
-        solutions, it gets the means of `found`, whose standard deviations scale the projection.
+        Exact CPDs are the linear ones of singular noise. Distances are counted in standard
+        deviations of `found`, the solution of the chain linearised at `mean`. A run that rounding
+        leaves off the exact CPDs gets the means of `found`.
         """
         nearest, obeyed = exact_relations.projected(self.plan, mean, found.std)
         return np.where(obeyed[:, None], nearest, found.mean)
@@ -415,9 +420,10 @@ class _Means:
         return self.chain.settled()
 
     def solve(self, anchor: Anchor | None = None) -> Means:
-        """The means of the linearised chain, by a smoother if its equations have no solution.
+        """The means of the linearised chain, by its normal equations.
 
-        `anchor` is not read: steps are not controlled.
+        A smoother finds them where rounding leaves the equations without a solution. `anchor` is
+        not read, since these steps are not controlled.
         """
         plan, at = self.chain.plan, self.chain.at
         found = newton.step(plan, at)
@@ -433,10 +439,11 @@ class _Means:
         return self.chain.cost(at)
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means (T+1, runs, n) projected onto the solutions of the exact CPDs.
+        """The trajectory nearest to `mean` (T+1, runs, n) that satisfies the exact CPDs.
 
-        Exact CPDs are the linear ones of singular noise. Where rounding leaves a run off their
-        solutions, it gets the means of `found`.
+        Exact CPDs are the linear ones of singular noise. Distances are counted in standard
+        deviations of `found`, the solution of the chain linearised at `mean`. A run that rounding
+        leaves off the exact CPDs gets the means of `found`.
         """
         return self.chain.feasible(mean, found)
 

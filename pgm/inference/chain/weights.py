@@ -117,8 +117,9 @@ class Weights:
     def _weights(self, square: Array) -> tuple[Array, Array]:
         """The weights (k, runs) at squares s, and the stage (runs,) of the loss that they are of.
 
-        Truncated least squares takes its first stage, or the one after the present; its stage is
-        infinite where the weights are those of the loss asked for. Other noise stays at its stage.
+        Truncated least squares goes on to its first stage, or to the one after the present; the
+        stage is infinite where the weights are those of the loss asked for already. Other noise
+        stays at its stage.
         """
         noise = self.noise
         hard = noise.weight(square, self.count)
