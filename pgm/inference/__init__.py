@@ -1,4 +1,11 @@
-"""Inference: message schedules and the posteriors that they produce."""
+"""Inference on compiled networks: message schedules, posteriors, and online filters.
+
+A *schedule* says which messages are sent in which order, and how often nonlinear CPDs are
+linearised. `infer`, `filter` and `smooth` run one on evidence and return a posterior: marginals,
+joints, log-evidence and status. `query` and `most_probable` answer single questions about discrete
+networks, `audit` estimates how far a Gaussian posterior is from the exact one, and an
+`OnlineFilter` takes one step at a time in a robot's loop.
+"""
 
 from pgm.inference.associations import Associations
 from pgm.inference.audit import Audit, audit

@@ -15,9 +15,10 @@ Value = TypeVar("Value")
 
 
 class EachSensor(Shown, Mapping[Variable, Value]):
-    """A mapping from sensors that have measurements to results of the kind that a subclass is for.
+    """A mapping from sensors to results of one kind, such as innovations; each has a subclass.
 
-    Any other key raises an `EvidenceError`, in whose text the results are called `_what`.
+    Its keys are the sensors that have results. Any other key raises an `EvidenceError`, in whose
+    text the results are called `_what`.
     """
 
     _what: ClassVar[str] = "results"
@@ -31,7 +32,7 @@ class EachSensor(Shown, Mapping[Variable, Value]):
         return self._found[variable]
 
     def _absent(self, variable: Variable) -> str:
-        """The text of the error for a variable without results."""
+        """The text of the error for a variable without results, which a subclass may replace."""
         return (
             f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
             f"{namesake(variable, self)}"

@@ -66,10 +66,11 @@ def told(posterior: P, schedule: Schedule | None) -> P:
 
 
 def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
-    """Warn if some run has not settled in a step of an online filter; `converged` is (*runs).
+    """Warn if some run has not settled in a step of an online filter.
 
-    There is no warning of a single linearisation or with a tolerance of 0. The words are the same
-    at each step, so that Python's default filter shows them once.
+    `converged` (*runs) marks the runs that have. There is no warning of a single linearisation or
+    with a tolerance of 0. The words are the same at each step, so that Python's default filter
+    shows them once.
     """
     if is_iterated(schedule) and schedule.tolerance > 0.0 and not converged.all():
         message = (
@@ -81,10 +82,10 @@ def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
 
 
 def _diverged(status: Status, schedule: Loopy) -> bool:
-    """Whether messages diverged, so that no more were sent, in some run that did not settle.
+    """Whether messages diverged in some run that did not settle.
 
-    They did if the run's last residual is not finite or more than 10⁴ times its least. They also
-    did if the schedule stopped early: with an unsettled run it stops for no other reason.
+    They did if the run's last residual is not finite or more than 10⁴ times its least, or if fewer
+    rounds were sent than the schedule allows: only settled or diverged runs end before.
     """
     record = status.residuals.reshape(len(status.residuals), -1)[:, ~status.converged.reshape(-1)]
     grown = ~np.isfinite(record[-1]) | (record[-1] > GROWN * record.min(axis=0))
@@ -127,7 +128,7 @@ def _shrink_steadily(status: Status) -> bool:
 
 
 def _has_hubs(posterior: Posterior) -> bool:
-    """Whether a cluster of a single variable joins two or more others, as in a Bethe graph."""
+    """Whether a cluster of one variable alone has two or more neighbours, as in a Bethe graph."""
     graph = posterior.graph
     return any(
         len(cluster.scope) == 1 and len(graph.neighbours(k)) > 1
@@ -150,7 +151,7 @@ def _of_linearisations(status: Status, schedule: Filtering | FixedLag | Calibrat
 
 
 def _otherwise(schedule: Filtering | FixedLag | Calibration) -> str:
-    """Advice, in words, on other ways to a fixed point than more iterations."""
+    """Advice, as text, other than to iterate more: to damp, start nearer, or tolerate more."""
     ways = []
     damping = getattr(schedule, "damping", None)
     if isinstance(damping, LevenbergMarquardt):

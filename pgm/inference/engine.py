@@ -170,9 +170,9 @@ def _run_points(
 ) -> PointPosterior:
     """The posterior of a grid or particles; arguments for Gaussian beliefs alone are refused.
 
-    Refused, by a `ModelError`, are a start, keep, an executor, machine code, and a lineariser other
-    than `Taylor()`. Measurements of unknown identity that are to be associated all together are an
-    `EvidenceError`.
+    Refused, by a `ModelError`, are a start, keep, an executor, a lineariser other than `Taylor()`,
+    and a graph that was compiled for sweeps in machine code. Measurements of unknown identity that
+    are to be associated all together are an `EvidenceError`.
     """
     given = {"start": start, "keep": keep, "executor": executor}
     require_no_others(belief, lineariser, **given, compiled=graph.layout.compiled or None)

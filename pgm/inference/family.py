@@ -74,8 +74,8 @@ class Family(Rows):
 
     `noise` is Q, (rows, runs, d, d): a read-only view of `own_noise`, R, until some row has an
     error Ω, then (`approximate`) an array of its own. `judge` is the call's judge of traces, None
-    without one. `compiled` is the record of the answers in machine code of a trace that includes
-    the derivatives that the user gave; None without machine code.
+    without one. `compiled` records the answers of the trace that machine code uses, which is of the
+    function together with the derivatives that the user gave; None without machine code.
     """
 
     noise: Array = field(init=False, repr=False)
@@ -136,14 +136,18 @@ class Family(Rows):
     def matrix(self) -> Array:
         """The slope F of each row and run, (rows, runs, d, n).
 
-        Of an affine CPD it is set, read-only, by `make`. Of any other it is uninitialised memory
-        until `linearise`, `keep` or `put` fills rows in.
+        Of an affine CPD it is known from the start, and read-only. Of any other it is uninitialised
+        memory until a linearisation of the row is stored in it.
         """
         return vacant(self.shape[:2], self.shape[2:])
 
     @cached_property
     def offset(self) -> Array:
-        """The offset b, (rows, runs, d); set by `make`, or uninitialised, as `matrix` is."""
+        """The offset b, (rows, runs, d).
+
+        Of an affine CPD it is known from the start. Of any other it is uninitialised memory until a
+        linearisation of the row is stored in it.
+        """
         return vacant(self.shape[:2], self.shape[2:3])
 
     def of(self, runs: slice) -> Family:
@@ -245,11 +249,11 @@ class Family(Rows):
 
     @cached_property
     def prepared(self) -> Prepared:
-        """The lineariser, prepared for many calls with the CPD's function.
+        """The lineariser as a function ``prepared(function, mean, cov)`` that returns a `Line`.
 
-        It is called with the function, evidence bound, and a mean (n, *batch) and covariance
-        (n, n, *batch) of the hidden parents, and returns a `Line`. Where no parent is hidden, it
-        only evaluates the function.
+        What depends on the CPD alone is done once, not in every call. A call takes the CPD's
+        function with evidence bound, and the mean (n, *batch) and covariance (n, n, *batch) of the
+        hidden parents. Where no parent is hidden, it only evaluates the function.
         """
         assert self.template is not None
         return prepare(self.lineariser, self.template) if self.hidden else _value
@@ -312,7 +316,7 @@ class Family(Rows):
     def stored_at(self, first: int, last: int) -> At:
         """The rows from `first` up to, not including, `last`, with the stored F, b and Q, stacked.
 
-        Every F and b has to be stored already; see `matrix`.
+        Each of these rows has to be affine, or linearised already.
         """
         if self.template is None:
             at = self._affine_at(first, last)
@@ -332,9 +336,10 @@ class Family(Rows):
     def linearise(self, rows: Some, mean: Array, cov: Array, active: Mask | None = None) -> None:
         """Linearise some rows at beliefs over the hidden parents, and store the result.
 
-        For a row the mean is (runs, n), for k rows (k, runs, n); the covariance has n twice.
-        `active` (runs,) marks the runs that take the new linearisation, None all; the others keep
-        theirs. An affine CPD is left as it is.
+        `rows` is the number of a row, then the mean is (runs, n) and the covariance (runs, n, n);
+        or a slice of k rows, then they are (k, runs, n) and (k, runs, n, n). `active` (runs,) marks
+        the runs that take the new linearisation, None all; the others keep theirs. An affine CPD is
+        left as it is.
         """
         if self.template is not None:
             function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
@@ -349,11 +354,11 @@ class Family(Rows):
     def checked(
         self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
     ) -> Line:
-        """Linearise a function at means (..., n) and covariances (..., n, n).
+        """The `Line` of a function at means (..., n) and covariances (..., n, n) of its parents.
 
-        In the arrays of the line components come first; the leading axes of the means, (runs,) or
-        (rows, runs), are their last ones. With `finite` a NaN or an infinity in these arrays raises
-        a `LinearisationError`.
+        Leading axes are (runs,) or (rows, runs). In the arrays of the `Line` components come first
+        and these axes last: F is (d, n, runs) or (d, n, rows, runs). With `finite` a NaN or an
+        infinity in these arrays raises a `LinearisationError`.
         """
         with quiet():  # what is not finite is refused
             at = components_first(mean, 1)
@@ -372,8 +377,9 @@ class Family(Rows):
     ) -> None:
         """Store F, b and Q = R + `error` of some rows, for the runs that are `active`.
 
-        F is (rows, runs, d, n), b (rows, runs, d), the error (rows, runs, d, d) or None for zero;
-        of a single row they are without the first axis. `active` is (runs,), or None for all.
+        `rows` is the number of a row, a slice, or an array of numbers. F (`matrix`) is (rows, runs,
+        d, n), b (`offset`) (rows, runs, d), the error's covariance Ω (rows, runs, d, d) or None for
+        zero; of a single row they are without the first axis. `active` is (runs,), None for all.
         """
         if error is not None and not self.approximate and error.any():
             self.keep_errors()
@@ -391,21 +397,25 @@ class Family(Rows):
             self._put(self.noise, rows, total, active)
 
     def keep_errors(self) -> None:
-        """Make `noise` an array of its own, to which errors of linearisations can be added."""
+        """Make Q an array of its own, no view of R, so that errors Ω can be added to it."""
         if not self.approximate:
             room = vacant(self.noise.shape[:2], self.noise.shape[2:])
             room[...] = self.noise
             self.noise, self.approximate = room, True
 
     def settle(self) -> None:
-        """Make `noise` a view of `own_noise` again, if the errors of all rows are zero."""
+        """Make Q a view of R again, if the errors Ω of all rows are zero."""
         if self.approximate and not (self.noise != self.own_noise).any():
             self.noise = np.broadcast_to(self.own_noise, self.noise.shape)
             self.approximate = False
 
     @staticmethod
     def _put(kept: Array, rows: Some | Integers, new: Array, active: Mask | None) -> None:
-        """Write new values into some rows of an array (rows, runs, ...), in active runs only."""
+        """Write new values into some rows of the array `kept`, in active runs only.
+
+        `kept` is (rows, runs, ...), and so is `new` for the rows given, or (runs, ...) for a single
+        one; `active` is (runs,), None for all.
+        """
         if active is not None:
             tail = (1,) * (kept.ndim - 2)
             new = np.where(active.reshape(-1, *tail), new, kept[rows])
@@ -477,13 +487,13 @@ class Family(Rows):
                 function.jacobian(x)
 
     def trace(self, means: Mapping[Variable, Array], judge: Judge | None) -> None:
-        """Choose how the function's trace is used, for derivatives that the user has not given.
+        """Set whether and how a trace gives the derivatives that the user has not given.
 
-        If there is no trace yet, it is made about the first evidence and the hidden parents'
-        `means`, (d,) by variable without a step (zeros where one is lacking). With a trusting judge
-        the trace's answers are recorded, and compared with the function after the call. With a
-        judge that is not trusting no trace is used. Without a judge each answer is compared at
-        once.
+        With a trusting judge the trace's answers are recorded, and compared with the function after
+        the call; without a judge each answer is compared at once; with a judge that is not trusting
+        no trace is used. A trace that is made here is compared with the function at values near the
+        first evidence and the hidden parents' `means`, (d,) by variable without a step (zeros where
+        one is lacking).
         """
         template = self.template
         if template is None:
@@ -502,10 +512,11 @@ class Family(Rows):
                 self.answers = self._asked(judge, template.tracer, centres)
 
     def trace_whole(self) -> Answers | str:
-        """The record, for the judge, of the answers that a trace gives in machine code.
+        """Trace the function together with the derivatives that the user gave, for machine code.
 
-        The trace is of the function and of the derivatives that the user gave. The record is kept
-        as `compiled`. Where there is no trace, a text is returned that says why.
+        The result is a record of the answers that the trace will give in this call, which the judge
+        compares with the function; it is kept as `compiled`. Where no trace can be used, the result
+        is a text that says why.
         """
         assert self.template is not None
         if self.judge is None or self.template.tracer is None:
@@ -515,10 +526,11 @@ class Family(Rows):
         return self.compiled or str(tracer.reason)
 
     def _asked(self, judge: Judge, tracer: Tracer, centres: list[Array]) -> Answers | None:
-        """A record, for the judge, of the answers that a trace gives in this call.
+        """An empty record of a trace's answers in this call, which the judge will look through.
 
-        If there is no trace yet, `tracer` makes it about `centres`, a value (d,) for each argument
-        of the function. The result is None if the judge is not trusting or no trace can be made.
+        `tracer` has the trace or makes it. One that it makes is compared with the function at
+        values near `centres`, which has a value (d,) for each argument. The result is None if the
+        judge is not trusting or there is no right trace.
         """
         template, count = self.template, math.prod(self.noise.shape[:2])
         assert template is not None
@@ -556,10 +568,10 @@ def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
 
 
 def cancellation(family: Family) -> float:
-    """The rounding error of a linearisation, as a multiple of that of one value of the function.
+    """The factor by which a sigma-point rule magnifies the rounding of the function's values.
 
-    A multiple of ten or less counts as 0. So does that of an affine CPD, of one without hidden
-    parents, and of a lineariser that is no sigma-point rule.
+    A factor of ten or less counts as 0. The result is also 0 of an affine CPD, of one without
+    hidden parents, and of a lineariser that is no sigma-point rule.
     """
     rule = family.lineariser
     if family.template is None or not family.hidden or not isinstance(rule, StatisticalRegression):

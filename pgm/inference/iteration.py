@@ -29,11 +29,11 @@ _HEAVIEST = 1e12
 class Point(NamedTuple):
     """A point of linearisation: mean (steps, runs, n) and cov (steps, runs, n, n).
 
-    A row has the n hidden components of the slice at one step. `joint` (steps − 1, runs, m, m) are
-    the covariances of pairs. A pair has m components: the states of one step, then the slice of the
-    next. `joint` is None where no CPD needs it. Where a flat prior leaves variances in `cov`
-    infinite, `proper` is finite: the covariance along the directions that the measurements
-    determine.
+    n is the number of hidden components of a step's slice. A *pair* is the states of one step, then
+    the slice of the next, m components; `joint` (steps − 1, runs, m, m) are the covariances of all
+    pairs, None where no CPD needs them. Where a flat prior leaves variances in `cov` infinite,
+    `proper` is a finite covariance (steps, runs, n, n), along the directions that measurements
+    determine; None where it is not needed.
     """
 
     mean: Array
@@ -43,7 +43,7 @@ class Point(NamedTuple):
 
     @property
     def known_cov(self) -> Array:
-        """A covariance that is finite: `cov`, or that along the determined directions alone."""
+        """The covariance that is finite: `proper` if there is one, else `cov`."""
         return self.cov if self.proper is None else self.proper
 
     @property
@@ -114,7 +114,7 @@ class Anchor(NamedTuple):
 
 
 class Solution(Protocol):
-    """The solution of a linearised model."""
+    """The solution of a linearised model, as far as iterations look at it."""
 
     @property
     def means(self) -> Array:
@@ -122,10 +122,10 @@ class Solution(Protocol):
 
     @property
     def point(self) -> Any:
-        """The solution's moments as a `Point`.
+        """The solution's moments as a `Point`, at which the model can be linearised next.
 
-        The point may have variances alone, where neither linearisations nor the control of steps
-        use covariances.
+        Only the diagonals of its covariances need be right where nothing else of them is used:
+        neither by linearisations nor by the control of steps. Trees have a point of another class.
         """
 
 
@@ -134,10 +134,13 @@ Found = TypeVar("Found", bound=Solution, covariant=True)
 
 
 class Problem(Protocol[Found]):
-    """A model that can be linearised and solved."""
+    """A model, with its evidence, that can be linearised at any point and then solved."""
 
     def linearise(self, at: Any, active: Mask) -> None:
-        """Linearise all CPDs at a `Point`, in the runs of the mask `active`, (runs,)."""
+        """Linearise all CPDs at a point, in the runs of the mask `active`, (runs,).
+
+        It is a `Point`; trees have points of another class.
+        """
 
     def solve(self, anchor: Anchor | None = None) -> Found:
         """The solution of the linearised model, with an anchor's measurement added, if any."""
@@ -158,9 +161,10 @@ class Controlled(Problem[Found], Protocol[Found]):
         """The cost of a point's means, (runs,); its covariances and the noises are held fixed."""
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means (steps, runs, n) moved to where the exact linear CPDs hold, and the cost is finite.
+        """Means (steps, runs, n) moved to where the cost is finite.
 
-        `found` is the solution of the model linearised at the means before they are moved.
+        It is finite where linear CPDs of singular noise hold exactly. `mean` are the means to be
+        moved, `found` is the solution of the model linearised at them.
         """
 
 
@@ -221,10 +225,12 @@ def iterate(
 
 
 class _Control:
-    """The control of steps, which chooses the next point: the solution, a mixture, or by cost.
+    """The control of steps: it chooses the next point of linearisation.
 
-    *By cost* means the way of Levenberg and Marquardt. The points that are returned are used in
-    active runs alone. `weight` (runs,) is λ, the anchor's weight, of the next try.
+    Without damping that is the solution, with a number as damping a mixture of the solution and the
+    present point. With `LevenbergMarquardt` steps are controlled *by cost*: the next means have no
+    higher cost than the present ones. Points that are returned are used in active runs alone.
+    `weight` (runs,) is λ, the anchor's weight, of the next try.
     """
 
     def __init__(self, problem: Problem[S], damping: float | LevenbergMarquardt, runs: int) -> None:
@@ -234,18 +240,21 @@ class _Control:
         self.weight = np.full(runs, first)
 
     def feasible(self, first: Point, found: Point) -> Point:
-        """The first point, from which the first step is made.
+        """The point from which the first step is made: `first`, if need be with other means.
 
-        It is `first` as it is or, if steps are controlled by cost, with means moved to where the
-        exact linear CPDs hold and the cost is finite. `found` is the solution of the model
-        linearised at `first`.
+        If steps are controlled by cost, its means are moved to where linear CPDs of singular noise
+        hold exactly, so that the cost is finite. `found` is the solution of the model linearised at
+        `first`.
         """
         if not isinstance(self.damping, LevenbergMarquardt):
             return first
         return first._replace(mean=self.problem.feasible(first.mean, found))
 
     def step(self, point: Point, found: Point, active: Mask) -> Point:
-        """The next point, from the present one and the solution found after linearising there."""
+        """The next point, from the present `point` and `found`, the solution linearised there.
+
+        `active` (runs,) marks the runs in which it is needed.
+        """
         if isinstance(self.damping, LevenbergMarquardt):
             return found._replace(mean=self._accepted(self.damping, point, found, active))
         return point.mixed(found, self.damping) if self.damping else found
@@ -263,13 +272,14 @@ class _Control:
     def _accepted(
         self, rule: LevenbergMarquardt, point: Point, found: Point, active: Mask
     ) -> Array:
-        """Means (steps, runs, n) whose cost is no higher than that of the point.
+        """Means (steps, runs, n) whose cost is no higher than that of the present `point`.
 
-        They are the point's own in runs that are not active. The solution's means are tried first.
-        In runs whose cost they raise, the model is solved again with an anchor at the point, its
-        weight λ multiplied by `rule.factor` at each failure (Levenberg, 1944; Marquardt, 1963).
-        Where no try succeeds, the point's own means stay. A success divides the λ of the next step
-        by the factor; λ is kept between `rule.start` and 10¹².
+        They are the point's own in runs that are not active. Those of `found` are tried first, the
+        solution of the model linearised at the point. In runs whose cost they raise, the model is
+        solved again with an anchor at the point, its weight λ multiplied by `rule.factor` at each
+        failure (Levenberg, 1944; Marquardt, 1963). Where no try succeeds, the point's own means
+        stay. A success divides the λ of the next step by the factor; λ is kept between `rule.start`
+        and 10¹².
         """
         cost = self.problem.cost(point)
         # A point outside a function's domain, where it has no cost, is worse than any other.

@@ -119,7 +119,7 @@ def _moments(
 def _at_all_steps(values: Any, axis: int, steps: int | None) -> Array:
     """A variable's values at all steps 0..T, with NaN at step 0 if the variable begins at step 1.
 
-    `axis` is the axis of steps, counted from the end. T is `steps`; it is None without time, and
+    `axis` is the axis of steps, as a negative number. T is `steps`; it is None without time, and
     the values then stay as they are.
     """
     if steps is None or values.shape[axis] == steps + 1:

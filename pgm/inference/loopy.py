@@ -85,12 +85,16 @@ class Messages(Protocol[Round]):
 
     @property
     def bounded(self) -> bool:
-        """Whether no change can exceed one, as of probabilities: messages then never diverge."""
+        """Whether no change can exceed one, as of probabilities.
+
+        Growing changes then are no sign of divergence.
+        """
 
     def round(self, messages: Sequence[int]) -> Round:
-        """Lay out the computation of some messages, by number, for `propose` and `accept`.
+        """Prepare what computing some messages, given by number, needs each time.
 
-        Messages of equal shape are computed together.
+        The result is handed to `propose` and `accept`. Messages of equal shape are computed
+        together.
         """
 
     def propose(self, round: Round) -> Array:
@@ -132,10 +136,11 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
     """Send messages until none changes, and relinearisation moves no mean; returns the status.
 
     Nonlinear CPDs are linearised again whenever messages have nearly settled. A run that has
-    converged keeps its messages, so that a batch equals its single runs, save where `accept` lets
-    it go on with other runs. A run that has diverged always keeps them: its residual is not finite
-    or, unless changes are `bounded`, over 10⁴ times its least since the run's CPDs were linearised
-    last; or a relinearisation moves a mean over 10⁴ times as far as the one that moved it least.
+    converged keeps its messages, so that a batch equals its single runs, unless it shares arrays
+    with runs that go on. A run has diverged, and always keeps its messages, if its residual (the
+    largest change in a round) is not finite or grows to over 10⁴ times its least since its CPDs
+    were linearised last, or if a relinearisation moves a mean over 10⁴ times as far as the one that
+    moved means least. Changes that cannot exceed one, as of probabilities, never count as grown.
     `lead` is the shape of the user's axes of runs.
     """
     step = next(_STEPS[each] for each in type(schedule).__mro__ if each in _STEPS)(messages)
@@ -202,9 +207,10 @@ class _Growth:
 
 
 def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array]:
-    """For each edge the larger of the changes of its two messages if all were sent now.
+    """By edge, a pair of clusters' numbers, how much its messages would change if sent now.
 
-    The changes are (*lead), `lead` being the shape of the user's axes of runs.
+    That is the larger change of its two messages, (*lead), `lead` being the shape of the user's
+    axes of runs.
     """
     directed = messages.directed
     change = messages.propose(messages.round(range(len(directed))))

@@ -1,14 +1,14 @@
 """Whether a belief is lost: a sequential test of innovations and of gate rejections.
 
 A belief is *lost* when it is wrong by more than its covariance says. Two tests sum up
-log-likelihood ratios of a lost against a consistent belief, step by step. Against innovations of κ
-times their variance, a step of NIS ~ χ²(d) adds, in nats,
+log-likelihood ratios of a lost against a consistent belief, step by step. Innovations of a lost
+belief are taken to have κ = 2 times their variance: a step adds, in nats,
 
     a = ½ (1 − 1/κ) NIS − ½ d ln κ,
 
 NIS being νᵀS⁻¹ν, the normalised innovation squared of the step's d measured components, with
-innovation ν of covariance S. If a gate has judged n *sightings* (single measurements of a sensor)
-and rejected r of them, they add
+innovation ν of covariance S; of a consistent belief it is χ² with d degrees of freedom. If a gate
+has judged n *sightings* (single measurements of a sensor) and rejected r of them, they add
 
     b = r ln(q₁/q₀) + (n − r) ln((1 − q₁)/(1 − q₀)),
 
@@ -17,8 +17,9 @@ q₁ being the share of rejections of a lost belief, ½, and q₀ that of a cons
 is then at least the share of sightings that was declared spurious or new, and q₁ as far between ½
 and 1 as q₀ is between a tenth and 1.
 
-The sums of a and of b are Page's tests (see `Lost`): the belief is lost from where one exceeds h =
-ln 10⁶ until both have fallen by ln 100; both then begin again at zero.
+The sums of a and of b are Page's tests: a sum is kept between zero and h = ln 10⁶. The belief is
+lost from where one of them reaches h until both have fallen to h − ln 100 or less; both then begin
+again at zero.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ _WHY = ("innovations", "rejections")
 def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
     """The log-likelihood ratio b of r = `rejected` sightings out of n = `judged`.
 
-    All three have the same shape. q₀ is a tenth or, if larger, `outliers`, the share of rejections
-    to be expected of a consistent belief; q₁ follows from q₀.
+    It has the shape of these two arrays. q₀ is a tenth or, if larger, `outliers`, the share of
+    sightings that was declared to be spurious or new; q₁ follows from q₀.
     """
     own = min(max(outliers, OUTLIERS), 1.0 - 1e-6)
     share = LOST_SHARE + (1.0 - LOST_SHARE) * (own - OUTLIERS) / (1.0 - OUTLIERS)
@@ -62,9 +63,9 @@ class Read(NamedTuple):
 
     `nis` is the normalised innovation squared, `dof` its d. `judged` counts the sightings that
     gates have judged, `rejected` those that they rejected. `open` counts the sightings of unknown
-    identity, `strange` those of them that were taken for no candidate, and `odds` is the b of both.
-    For a sensor with a gate `open` counts its strange sightings alone, since the gate judges all
-    others.
+    identity, `strange` those of them that were taken for no candidate, and `odds` is the
+    log-likelihood ratio b of r = `strange` and n = `open`. For a sensor with a gate `open` counts
+    its strange sightings alone, since the gate judges all others.
     """
 
     nis: Array
@@ -92,7 +93,10 @@ class Read(NamedTuple):
 
     @property
     def weights(self) -> Array:
-        """The log-likelihood ratios a and b, (2, ..., runs), each h/3 at the most."""
+        """The log-likelihood ratios a and b, (2, ..., runs), where b includes `odds`.
+
+        Each is cut to h/3 at the most, so that no single step makes a belief lost.
+        """
         a = 0.5 * ((1.0 - 1.0 / INFLATION) * self.nis - log(INFLATION) * self.dof)
         b = weighed(self.rejected, self.judged, OUTLIERS) + self.odds
         found: Array = np.minimum(np.stack([a, b]), _MOST)
@@ -102,11 +106,11 @@ class Read(NamedTuple):
 class PageTest(NamedTuple):
     """The state of both tests after a step, for all runs.
 
-    `level` (2, runs) is the sum C of each test, within [0, h]; `onset` (2, runs) the step since
-    which it has been above zero. `lost` (runs,) says whether the belief is lost. Of the latest
-    stretch of being lost, (runs,) each: the step where it probably began (`first`), where it was
-    noticed (`declared`), and the index of the test that did so, 0 of innovations and 1 of
-    rejections (`why`).
+    `level` (2, runs) is the sum of each test, within [0, h]; `onset` (2, runs) the step since which
+    it has been above zero. `lost` (runs,) says whether the belief is lost. Of the latest stretch of
+    being lost, (runs,) each: the step where it probably began (`first`), where it was noticed
+    (`declared`), and the index of the test that did so, 0 of innovations and 1 of rejections
+    (`why`).
     """
 
     level: Array

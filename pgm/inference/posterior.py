@@ -1,4 +1,7 @@
-"""The interface of posteriors of any network."""
+"""The base class of what inference on a network returns: marginals, joints, messages, log-evidence.
+
+Its subclasses are for tables or Gaussians, on chains, trees or graphs with loops.
+"""
 
 from __future__ import annotations
 
@@ -131,7 +134,14 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
 
         It is over the cluster's variables without evidence, nonlinear CPDs as they were linearised
         last. Its product with all messages to the cluster, if the schedule has sent these, is the
-        cluster's belief. Errors are those of `belief`.
+        cluster's belief.
+
+        Raises
+        ------
+        GraphError
+            If the graph has no such cluster, or the potential would take too much memory.
+        NumericalError
+            If it has no canonical form, since a covariance is singular.
         """
 
     @property
@@ -147,7 +157,12 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     @property
     @abstractmethod
     def log_evidence_kind(self) -> str:
-        """What `log_evidence` is: ``exact``, ``linearised``, ``laplace``, ``bethe``, or a bound."""
+        """What `log_evidence` is, in a word.
+
+        It is ``exact``; that of the ``linearised`` network; Laplace's approximation (``laplace``);
+        Bethe's, of a graph with loops (``bethe``); or, with robust noise, a lower ``bound``, a
+        ``linearised bound``, or ``unnormalised``, if a density has no finite integral.
+        """
 
     def _why_unsettled(self) -> str:
         """Why messages round loops have not settled, as a sentence; empty if it is not known."""

@@ -95,7 +95,10 @@ class Rows:
 
     @cached_property
     def grouped(self) -> bool:
-        """Whether the sightings of a step are linearised as one vector."""
+        """Whether the sightings of a step are linearised as one stacked vector, as the user asked.
+
+        A sigma-point rule then keeps the cross terms of their approximation errors.
+        """
         return isinstance(self.cpd, NonlinearGaussianCPD) and self.cpd.grouped
 
     @cached_property
@@ -106,9 +109,10 @@ class Rows:
 
     @cached_property
     def source(self) -> Source:
-        """What a function with its evidence bound keeps of this CPD, mainly for errors.
+        """What this CPD hands to its function with evidence bound, mainly for the text of errors.
 
-        It is the CPD, whether it has time, the number of its first run, and its trace's answers.
+        It is the CPD, whether it has time, the number of its first run, and the record of its
+        trace's answers.
         """
         return Source(self.cpd, self.timed, self.first_run, self.answers)
 
@@ -137,10 +141,10 @@ class Rows:
         return At(function, None, None, noise, first, last)
 
     def given(self, step: int, inputs: Sequence[Array], count: int) -> At:
-        """`count` sightings of one run, or a transition, with other inputs than those of the rows.
+        """The CPD at new rows with the inputs given here, in place of its own rows; for one run.
 
-        They are stacked as the rows 0 to `count` − 1. The `inputs` are in the order of
-        `self.inputs`, (d,) each, or (count, d) of several sightings.
+        There is one row of a transition, or `count` sightings, all of them at `step`. The `inputs`
+        are in the order of `self.inputs`, (d,) each, or (count, d) of several sightings.
         """
         if self.noisy:
             wide = self._wide(inputs, count)
@@ -229,9 +233,9 @@ class Rows:
 
     @cached_property
     def _constant_noise(self) -> dict[int, Array]:
-        """The own noise of k stacked rows by k, as far as it was asked for.
+        """A cache: by the number k of stacked rows, their own noise covariance, (k d, k d, *batch).
 
-        It is kept only if all rows of the CPD have the same noise.
+        It stays empty if the rows of the CPD differ in their noise.
         """
         return {}
 
@@ -273,9 +277,9 @@ class Rows:
 
     @cached_property
     def _constant_at(self) -> dict[int, At]:
-        """The stacked k rows of an affine CPD by k, as far as they were asked for.
+        """A cache of an affine CPD: by their number k, the stacked arrays of k rows.
 
-        They are kept only if all rows of the CPD have the same offset and noise.
+        It stays empty if the rows of the CPD differ in their offset or noise.
         """
         return {}
 

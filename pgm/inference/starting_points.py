@@ -1,4 +1,4 @@
-"""Means that a user gives as the first points of linearisation of nonlinear CPDs."""
+"""A *start*: the means, by variable, that a user gives as first points of linearisation."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Start = Mapping[Variable, npt.ArrayLike]
 
 
 def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
-    """Refuse a start that is no mapping, or has a key that is not in `hidden`.
+    """Refuse a start that is no mapping, or has a key that is no hidden variable.
 
-    The error is an `EvidenceError`.
+    `hidden` are the variables without evidence. The error is an `EvidenceError`.
     """
     if not isinstance(start, Mapping):
         raise EvidenceError(f"start maps variables to means; found {type(start).__name__}")

@@ -52,8 +52,9 @@ class Status(Shown, Immutable):
     Attributes
     ----------
     iterations : int
-        Linearisations made of a tree; iterations of a schedule for any graph, fewer than the
-        maximum also where messages diverged, of which `converged` is False.
+        On a tree or chain, the number of linearisations made. After a schedule for any graph, the
+        number of its iterations, which is less than the maximum also where messages diverged;
+        `converged` is then False.
     residuals : ndarray
         The convergence record. Of a tree, (iterations − 1, *runs): the largest move of a mean at
         each relinearisation, in standard deviations (on a balanced tree, with `Taylor`, given
@@ -181,7 +182,7 @@ class Status(Shown, Immutable):
         warnings.warn(message, PrecisionWarning, stacklevel=levels_to_user())
 
     def with_compilation(self, words: str) -> Status:
-        """The same status with an account of the sweeps in machine code, as of `compilation`."""
+        """The same status with `words` as its `compilation`: how sweeps along a chain were made."""
         return self._with(compilation=words)
 
     def _with(self, **changes: Any) -> Status:
@@ -207,7 +208,11 @@ class Status(Shown, Immutable):
         return Summary(self._title, [f"residuals{of}: {', '.join(shown)}"])
 
     def _went(self) -> str:
-        """How the iterations went, in words: their number, runs converged, the last residual."""
+        """How the iterations went, as text: their number, runs converged, the last residual.
+
+        Of several runs the largest last residual is told. If there are no residuals, the text
+        says whether CPDs were linearised once or there was nothing to iterate.
+        """
         converged = int(self.converged.sum())
         if not len(self.residuals):
             every = converged == self.converged.size

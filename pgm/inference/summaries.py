@@ -113,10 +113,11 @@ def of_network(
 def by_variable(
     posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...]
 ) -> list[str | Listing]:
-    """A listing of the beliefs of the first and last variables: a row for each component.
+    """A listing of beliefs, with a row for each component; a discrete variable has one row.
 
-    A discrete variable has one row. The columns are the first two runs; without variables or runs
-    there is no listing.
+    Of more than twelve variables only the first and the last are shown. The columns are the first
+    two runs; without variables or runs the result is empty. If rows are cut off, a line with the
+    number of variables follows.
     """
     picked = [place for place in places(runs, RUNS) if place is not None][:RUNS]
     rows: list[Sequence[str] | None] = []
@@ -156,7 +157,7 @@ def moments_of(belief: Any) -> Listing:
 
 
 def figures(posterior: Any) -> Iterable[str]:
-    """A line of the log-evidence with its kind, and one of the status."""
+    """Two lines of text on a posterior: its log-evidence with the kind of that, and its status."""
     try:
         found = np.asarray(posterior.log_evidence)
         yield f"log-evidence {spread(found)} ({posterior.log_evidence_kind})"
@@ -215,8 +216,9 @@ def _states(
 ) -> Listing:
     """The listing of a discrete variable's probabilities: about `most` rows, a column per state.
 
-    A row is of one place. `lead` is the shape of the axes of runs and of `steps` together, along
-    which places are indices; `chances` gives the probabilities (size,) at a place.
+    A row is of one place, a run and a step. `lead` is (*runs, number of steps), the axes that a
+    place has indices of; `steps` has the steps themselves. `chances` gives the probabilities
+    (size,) at a place.
     """
     shown, across = places(lead, most), few(variable.size, STATES)
     found = [place for place in shown if place is not None]
@@ -231,7 +233,7 @@ def _states(
 
 
 def _of_variable(variable: Variable, found: Any, picked: Sequence[Place]) -> list[list[str]]:
-    """The rows of one variable in a listing, each a name and the belief in each picked run.
+    """The rows of one variable in a listing: a name, then the belief in each picked run, as text.
 
     `found` is the variable's marginal, a table or a Gaussian, of all runs, and `picked` has the
     places of the runs to show. A discrete variable has one row, another a row for each component.

@@ -1,7 +1,8 @@
 """Sweeps along a chain of slices, and the chain families that they carry.
 
-A family is a kind of belief, moments or tables. It says how a belief starts, is predicted, takes
-the measurements of a step, and flows back; a sweep knows nothing else.
+A *slice* is the hidden variables of one step; cluster t of the chain has those of step t, and t
+runs from 0 to T. A *family* is a kind of belief: moments, tables or particles. It says how a belief
+starts, is predicted, takes the measurements of a step, and flows back; a sweep knows nothing else.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Onwards(Protocol[B]):
 
 
 class Record(Protocol[C]):
-    """The record of a forward sweep."""
+    """What a forward sweep tells of each step, so that its beliefs are kept."""
 
     def keep(self, step: int, predicted: C, known: C, log_density: Array | float) -> None:
         """Keep a step: its beliefs, and the log-density of its measurements, (*runs).
@@ -40,14 +41,21 @@ class Record(Protocol[C]):
 
 
 class Backwards(Protocol[B]):
-    """A reversed chain: the model of the past given the future, for the same evidence."""
+    """The backward half of a family, for evidence that a forward sweep has taken in.
+
+    What flows back is, of moments, the belief over a slice given all evidence; of tables, the
+    message that later evidence sends to a slice.
+    """
 
     def back(self, step: int, belief: B) -> B:
-        """The belief over a step's slice given all evidence, from the slice after."""
+        """What flows back to a step, from `belief`, that of the step after."""
 
 
 def forward(family: Onwards[B], steps: int, record: Record[B]) -> None:
-    """Send the messages from cluster 0 to cluster T, and take in the measurements of each step."""
+    """Send the messages from cluster 0 to cluster T = `steps`, with each step's measurements.
+
+    `record` is told each step's beliefs, before and after these, and their log-density.
+    """
     belief = family.start()
     for step in counted(range(steps + 1), "forward"):
         if step:
@@ -58,9 +66,10 @@ def forward(family: Onwards[B], steps: int, record: Record[B]) -> None:
 
 
 def backward(family: Backwards[B], steps: int, last: B) -> Iterator[tuple[int, B]]:
-    """Pairs of a step and its belief given all evidence, from step T = `steps` down to 0.
+    """Pairs of a step and what flows back to it, from step T = `steps` down to 0.
 
-    `last` is the belief at T given all evidence.
+    That is its belief given all evidence, of tables the message from later evidence; `last` is the
+    one at T.
     """
     belief = last
     yield steps, belief

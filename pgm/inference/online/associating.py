@@ -43,9 +43,10 @@ def associated(
 ) -> tuple[dict[Variable, Any], Found]:
     """The readings with candidates chosen for unknown parents, and the `Associations` by sensor.
 
-    `belief` is the belief before these readings. Readings that are not open are taken into it
-    first, unless the `gate` rejects them, and candidates are chosen by the resulting belief.
-    Sightings taken for no candidate become NaN.
+    `readings` are the values of an update, by sensor or input, and `belief` is the belief before
+    it. Readings that are not open are taken into it first, unless the `gate` rejects them, and
+    candidates are chosen by the resulting belief. Sightings taken for no candidate become NaN. The
+    gate is a probability for all sensors, or a mapping from sensors to theirs; None for no gate.
     """
     bound = step_evidence.readings(graph.model, belief, readings)
     everything = BoundEvidence(0, bound.lead, (), ())

@@ -220,7 +220,8 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         """The same belief with the `associations` of its update's measurements, by sensor.
 
         Its watch, if it has one, counts them, too: of a sensor without a gate all associated
-        sightings, of a sensor with a `gate` only those that were taken for no candidate.
+        sightings, of a sensor with one only those that were taken for no candidate. `gate` is the
+        probability of all sensors' gates, or a mapping from sensors to theirs; None for no gate.
         """
         found = copy(self)
         watch = None if self.watch is None else self.watch.told(associations, gate)
@@ -310,7 +311,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return f"OnlineBelief({self.kind}, step {self.step}, over {list(self.layout.slice)})"
 
     def _summary(self) -> Summary:
-        """The belief's moments, after its rejections and how many runs are lost."""
+        """The summary that is displayed: how often gates rejected, runs lost, then the moments."""
         known = self.layout.slice if self.step else self.layout.states
         found = at_a_step(self._title, self, known, self.lead)
         told = [f"{v!r}: {those._title}" for v, those in self.rejected.items()]
@@ -438,7 +439,7 @@ def told(
 
 
 def refuse(step: int) -> NoReturn:
-    """Refuse a belief that is not finite, by a `NumericalError`."""
+    """Raise the `NumericalError` that a belief, or its log-evidence, at a step is not finite."""
     raise NumericalError(
         f"the belief at step {step} or its log-evidence is not finite: numbers of the model or the "
         "evidence are larger, or further apart, than float64 can hold; give them in other units",

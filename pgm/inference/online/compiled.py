@@ -149,9 +149,9 @@ class CompiledSteps:
     def _any(self, belief: OnlineBelief, values: Values, *, moves: bool) -> OnlineBelief:
         """A step with values of any kind: a prediction if it `moves`, else an update.
 
-        The layout of the step's kind is looked up, or made. While the kind has trials left, the
-        step is made in the general way, too; where the two beliefs differ, the one of the general
-        way is returned.
+        The layout of the step's kind is looked up, or made. The first few steps of a kind, its
+        *trials*, are made in the general way, too; where the two beliefs differ, the one of the
+        general way is returned.
         """
         core = belief._core if type(belief) is OnlineBelief else None
         make, general, kernel = self._ways[moves]
@@ -219,8 +219,9 @@ class CompiledSteps:
 def _tried(kind: Layout, found: Array, due: OnlineBelief) -> bool:
     """Whether machine code and NumPy give the same belief, to 10⁻⁶ standard deviations.
 
-    `found` (n + 1, n) is the mean and the covariance by machine code. One trial of the kind is used
-    up; if they differ, the kind has no machine code any more.
+    `found` (n + 1, n) is the mean and below it the covariance by machine code, `due` the belief by
+    NumPy. The first few steps of a `kind` are such trials, of which one is used up. If the two
+    differ, steps of the kind are made by NumPy from now on.
     """
     std = np.sqrt(np.maximum(due.cov.diagonal(), 0.0))
     close = np.abs(found[0] - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
@@ -257,6 +258,9 @@ def _given(values: Values) -> tuple[list[Any], list[Array]] | None:
 
 
 def _entry(kernel: Any) -> Any:
-    """The entry point of a compiled kernel, which looks at no types: arguments have to fit."""
+    """A compiled kernel as a function that skips Numba's checks of its arguments' types.
+
+    Calls are quicker, and arguments of other types than it was compiled for are not noticed.
+    """
     (made,) = kernel.overloads.values()
     return made.entry_point

@@ -412,7 +412,7 @@ class OnlineFilter(InCode, Immutable):
         return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
-        """The plan of one prediction, with its inputs."""
+        """The plan of one prediction, from a belief to the next step, with its `inputs` bound."""
         return self._plan(step_evidence.inputs(self.model, belief, inputs), belief.step)
 
     @_quiet
@@ -510,15 +510,16 @@ class OnlineFilter(InCode, Immutable):
         return made.judged(*of_update(belief.watch, parts, known)) if judges else made
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
-        """The plan of one update, with its measurements."""
+        """The plan of one update at the step of a belief, with its `readings` bound."""
         plan = self._plan(step_evidence.readings(self.model, belief, readings), belief.step)
         require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
         return plan
 
     def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
-        """The plan of a window whose first step is number `first`.
+        """The plan of a window with the evidence `bound`, whose first step is number `first`.
 
-        `prior` says whether it begins with the prior, as at step 0, or with a belief.
+        `prior` says whether the window begins with the model's prior, as at step 0, or with a
+        belief.
         """
         plan = self._plan(bound, first, prior=prior)
         assert isinstance(self.schedule, FixedLag)
@@ -527,8 +528,8 @@ class OnlineFilter(InCode, Immutable):
         return plan
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
-        """The plan of a chain with this evidence, whose first step is number `step`.
+        """The plan of a chain with the evidence `bound`, whose first step is number `step`.
 
-        `prior` says whether it begins with the prior, or with a belief.
+        `prior` says whether the chain begins with the model's prior, or with a belief.
         """
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)

@@ -1,4 +1,4 @@
-"""Checks of the settings of an online filter."""
+"""Checks of the arguments with which an online filter is made."""
 
 from __future__ import annotations
 

@@ -39,9 +39,9 @@ from pgm.variables import Discrete, Variable
 
 
 class Place(Protocol):
-    """A belief of any kind, as binding evidence sees it: its step, runs, and the steps behind.
+    """What the evidence of a step has to know of a belief: its step, its runs, the steps behind it.
 
-    It is no *place* of an array.
+    Beliefs of any kind have these. It is no *place* of an array.
     """
 
     @property
@@ -255,9 +255,9 @@ Values = Mapping[Variable, Any]
 class _Local:
     """A CPD of a layout, and the places of its inputs and measurements.
 
-    `inputs` are pairs: the place of an input, and whether all measurements share its only row.
-    `sightings` is the number of measurements, and `reading` the place of their values; they are 1
-    and −1 for a CPD of the transition.
+    `family` is the CPD. `inputs` has a pair for each of its inputs: the place of the array, and
+    whether all measurements share its only row. `sightings` is the number of measurements, and
+    `reading` the place of their values; they are 1 and −1 for a CPD of the transition.
     """
 
     def __init__(
@@ -381,10 +381,12 @@ def _local(
     count: int,
     where: Mapping[tuple[Variable | None, Variable], int],
 ) -> _Local:
-    """A CPD with the places of its inputs; `where` has the places by sensor and variable.
+    """A CPD, `family`, with the places of its inputs.
 
     `sensor` is the CPD's child and `count` its number of sightings; None and 1 for a transition. An
     input that was given by itself, not with the sensor's sightings, is shared by all of them.
+    `where` has the places by pairs: the sensor with whose sightings an array was given, or None,
+    and the array's variable.
     """
     inputs = []
     for parent in family.inputs:

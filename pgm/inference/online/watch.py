@@ -52,8 +52,9 @@ class Watch(NamedTuple):
     def told(self, associations: Found, gate: Asked | None) -> Watch:
         """The watch after counting the `associations` of the step's sightings, by sensor.
 
-        Of a sensor with a `gate` only sightings taken for no candidate count here: the gate counts
-        the others.
+        Of a sensor with a gate only sightings taken for no candidate count here: the gate counts
+        the others. `gate` is the probability of all sensors' gates, or a mapping from sensors to
+        theirs; None for no gate.
         """
         found = self.opened
         for variable, each in associations.items():

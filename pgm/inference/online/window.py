@@ -43,7 +43,7 @@ class Entry(NamedTuple):
 
     `motion` has, for each CPD of the transition to the step, its inputs, (1, runs or 1, d) by
     variable. Step 0 has no transition: its inputs are arrays without rows, (0, 1, d). `readings`
-    are the measurements, by sensor and update.
+    has an element for each update of the step and each sensor measured in it.
     """
 
     motion: tuple[Inputs, ...]
@@ -123,7 +123,10 @@ class Sliding:
 
     @property
     def _newest(self) -> Beginning | None:
-        """The belief at the step before the newest, from that step's window; None at step 0."""
+        """The belief at the step before the newest one, given all measurements up to that step.
+
+        It is the newest of the window that ended there; None at step 0.
+        """
         return None if self.before is None else self.before.at(-1)
 
     @property
@@ -257,8 +260,9 @@ class Passed:
     def moments(self) -> tuple[Array, Array, Array, Array]:
         """The matrices A, Q, P_y and P of the transition, (*lead, n, n).
 
-        The transition is y = A x + c + n, n ~ N(0, Q), P the covariance of x and P_y that of y.
-        They serve to bound the rounding of smoothed covariances.
+        The transition from slice x to slice y is y = A x + c + e, e ~ N(0, Q). P is the covariance
+        of x before it, P_y that of y predicted. They serve to bound the rounding of smoothed
+        covariances.
         """
         plan, *ends = self._made
         known, predicted = (each.by_run[1] for each in ends)
@@ -272,9 +276,10 @@ class Passed:
 
     @cached_property
     def added(self) -> Array:
-        """A bound of the rounding that the reversed transition causes, (*lead,).
+        """A bound of the rounding that smoothing over this transition causes, (*lead,).
 
-        It is a share of P, the covariance of the slice before the transition.
+        It bounds the error of a smoothed covariance of the slice before the transition, as a share
+        of that slice's covariance P given only the measurements up to its step.
         """
         predicted = self._made[2].by_run[1]
         found: Array = accumulated(np.stack([predicted, predicted]))
@@ -287,10 +292,11 @@ class Passed:
 
 
 def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
-    """A forward pass over the one step of a plan, which stores linearisations in a copy of it.
+    """A forward pass over the one transition of a plan, for a step of a trail.
 
-    `ats` are the transition's CPDs bound to the step's inputs: a noise that depends on inputs is
-    taken from these.
+    It works on a copy of the plan, in which the linearisations of this step are stored, so that the
+    plan can be filled with the next step's inputs. `ats` are the transition's CPDs bound to the
+    step's inputs: a noise that depends on inputs is taken from these.
     """
     own = plan.window(0, 1)
     for link, at in zip(own.transition, ats, strict=True):
@@ -320,11 +326,11 @@ class Trail(NamedTuple):
         return Trail(self.lag, kept[-self.lag :] if self.lag else ())
 
     def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
-        """The first step of the trail and the smoothed mean and covariance there.
+        """The number of the trail's first step, and the smoothed mean and covariance there.
 
-        `mean` and `cov` (*lead, ...) are those of the belief, at `step`. A `NumericalError` is
-        raised where a step was made in twice the digits, smoothing divides a variance by more than
-        2·10⁷, or rounding may be more than 10⁻⁷ of a smoothed variance.
+        `mean` and `cov` (*lead, ...) are those of the belief at the trail's end, `step`. A
+        `NumericalError` is raised where a step was made in twice the digits, smoothing divides a
+        variance by more than 2·10⁷, or rounding may be more than 10⁻⁷ of a smoothed variance.
         """
         first, before = step - len(self.passed), step
         later, added = [cov], np.zeros(cov.shape[:-2])
@@ -345,8 +351,9 @@ class Trail(NamedTuple):
     def _share(self, later: list[Array]) -> float:
         """The largest bound of the rounding of a smoothed variance, as a share of the variance.
 
-        The variances are those at the trail's first step. `later` are the smoothed covariances from
-        the last step back. The bound is infinite if a covariance is singular in float64.
+        `later` are the smoothed covariances (*lead, n, n) from the trail's last step back to the
+        step whose variances are judged. The result is infinite if a covariance is singular in
+        float64.
         """
         error = np.zeros(later[0].shape)
         for passed, cov in zip(reversed(self.passed), later[:-1], strict=False):
@@ -362,9 +369,10 @@ class Trail(NamedTuple):
         return float(part.max(initial=0.0))
 
     def _refuse(self, first: int, before: int, step: int) -> NoReturn:
-        """Refuse a lagged belief at step `first`, of whose digits float64 loses too many.
+        """Raise the `NumericalError` that float64 loses too many digits of a lagged belief.
 
-        They are lost at step `before` or the next.
+        The belief would be at step `first`, given the measurements up to `step`; its digits are
+        lost at step `before` or the next.
         """
         raise NumericalError(
             f"float64 loses the belief at step {first} given the measurements up to step {step}: "
@@ -389,9 +397,10 @@ def is_like(behind: Trail | Sliding | None, own: Trail | Sliding | None) -> bool
 
 
 def look_again(plan: ChainPlan, ats: Sequence[At], step: int, known: Moments) -> None:
-    """Predict again and look at every number, so that an error names the CPD that is not finite.
+    """Predict again with a check of each CPD's numbers, so that an error names the CPD at fault.
 
-    `known` are the moments at the step before, `ats` the CPDs of the transition to `step`. The
-    error is a `LinearisationError` or `NumericalError`; without one nothing is returned.
+    It is called after a prediction that failed or was not finite. `known` are the moments at the
+    step before, `ats` the CPDs of the transition to `step`. The error is a `LinearisationError` or
+    a `NumericalError`.
     """
     MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
