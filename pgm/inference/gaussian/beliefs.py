@@ -87,7 +87,10 @@ class Places:
 
     @cached_property
     def homes(self) -> tuple[Integers, Integers]:
-        """For each component the smallest cluster that holds it and its column there, (size,)."""
+        """The smallest cluster that holds each component, and its column there, (size,) both.
+
+        The smallest cluster is the one of fewest components, and of equals the first.
+        """
         cluster, column = np.empty((2, self.layout.size), dtype=np.intp)
         # Of clusters of one size the first is written last, and stays.
         for k in reversed(np.argsort(self.sizes, kind="stable").tolist()):
@@ -163,10 +166,11 @@ class Beliefs:
 
 
 class TreePoint(NamedTuple):
-    """Beliefs as a point of linearisation.
+    """Beliefs as a point of linearisation, in the user's units.
 
-    Means are (1, runs, size) and standard deviations (1, V, size) of all hidden components; the
-    first axis is that of steps, as chains have them.
+    `mean` (1, runs, size) and `std` (1, V, size) are the means and standard deviations of all
+    hidden components in `beliefs`. Their first axis is that of time steps, of which a network
+    without time has one.
     """
 
     mean: Array
@@ -188,7 +192,7 @@ class Calibrated:
 
     @property
     def means(self) -> Array:
-        """The means of all components, (1, runs, size)."""
+        """The means of all hidden components in the user's units, (1, runs, size)."""
         return self.point.mean
 
     @cached_property
@@ -199,10 +203,16 @@ class Calibrated:
 
 
 def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
-    """Linearise every nonlinear CPD anew at its cluster's belief, in the `active` runs, (runs,)."""
+    """Linearise every nonlinear CPD of a model anew, in place, at its cluster's belief.
+
+    The mask `active` (runs,) tells in which runs.
+    """
 
     def moments(g: int) -> tuple[Array, Array]:
-        """Means (CPDs, runs, n) and covariances (CPDs, V, n, n) of group g's hidden parents."""
+        """The moments in `beliefs` of the hidden parents of group g's CPDs, in the user's units.
+
+        Means are (CPDs, runs, n) and covariances (CPDs, V, n, n), for n components of the parents.
+        """
         where, entries = beliefs.places.families[g]
         mean, cov = beliefs.moments(where, entries, model.layout.groups[g].parents)
         return mean.swapaxes(0, 1), cov.swapaxes(0, 1)

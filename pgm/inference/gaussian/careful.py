@@ -1,7 +1,8 @@
 """Inference on a small network in as many decimals as it needs, where float64 loses them.
 
-The linearised CPDs y = F p + b + n are taken as exact decimals, and a dense joint Gaussian is made
-of them (`dense`). Then only one error is left: the linearised mean F μ + b was calculated in
+The linearised CPDs y = F p + b + n, of d components of the child y and with the hidden parents p
+and the noise n, are taken as exact decimals, and a dense joint Gaussian is made of them (`dense`).
+Then only one error is left: the linearised value F μ + b at the parents' mean μ was calculated in
 float64, and is wrong by the last places of its summands. To first order this error is carried on to
 the posterior means and to ln p(evidence), and tells how many of their digits are correct.
 
@@ -80,8 +81,9 @@ class DenseBeliefs(Beliefs):
 class Solution:
     """The beliefs, ln p(evidence), (V, N), and each run's correct decimal digits, (runs,).
 
-    Digits are correct if rounding does not change them. Those of means are counted from their
-    posterior standard deviations, those of ln p from one; a run has the fewest of all.
+    Digits are correct if rounding does not change them. A mean has k correct digits if rounding
+    moves it by about 10⁻ᵏ posterior standard deviations, and ln p if rounding moves it by about
+    10⁻ᵏ. The number of a run is the smallest of those of its means and of its ln p.
     """
 
     beliefs: DenseBeliefs
@@ -247,12 +249,13 @@ def _read(
 def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     """Correct decimal digits of each run's means and ln p, (runs,): −log₁₀ of their largest shift.
 
-    The first `sides` columns of `joint.mean` are means, the others error columns; without these all
-    digits of float64 are correct. A run's shift is the largest of `moved` (V,), the shift of ln p,
-    and of the shifts of its components' means in posterior standard deviations. If the CPDs are
-    still linearised at the prior's means or a start (`Model.first`), the shift is multiplied by the
-    largest distance of a component's posterior mean from there, in standard deviations of the
-    prior, if that is more than one.
+    The first `sides` columns of `joint.mean` are means, the others error columns. Without error
+    columns all digits of float64 are correct. The largest shift of a run is the larger of `moved`
+    (V,), that of ln p, and of the largest shift of a component's mean, in posterior standard
+    deviations. If the CPDs are still linearised at the prior's means or a start (`Model.first`),
+    rounding of slopes counts the more, the further the posterior is from there: the shift is then
+    multiplied by the largest distance of a component's posterior mean from its mean there, in
+    standard deviations of the prior, if this is more than one.
     """
     size = model.layout.size
     lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))

@@ -124,7 +124,8 @@ class Conditionals:
 def _offset(family: Family, row: int, runs: int) -> Decimals:
     """The offset b of one copy of a CPD, row `row` of its family, (runs, d), in decimals.
 
-    The offset of an affine CPD with observed parents is summed up anew, without rounding.
+    An affine CPD with observed parents has their terms in its offset, whose sum the family has
+    rounded to float64: it is summed up anew, without rounding.
     """
     cpd = family.cpd
     known = [p for p in cpd.given if p not in family.hidden]

@@ -1,4 +1,8 @@
-"""Joints of variables that no single cluster of a tree holds."""
+"""Joints of variables that no single cluster of a tree holds: their means and covariances.
+
+A component's *place* is its index in the vector of all hidden components. V is the number of
+covariances: 1 if all runs share them, else the number of runs.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +18,9 @@ from pgm.kernels.solving import regression
 def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[Array, Array]:
     """Mean (runs, n) and covariance (V, n, n) of components, which any clusters may hold.
 
-    `wanted` (n,) are their places in the vector of all hidden components; V is 1 if all runs share
-    their covariances, else the number of runs. Units are the user's. The covariance is
-    collected from the top of the tree down. Given its sepset s with its parent, a cluster's other
-    components f are independent of the components a above it, so that their covariance is
+    `wanted` (n,) are the components' places. The results are in the user's units. The covariance
+    is collected from the top of the tree down. Given its sepset s with its parent, a cluster's
+    other components f are independent of the components a above it, so that their covariance is
 
         P_fa = P_fs P_ss⁺ P_sa,
 
@@ -83,9 +86,9 @@ def _gain(
 
     s are the components of the sepset, at the places `shared`, and f the cluster's other ones, at
     the places `fresh`. `inside` is the cluster's covariance, (V, s + f, s + f), the sepset first.
-    The beliefs of a tree (`TreeBeliefs`) have kept this regression from the upward pass; here rows
-    of components without variance are made zero. For other beliefs, and an empty sepset, it is
-    computed by a pseudo-inverse.
+    `TreeBeliefs` have kept this matrix from the upward pass: it is returned with zeros in the rows
+    of components without variance. From other beliefs, and for an empty sepset, it is computed by
+    a pseudo-inverse.
     """
     if not isinstance(beliefs, TreeBeliefs) or not shared:
         count = len(shared)

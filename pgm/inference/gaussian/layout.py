@@ -34,10 +34,13 @@ def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
 
 
 def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
-    """The variables to leave out: inputs without evidence, and unobserved children of these inputs.
+    """The variables to leave out, because a CPD lacks evidence that it needs.
 
-    An unobserved child is left out if one of its CPD's `known_parents` has no evidence. A variable
-    stays if an observed variable, or another variable that stays, depends on it.
+    A CPD needs evidence of its parents that are inputs, and of those that its noise depends on
+    (`known_parents`). If one of these has none, the child is left out, provided that it is not
+    observed, and so are those parents without evidence that are inputs. A variable stays if an
+    observed variable, or another variable that stays, depends on it. `evidence` are the variables
+    with evidence.
     """
     inputs = set(network.inputs)
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}

@@ -1,9 +1,9 @@
 """The rounding of linearised CPDs of a network, and by how much it shifts its variables.
 
-A linearised mean F x + b is a difference of numbers as large as F μ, μ being the parents' mean.
-With sigma points it is made of weighted values of the function; where the points lie close together
-the weights are large, and of both signs (`Points.cancellation`). A *group* is made of copies of one
-CPD, which are linearised together.
+The linearised mean of a CPD is F x + b, (d,), x being its hidden parents, whose mean is μ. It is a
+difference of numbers as large as F μ. With sigma points it is made of weighted values of the
+function; where the points lie close together the weights are large, and of both signs
+(`Points.cancellation`). A *group* is made of copies of one CPD, which are linearised together.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ def rounding(model: Model, g: int) -> Array:
     """A bound on the rounding of F x + b of the nonlinear CPDs of group g, (CPDs, runs, d).
 
     The CPDs were linearised where the parents have the means μ and the standard deviations σ. With
-    sigma points the bound is 2⁻⁵² k (|F| (|μ| + σ) + |b|), k being the sum of their absolute
+    sigma points the bound is 2⁻⁵² w (|F| (|μ| + σ) + |b|), w being the sum of their absolute
     weights in the mean and in the slope. With other rules it is 2⁻⁵² (k (|F| |μ| + |b|) + |F| σ):
     k is 1, plus for each numerical derivative of `Taylor` the ratio of σ to the step of the
-    difference. The term |F| σ is absent if `Taylor` needs no numerical derivative, or if no parent
-    is hidden.
+    difference. The term |F| σ is absent if `Taylor` needs no numerical derivative. Where no parent
+    is hidden the bound is 2⁻⁵² |b|.
     """
     family = model.families[g]
     rule, template = family.lineariser, family.template

@@ -5,8 +5,9 @@ A message is the factor exp(g − ½ ‖A ξ − r‖²) over the s components o
 and the log-scale g (V, N): V = 1 where N runs share matrices, else V runs and N = 1. Messages are
 numbered as in `Directed`: message m and message m ^ 1 go along the same edge in opposite
 directions. A *stack* is a batch of eliminations of equal shape, which gather the rows of clusters'
-CPDs and of messages to them. A run is *lost* when its messages diverge, and *active* until it is
-lost or has converged.
+CPDs and of messages to them. Relations among a sepset's components that hold without noise are
+*exact relations*; a message keeps them beside its rows. A run is *lost* when its messages diverge,
+and *active* until it is lost or has converged.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class RowMessages:
 
     @classmethod
     def make(cls, buffer: Buffer, places: Places, damping: float) -> RowMessages:
-        """The messages at their start, written into a new buffer, as `Buffer.make` returns it.
+        """The messages at their start, written into a buffer that still holds only zeros.
 
         The factors of the CPDs are written into it, too. Without damping `damping` is 0.
         """
@@ -85,10 +86,10 @@ class RowMessages:
     def propose(self, round: RowRound) -> Array:
         """Compute a round's messages from the stored ones; returns their changes, (messages, runs).
 
-        The computed messages are kept aside for `accept`. A change tells how much the new message
-        changes the sepset's belief: it is the largest of the moves of its means in standard
-        deviations, of the relative changes of its information, and of the changes of exact
-        relations.
+        The computed messages are kept aside for `accept`. A change tells how much a new message
+        changes the belief of its sepset: it is the largest number among the moves of the belief's
+        means in standard deviations, the relative changes of its information, and the changes of
+        the message's exact relations.
         """
         self._proposed = []
         change = np.empty((len(self.directed), self.runs))

@@ -2,7 +2,10 @@
 
 A *group* is made of copies of one CPD, whose linearisations are the rows of a `Family`. A *place*
 is the index of a component in the vector of all hidden components, (size,). A *frame* has the means
-of all hidden components, and their standard deviations as units.
+of all hidden components, and their standard deviations as units. In the shapes of a group's arrays
+n counts the components of a CPD's hidden parents, d those of its child, and an axis `runs or 1` has
+length 1 where all runs share the values. `bound` is the evidence by variable: values (runs or 1,
+d), and masks of the components that were measured.
 """
 
 from __future__ import annotations
@@ -37,9 +40,9 @@ class LinearisedAt(NamedTuple):
     mean, std : ndarray
         Means and standard deviations, (CPDs, runs, n).
     lengths : ndarray
-        Lengths, of the same shape, from which `Taylor` takes the steps of its numerical
-        differences: of a belief the standard deviation of each component given that other component
-        which tells most about it, of a frame `std` again.
+        Lengths, of the same shape, to which `Taylor` fits the steps of its numerical differences.
+        At a belief the length of a component is its standard deviation given one other component,
+        the one that tells most about it; at the prior's moments it is the component's `std`.
     """
 
     mean: Array
@@ -96,12 +99,14 @@ class Model:
         *,
         judge: Judge | None = None,
     ) -> Model:
-        """Bind evidence, and linearise at the prior predictive moments or a start, (runs, size).
+        """The model with its evidence, linearised at the prior predictive moments or at a start.
 
-        Without a start `predictive`, a function such as `prior_predictive`, finds the moments and
-        linearises on the way. Where functions were traced (recorded as operations) the values and
-        slopes that the traces give are compared with the functions: with a `judge` when the whole
-        call is done, without one at once. A flat prior is a ModelError.
+        A `start` are the means of all hidden components, (runs, size). Without it the function
+        `predictive` (`prior_predictive`, or one with its signature) finds the prior's moments, and
+        linearises on the way. Where functions were traced, which records them as operations, the
+        values and slopes of the traces are compared with those of the functions: a `judge` gathers
+        them and compares them when the user's whole call is done; without one it is done at once.
+        A flat prior is a ModelError.
         """
         for group in layout.groups:
             for cpd in group.cpds:
@@ -194,7 +199,10 @@ class Model:
 
 
 def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
-    """The CPDs of a group as one family, a row each, with the values of observed parents."""
+    """The CPDs of a group as one family, a row each, with the observed parents' values in `bound`.
+
+    Nonlinear CPDs are not linearised yet.
+    """
     first = group.cpds[0]
     inputs = {
         first.parents[k]: _stacked([cpd.parents[k] for cpd in group.cpds], bound.values)
@@ -207,7 +215,10 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
 
 
 def _taken(group: Group, bound: BoundValues) -> Mask | None:
-    """The mask of measured components of a group's children, (CPDs, runs or 1, d); None for all."""
+    """The mask of the measured components of a group's children, (CPDs, runs or 1, d).
+
+    The result is None if all components of all children were measured.
+    """
     children = [cpd.child for cpd in group.cpds]
     if bound.taken.keys().isdisjoint(children):
         return None

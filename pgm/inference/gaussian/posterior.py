@@ -1,4 +1,8 @@
-"""Posteriors of Gaussian networks."""
+"""The result of inference in a Gaussian network: marginals, joints, messages and ln p(evidence).
+
+Messages, and the beliefs and potentials of clusters, are given in canonical form, by an information
+matrix K, a vector h and a constant g: exp(−½ xᵀK x + hᵀx + g).
+"""
 
 from __future__ import annotations
 
@@ -30,11 +34,11 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GaussianPosterior(Posterior):
-    """The beliefs of a Gaussian network; leading axes are runs.
+    """The beliefs of a Gaussian network given its evidence.
 
-    On a tree the beliefs are exact for the (linearised) network. On a graph with loops the means
-    are exact where the messages have converged; the variances are approximate: too small or too
-    large.
+    The leading axes of all results are the user's axes of runs. On a tree the beliefs are exact for
+    the (linearised) network. On a graph with loops the means are exact where the messages have
+    converged; the variances are approximate: too small or too large.
     """
 
     graph: ClusterGraph
@@ -108,7 +112,8 @@ class GaussianPosterior(Posterior):
     def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
         """The joint of variables without evidence, in the order given, (*runs, n).
 
-        Variables of several clusters are joined along the tree between them.
+        Variables of several clusters are joined along the tree between them. On a graph with loops
+        all have to be in one cluster, else it is a GraphError.
         """
         scope = as_scope(variables)
         if not scope:
@@ -163,14 +168,22 @@ class GaussianPosterior(Posterior):
 
     @quiet()
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
-        """The belief of a cluster over its variables without evidence, unnormalised."""
+        """The belief of a cluster over its variables without evidence, unnormalised.
+
+        It is the product of the cluster's potential and all messages to it. Where CPDs without
+        noise determine a part of it, it has no canonical form, which is a NumericalError.
+        """
         index = self.graph.index(cluster)
         found, scope = self._messages.belief(index), self._plan.layout.scopes[index]
         return self._form(*found, scope, f"the belief of cluster {index}", index)
 
     @quiet()
     def potential(self, cluster: int | Cluster) -> CanonicalForm:
-        """The potential of a cluster: its CPDs as they were linearised, with their evidence."""
+        """The potential of a cluster: the product of its CPDs as linearised, with their evidence.
+
+        It is over the cluster's variables without evidence. CPDs without noise have no canonical
+        form, which is a NumericalError.
+        """
         index = self.graph.index(cluster)
         found, scope = self._messages.potential(index), self._plan.layout.scopes[index]
         return self._form(*found, scope, f"the potential of cluster {index}", index)
@@ -244,9 +257,11 @@ class GaussianPosterior(Posterior):
 
     @quiet()
     def _why_unsettled(self) -> str:
-        """A sentence on whether the network is walk-summable, in the run furthest from convergence.
+        """A sentence for the warning that messages have not converged, on why they may not.
 
-        Empty where messages were not sent by rounds, or the spectral radius is unknown.
+        It tells whether the network is walk-summable in the run furthest from convergence, which
+        the spectral radius of its partial correlations decides: from 1 on messages round loops may
+        diverge. It is empty if messages were not sent by rounds, or the radius is unknown.
         """
         if self._sent is None or not len(self.status.residuals):
             return ""

@@ -9,6 +9,9 @@ frame's means, s its units. With the residual e = y − (F p + b) at the means m
 without s_y ξ_y where y is observed. Divided by a root of Σ it is d *rows* A ξ − r, whose factor is
 exp(−½ ‖A ξ − r‖²) times a scale. An *exact* row is one without noise: a relation that holds
 exactly. A *group* is made of copies of one CPD, which are linearised together.
+
+V is the number of matrices A and of noises Σ: 1 where all runs share them, with one of N = runs
+right sides r for each run; else V = runs and N = 1.
 """
 
 from __future__ import annotations
@@ -33,13 +36,13 @@ COARSE = 1e-1
 class Potentials:
     """The rows of all CPDs, one after another in the order of the groups.
 
-    Where all runs share their matrices, V is 1 and each of N runs is a right side; else each of V
-    runs has a matrix, and N is 1. Rows are kept flat: A (V, entries), r (V, rows, N). `proper` has
-    the rows with noise and zeros in place of the exact rows; `exact` the exact rows and zeros in
-    place of the rows with noise, None if no row is exact. Log-scales are (V, CPDs, N). `coarse`
-    measures the digits that rounding of residuals costs, for the worst row: a tenth of the largest
-    summand of its residual, over the standard deviation of the noise, or over the length of an
-    exact row; infinite where rounding may decide whether a component is certain, or a row exact.
+    Rows are kept flat: A (V, entries), with the entries of all matrices, and r (V, rows, N).
+    `proper` has the rows with noise and zeros in place of the exact rows; `exact` the exact rows
+    and zeros in place of the rows with noise, None if no row is exact. Log-scales, the logarithms
+    of the scales of the CPDs' factors, are (V, CPDs, N). `coarse` measures the digits that rounding
+    of residuals costs, for the worst row: a tenth of the largest summand of its residual, over the
+    standard deviation of the noise, or over the length of an exact row; infinite where rounding may
+    decide whether a component is certain, or a row exact.
     """
 
     proper: Flat

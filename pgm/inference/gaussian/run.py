@@ -1,4 +1,9 @@
-"""Running a schedule on a cluster graph of a Gaussian network."""
+"""The posterior of a static Gaussian network, by calibrating a tree or by rounds of messages.
+
+A tree is solved, linearised at its beliefs, and solved again until its means stay. Small trees for
+which float64 keeps too few digits are solved in decimals. `bound` is the evidence by variable, with
+the axes of runs flattened to one.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +49,13 @@ def run(
     lineariser: Lineariser,
     start: Start | None,
 ) -> GaussianPosterior:
-    """The posterior of a Gaussian network, by the messages of a schedule; see `pgm.infer`."""
+    """The posterior of a Gaussian network, by the messages of a schedule, as of `pgm.infer`.
+
+    Without a schedule the graph, a tree, is calibrated. `start` has the means of hidden variables
+    at which nonlinear CPDs are linearised first; without it they are linearised at the prior's
+    moments. The posterior's status tells of convergence and correct digits; fewer than six digits
+    are a `PrecisionWarning`.
+    """
     network = graph.network
     require_gaussian(network.cpds, "Gaussian beliefs")
     require_plain(network.cpds)
@@ -135,7 +146,11 @@ def _plan(
 
 
 def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
-    """The posterior of a graph with loops: rounds of messages until none changes."""
+    """The posterior by rounds of messages, on a graph that may have loops.
+
+    Rounds are sent until no message changes by more than the schedule's tolerance, or its
+    iterations are used up. `buffer` is that of the model, and still holds only zeros.
+    """
     graph, model = plan.layout.graph, buffer.model
     messages = RowMessages.make(buffer, plan.places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
@@ -175,10 +190,10 @@ def _iterated(
 ) -> tuple[Calibrated, Status]:
     """Solve, linearise at the beliefs, and solve again, until the means stay.
 
-    They stay when no mean moves by more than the schedule's tolerance in standard deviations; the
-    schedule's iterations are the most linearisations. A schedule that is no `Calibration`, as None,
-    counts as `Calibration()`. `solver` solves the model as it is linearised. Returns the last
-    solution and the status.
+    They stay when no mean moves by more than the schedule's tolerance, in standard deviations. A
+    schedule of k iterations solves at most k times, the first included. Any schedule but a
+    `Calibration`, and None, counts as `Calibration()`. `solver` solves the tree with the CPDs as
+    they are linearised now. Returns the last solution and the status of convergence.
     """
     asked = schedule if isinstance(schedule, Calibration) else Calibration()
     tree, exact = _Tree(model, solver), np.full(model.runs, model.exact)
@@ -198,8 +213,8 @@ def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
     """The means of all hidden components at a start, (runs, size).
 
-    A variable that the start lacks gets NaN if it has no children; if it has, it is an
-    EvidenceError.
+    `start` maps hidden variables to means. A hidden variable that it lacks gets NaN if it has no
+    children; to lack one with children is an EvidenceError.
     """
     require_hidden(start, layout.places)
     mean = np.full((bound.runs, layout.size), np.nan)

@@ -22,9 +22,9 @@ MOST = 1000
 
 
 def shown(radius: float) -> str:
-    """The text of a spectral radius: three or four digits.
+    """The text of a spectral radius: four digits of one below 1, else three.
 
-    Where these digits are "1", the text is 1 plus or minus the radius's distance from 1.
+    A radius that these digits would show as "1" is shown by its distance from 1, as "1 − 2e-06".
     """
     text = f"{radius:.4g}" if radius < 1.0 else f"{radius:.3g}"
     if text != "1" or radius == 1.0:

@@ -182,9 +182,10 @@ class StateChain(BackwardChain):
         return self.slices.forward(step, belief)
 
     def take(self, step: int, belief: Array) -> tuple[Array, Array | float]:
-        """The belief given the measurements of its step, and ln p of these under it, (*runs).
+        """The filtered belief of a step, and ln p(its measurements | those before), (*runs).
 
-        Measurements of probability zero are refused with an `EvidenceError`.
+        `belief` is the predicted belief of the step. Measurements that it gives probability zero
+        are refused with an `EvidenceError`.
         """
         weights, log_scale = self.slices.likelihood(step)
         joint = belief if weights is None else self.semiring.times(belief, weights)
@@ -210,7 +211,9 @@ class StateChain(BackwardChain):
         self.slices.refuse(step, belief, int(np.argmin(totals > self.semiring.zero)))
 
     def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
-        """Keep the filtered belief of a step and its log-density; the predicted belief is dropped.
+        """Keep `known`, the filtered belief of a step, and the log-density of its measurements.
+
+        The predicted belief is dropped.
 
         Where there are controls, which begin at step 1, the belief of step 0 has another shape, and
         the beliefs kept are a list.

@@ -135,10 +135,12 @@ class Contraction(NamedTuple):
     ) -> Step:
         """The step that multiplies one table in: as a map along an axis, or as a table.
 
-        A table of two variables becomes a map if it may, by `map_`, if the array has its parent,
-        which no other table needs nor the result, and if the array lacks its child; with `back`
-        parent and child change places. `array` are the variables of the array's axes, `waiting` the
-        tables still to come, table `factor` included, and `last` the wanted variables.
+        array: The variables of the array's axes before the step.
+        waiting: The variables of each table still to come, table `factor` included.
+        last: The wanted variables.
+        map_: Whether the table may be a map. It becomes one if it has two variables, the array has
+            its parent but not its child, and neither the result nor another table needs the parent.
+            With `back` parent and child change places.
         """
         labels = waiting[factor]
         needed = {x for k, table in waiting.items() if k != factor for x in table} | set(last)
@@ -153,8 +155,8 @@ class Contraction(NamedTuple):
     def apply(self, array: Array, factors: Sequence[Factor], semiring: Semiring) -> Array:
         """The product of an array and the tables, summed over all variables that are not wanted.
 
-        array: (sizes of the first variables..., further axes..., [runs]); all axes behind those of
-            the variables are kept.
+        array: (sizes..., further axes..., [runs]), with the sizes of the variables `first` of which
+            the contraction was made (`of`); all axes behind them are kept.
         factors: Of each table its entries in the semiring, or, at the places in `along`, its map.
         """
         if self.summed:

@@ -1,7 +1,9 @@
 """Expected counts of the states of each CPD's family, given all measurements.
 
-A *row* is the place of a step, or of a measurement, along the first axis of the evidence's values.
-An axis [runs] is there only if the user gave axes of runs.
+The counts of a CPD are an array with an axis for each parent, in the CPD's order, then one for the
+child. A *row* is the place of a step, or of a measurement, along the first axis of the evidence's
+values. A belief is (*states, [runs]): an axis for each hidden variable of a step, or of two steps,
+then one of runs, which is there only if the user gave axes of runs.
 """
 
 from typing import Any
@@ -69,7 +71,10 @@ def _marginal(belief: Array, wanted: list[int]) -> Array:
 
 
 def _states(rows: Any, row: int, runs: int) -> Integers:
-    """The states of one variable at a row of inputs (rows, runs or 1, 1), for all runs, (runs,)."""
+    """The states of a variable at one row of its values, for all runs, (runs,).
+
+    `rows` are the indices of its states at all rows, (rows, runs or 1, 1).
+    """
     return np.broadcast_to(rows[row, :, 0], runs)
 
 
@@ -78,9 +83,11 @@ def _moved(
 ) -> None:
     """Add p(parents, child | all measurements) of a CPD at one step to its counts, in place.
 
-    inputs: Of each parent that evidence gives its states, (rows, runs or 1, 1).
+    counts: (size of each parent..., size of the child).
+    inputs: By parent whose values are evidence, the indices of its states, (rows, runs or 1, 1);
+        empty if all parents are hidden.
     row: The row of the step in `inputs`.
-    belief: (runs, *states), over at least the hidden variables of the CPD.
+    belief: (runs, *states), given all measurements, over at least the hidden variables of the CPD.
     axes: The axis of each hidden variable, counted from the first one of states.
     """
     family = (*cpd.given, cpd.child)
@@ -96,13 +103,16 @@ def _moved(
 def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, int]) -> None:
     """Add p(parents, z | all measurements) of a sensor z at one measurement to its counts.
 
+    counts: (size of each parent..., size of the sensor), changed in place.
+    reading: All measurements of the sensor, with its CPD. Its inputs have the states of the
+        parents that are not hidden.
     row: The place of the measurement in the reading.
-    belief: (runs, *states), over at least the hidden parents.
-    axes: The axis of each hidden variable, counted from the first one of states; the states of
-        other parents are the reading's inputs.
+    belief: (runs, *states), given all measurements, over at least the hidden parents.
+    axes: The axis of each hidden variable, counted from the first one of states.
 
-    A state z that was measured gets p(parents | all measurements). With soft evidence w of the
-    sensor each state z gets its share p(z | parents) w(z) / Σ_z p(z | parents) w(z) instead.
+    Where a state z was measured its counts grow by p(parents | all measurements). With soft
+    evidence w of the sensor each state z gets the share p(z | parents) w(z) / Σ_z' p(z' | parents)
+    w(z') of this instead. Runs in which the measurement is missing add nothing.
     """
     cpd, runs = reading.cpd, len(belief)
     found = _marginal(belief, [axes[v] for v in cpd.given if v in axes])

@@ -3,6 +3,10 @@
 These runs are called *lost*. A belief that knows the first impossible measurement, of step t, is
 NaN: a filtered one from step t on, a fixed-lag one from step t less the lag on, a smoothed one at
 all steps. The filtered beliefs before step t, and the predicted belief at step t, are not NaN.
+
+The last step is T. Beliefs are (*states, *runs): an axis for each hidden variable of a slice, then
+one of runs, or none where the user gave no axes of runs; [runs] is such an axis. Entries are
+numbers, or logarithms where numbers may underflow.
 """
 
 from __future__ import annotations
@@ -21,11 +25,12 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 
 
 class Search(StateChain):
-    """A forward sweep that goes on without measurements that are impossible.
+    """A forward sweep that leaves impossible measurements out, and notes the runs that have them.
 
-    lost: ([runs]): the first step whose measurements have probability zero given those before;
-        T + 1 where there is none.
-    least: The smallest positive probability in the filtered beliefs, which are not kept.
+    lost: The first step of each run, ([runs]), whose measurements have probability zero given those
+        before; T + 1 of a run without such a step. It is complete after `run`.
+    least: The smallest positive probability in the filtered beliefs, which are not kept; infinity
+        where entries are logarithms.
     """
 
     slices: TableSlices
@@ -39,11 +44,12 @@ class Search(StateChain):
     def contradicted(
         self, step: int, belief: Array, joint: Array, totals: Array
     ) -> tuple[Array, Array]:
-        """Note which runs are lost; returns the joint with the predicted belief in these, and sums.
+        """Note which runs are lost at a step, and leave its measurements out in these.
 
         `joint` is the product of the predicted `belief` and the weights of the measurements,
         (*states, *runs), and `totals` are its sums over the states, (*runs), zero where the
-        measurements are impossible. The sums returned are those of the joint returned.
+        measurements are impossible. Returns the joint, in lost runs with the predicted belief in
+        its place, and the sums over the states of what is returned.
         """
         lost = ~(totals > self.semiring.zero)
         self.lost = np.where(lost, np.minimum(self.lost, step), self.lost)
@@ -83,11 +89,12 @@ def blank(values: Array, lost: Integers | None, last: int) -> Array:
 
 
 def blanked(beliefs: Beliefs, lost: Integers | None, kind: Kind, steps: int) -> Beliefs:
-    """Beliefs of a kind by step, (*states, [runs]) each, NaN where they know the impossible.
+    """Beliefs of a kind by step, with NaN where they know an impossible measurement.
 
-    A belief is NaN in the runs that are lost at the last step whose measurements it knows, or
-    before. `lost` ([runs]) is the step from which on each run is lost, T + 1 of one that is not; or
-    None, where no run is lost. `steps` is the last step T.
+    `beliefs` has one of each step 0..T, (*states, [runs]). A belief is NaN in the runs that are
+    lost at the last step whose measurements it knows, or before. `lost` ([runs]) is the step from
+    which on each run is lost, T + 1 of one that is not; or None, where no run is lost. `steps` is
+    the last step T.
     """
     if lost is None:
         return beliefs

@@ -1,7 +1,9 @@
 """Joints of the variables of several slices, made only where they are asked for.
 
-Arrays have an axis for each hidden variable, then one of runs, or none where the user gave none.
-Their entries are numbers or logarithms, as the *semiring* of the chain has them.
+A *slice* is the hidden variables of a step: states, and controls, which the next slice does not
+depend on. Arrays have an axis for each hidden variable, then one of runs, or none where the user
+gave none; in (*states, *slice, *runs) the first axes are those of the states one step before. Their
+entries are numbers or logarithms, as the *semiring* of the chain has them.
 """
 
 from typing import Any
@@ -57,12 +59,13 @@ def potential(
 
 
 def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Array:
-    """The joint of variables at steps, (sizes..., *runs), in the order of `scope`.
+    """The joint probabilities of variables at steps, (sizes..., *runs), in the order of `scope`.
 
-    It is given the measurements that a belief of this `kind` at the latest of their steps knows. A
-    forward message goes from the first of the steps to the latest; from the step of each variable
-    on it has one more axis, of that variable's state. At the latest step it is multiplied by the
-    backward message.
+    `scope` are hidden variables, each at a step, as ``x.at(3)``. The joint is given the
+    measurements that a belief of this `kind` (filtered, fixed-lag, smoothed) at the latest of their
+    steps knows. A forward message goes from the first of the steps to the latest; from the step of
+    each variable on it has one more axis, of that variable's state. At the latest step it is
+    multiplied by the backward message.
     """
     slices: TableSlices = chain.slices  # type: ignore[assignment]
     semiring, axes = chain.semiring, len(plan.shape)

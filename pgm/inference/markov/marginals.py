@@ -1,4 +1,9 @@
-"""Marginals of a chain of tables at all steps."""
+"""Marginals of a discrete chain's hidden variables, read from beliefs over its slices.
+
+A *slice* is the hidden variables of a step: states and controls. A belief over it is (*states,
+*runs): an axis for each of its variables, then one of runs, or none where the user gave no axes of
+runs. The last step is T.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -56,7 +61,7 @@ class StateMarginals(Shown, NoArray):
     def _summed(self, belief: Array, variable: Variable, steps: int = 0) -> Array:
         """The marginal of a variable, (size, *runs), from a belief over the slice.
 
-        The belief may have one leading axis of steps, which is kept: then `steps` is 1.
+        With `steps` = 1 the belief has a leading axis of steps, and so has the marginal.
         """
         if len(self.plan.slice) == 1:
             return belief

@@ -1,8 +1,10 @@
 """The most probable path of a chain of tables: max-product messages, traced back.
 
-A *label* is the number of a variable: those of the slice have the numbers of their axes, from 0 on,
-the states of the slice before those that follow. A *map* is the table of a CPD with one hidden
-parent, kept as a matrix (`Move`). An axis in brackets, [runs], may be absent.
+A *slice* is the hidden variables of a step: states, and controls, which the next slice does not
+depend on. An array (runs, *slice) has an axis for each of them after that of runs; an axis in
+brackets, [runs], may be absent. A *label* is the number of a variable: those of the slice have the
+numbers of their axes, from 0 on; the states of the slice before have the numbers that follow. A
+*map* is the table of a CPD with one hidden parent, kept as a matrix (`Move`).
 """
 
 from typing import Any
@@ -69,11 +71,13 @@ def _best(scores: Array) -> Integers:
 
 
 def _with_controls(plan: SlicePlan, before: Array, states: Integers) -> Integers:
-    """The states of the whole slice, (variables, runs): of controls the best at the given states.
+    """The given states of a slice's state variables, with the most probable states of its controls.
 
-    before: The log-belief over the slice, (runs, *slice).
-    states: The given states, of the state variables alone, (state variables, runs). They are
-        returned as they are where there are no controls.
+    before: The forward message over the slice, as logarithms, (runs, *slice).
+    states: The given states, (state variables, runs).
+
+    Returns: The states of all variables of the slice, (variables, runs). Controls have the states
+    for which `before` is largest at the given states.
     """
     if not plan.controls:
         return states

@@ -1,4 +1,11 @@
-"""Filtering a discrete dynamic network in a robot's loop, one step at a time."""
+"""Filtering a discrete dynamic network in a robot's loop, one step at a time.
+
+Beliefs are over a *slice*, the hidden variables of a step: (*slice, *runs), an axis for each
+variable, then one of runs, or none where the user gave no axes of runs. Their entries are numbers,
+or logarithms where numbers may underflow: a *semiring* is the arithmetic of the one or the other.
+`Held` is such a belief, with the weights ∝ p(measurements | states) of its step. A *log-scale* is
+the logarithm of a number by which entries or weights have been divided.
+"""
 
 from __future__ import annotations
 
@@ -115,10 +122,11 @@ class OnlineTables(InCode, Immutable):
         before = self._spread(belief, bound.lead)
 
         def taken(own: TableSlices, known: Held) -> tuple[Array, Array | None, Array | float]:
-            """The belief `known` times the weights of the measurements in `own`, not normalised.
+            """The belief `known` times the weights of the new measurements, not normalised.
 
-            The second result is the product of all weights of the step so far, or None; the third
-            the log-scale of the new weights.
+            `own` are the slices with these measurements as evidence. The second result is the
+            product of all weights of the step so far, None if there are none; the third is the
+            log-scale of the new weights.
             """
             weights, scale = own.likelihood(step)
             if weights is None:
@@ -145,14 +153,14 @@ class OnlineTables(InCode, Immutable):
 
         A state is lost if its probability underflows.
 
-        slices: The transition, or the measurements, of the step.
-        known: The belief before.
-        work: The prediction or update, a function of slices and a belief, both in one semiring. It
-            returns the new entries, (*states, *runs), not normalised; the weights of the step's
-            measurements, or None; and a log-scale of the entries.
+        slices: The slices with the transition into the step, or with its new measurements.
+        known: The belief before the prediction or update.
+        work: The prediction or update itself, a function of slices and a belief, both in one
+            semiring. It returns the entries of the new belief, (*slice, *runs), not normalised; the
+            weights of the step's measurements, or None; and the log-scale of the entries.
 
-        Returns: The belief, of sum one, and the logarithm of the entries' sum, their scale
-            included, (*runs).
+        Returns: The new belief, of sum one; and ln of the sum of its entries before they were
+            normalised, their scale included, (*runs): of an update ln p of the new measurements.
         """
         for semiring in (SUM_PRODUCT, LOG_SUM_PRODUCT):
             if semiring.linear and (not known.linear or slices.smallest < TINY):
@@ -183,7 +191,10 @@ class OnlineTables(InCode, Immutable):
         axes = len(self._plan.slice)
 
         def wide(values: Array | None) -> Array | None:
-            """Values (*slice, [runs]), repeated for the runs of `lead`; None stays None."""
+            """Values (*slice, [runs]) of the belief's runs, for all runs of `lead`, (*slice, runs).
+
+            They are repeated as `belief.lead` broadcasts to `lead`. None stays None.
+            """
             if values is None:
                 return None
             new = (1,) * (len(lead) - len(belief.lead))

@@ -1,8 +1,8 @@
 """The beliefs of an online filter of a discrete dynamic network, and the steps of their lag.
 
-Arrays have an axis for each hidden variable, then one of runs, or none where the user gave none.
-Their entries are numbers, or logarithms where numbers may underflow: a *semiring* is the arithmetic
-of the one or the other.
+A *slice* is the hidden variables of a step. Arrays are (*states, *runs): an axis for each hidden
+variable, then one of runs, or none where the user gave none. Their entries are numbers, or
+logarithms where numbers may underflow: a *semiring* is the arithmetic of the one or the other.
 """
 
 from __future__ import annotations
@@ -69,7 +69,10 @@ class Held(NamedTuple):
 
     @property
     def loses(self) -> bool:
-        """Whether entries are numbers, a positive one below 10⁻¹⁵⁰: its products may underflow."""
+        """Whether the belief may lose a state in the next products, by underflow.
+
+        It may if its entries are numbers, not logarithms, and a positive one is below 10⁻¹⁵⁰.
+        """
         return self.linear and smallest(self.entries) < TINY
 
 
@@ -88,6 +91,9 @@ class OnlineStates(Shown, NoArray, Immutable):
     kind: Filtered after an update, predicted before; of a belief from `lagged`, fixed-lag.
     lead: The user's axes of runs.
     behind: Always None; beliefs of Gaussian filters keep earlier steps here, to smooth them.
+    _held: The belief over the slice.
+    _trail: The past steps within the filter's lag, earliest first, from which `lagged` smooths.
+    _lag: The filter's lag in steps; None without one.
     """
 
     step: int
@@ -122,7 +128,7 @@ class OnlineStates(Shown, NoArray, Immutable):
         self._set(lead=lead, behind=None, _plan=plan, _held=held, _lag=lag, _trail=trail)
 
     def __getitem__(self, variable: Variable) -> Table:
-        """The marginal of a hidden variable at the belief's step, (*runs, size).
+        """The marginal of a hidden variable at the belief's step, (*lead, size).
 
         Any other variable raises `EvidenceError`.
         """
@@ -143,10 +149,10 @@ class OnlineStates(Shown, NoArray, Immutable):
 
     @property
     def lagged(self) -> OnlineStates:
-        """The belief at the step the filter's lag back, given all measurements so far.
+        """The fixed-lag belief: of the step that lies as many steps back as the filter's lag.
 
-        In the first steps, up to the lag, it is that at step 0. A belief of a filter without a lag
-        raises `EvidenceError`.
+        It is given all measurements so far. If fewer steps have passed, it is that of step 0. A
+        belief of a filter without a lag raises `EvidenceError`.
         """
         if self._lag is None:
             raise EvidenceError(

@@ -234,7 +234,8 @@ class TableSlices:
 
     They are `Slices` whose transitions are sums of products of tables.
 
-    first: The step of row 0 of the transition; 1, of recorded evidence.
+    first: The step of row 0 of the transition's inputs: 1 where evidence is of all steps; the
+        filter's own step online, where it is of a single one.
     semiring: The semiring of all entries: `SUM_PRODUCT`, unless the slices were made by `within`.
     rows: The tables of each transition CPD.
     weights: The weights of states by each sensor's measurements.
@@ -275,9 +276,11 @@ class TableSlices:
 
     @property
     def smallest(self) -> float:
-        """A lower bound of the positive factors of one step: prior or transition times weights.
+        """A lower bound of the positive factors by which one step multiplies a probability.
 
-        Tables that are functions of inputs count as far as they have been called.
+        Such a factor is an entry of the prior or of the transition, times the weights of all
+        measurements of the step. Tables that are functions of inputs count as far as they have
+        been called.
         """
         first = math.prod(smallest_entry(cpd.table) for cpd in self._prior_cpds)
         onward = math.prod(row.smallest for row in self.rows)

@@ -1,4 +1,11 @@
-"""The results of inference on a chain of tables: beliefs over time, joints, messages."""
+"""The results of inference on a chain of tables: beliefs over time, joints, messages.
+
+The *slice* of a step is its hidden variables: states, and controls, which the next slice does not
+depend on. Arrays inside are (*states, *runs): an axis for each variable of the slice, then one of
+runs, or none where the user gave none; (sizes..., [runs]) are over some of the variables. Entries
+are numbers or logarithms, as the *semiring* of the chain has them. Cluster 0 has the states of step
+0, cluster t the states of step t − 1 and the slice of step t. The last step is T.
+"""
 
 import math
 from collections.abc import Callable, Iterator
@@ -144,7 +151,7 @@ class StatePosterior(Posterior):
 
     @cached_property
     def log_evidence(self) -> Array:
-        """The value ln p(measurements), (...)."""
+        """The value ln p(measurements), with the user's axes of runs."""
         return frozen(np.asarray(self._chain.log_density.sum(axis=0)).reshape(self._lead))
 
     @property

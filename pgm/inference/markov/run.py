@@ -1,4 +1,8 @@
-"""Running a schedule on a chain of tables."""
+"""Filtering or smoothing a chain of tables: in plain numbers, or in logarithms where these fail.
+
+A forward sweep makes the filtered beliefs of all steps, and is kept as a `StateChain`; the backward
+messages of a smoother are made when the posterior is asked for what needs them.
+"""
 
 from __future__ import annotations
 

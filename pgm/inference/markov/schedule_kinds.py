@@ -1,4 +1,8 @@
-"""The schedules of chains of finitely many states, on which nothing is linearised."""
+"""Checks of the schedules for chains whose beliefs are tables, grids or particles.
+
+A schedule tells which messages are sent, and so the kind of the beliefs: filtered, fixed-lag or
+smoothed. Nothing is linearised on these chains, so that there is nothing to iterate or damp.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, S
 
 
 def require_chain(graph: DynamicGraph, beliefs: str) -> None:
-    """Raise `GraphError` for a balanced tree of slices, since beliefs sweep along a chain.
+    """Raise `GraphError` for a balanced tree of slices, since these beliefs need a chain of them.
 
     `beliefs` names the beliefs in the error's text: a plural such as "tables".
     """

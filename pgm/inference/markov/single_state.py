@@ -3,7 +3,8 @@
 They go without the overhead of `StateChain` at each step: the weights p(z_t | x_t) of many steps, a
 *part*, are laid out before, and beliefs are scaled once in a few steps. Where a belief, or a sum of
 probabilities, comes near the smallest number of float64, a state may be *lost*, its probability
-underflowing to zero, and the result is not used.
+underflowing to zero, and the result is not used. The last step is T. A *vector* is a belief or a
+message, (states, [runs]), whose last axis is there only if the user gave axes of runs.
 """
 
 from __future__ import annotations
@@ -122,8 +123,8 @@ class DirectChain(StateChain):
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
         """For each step of a part, in its order, a function that applies the transition into it.
 
-        The function puts the transition's product with a vector, (states, [runs]), or with `back`
-        that of its transpose, into an array that is given.
+        Each is a function as `_apply` returns it: it multiplies a vector by the transition, or with
+        `back` by its transpose, and puts the product into an array that it is given.
         """
         if self.slices.constant is not None:
             return repeat(self._apply(part[0], back), len(part))
@@ -165,10 +166,11 @@ class DirectChain(StateChain):
         return found if precise else super().smoothed_beliefs()
 
     def _messages(self, found: Array) -> Iterator[slice]:
-        """Fill `found` with the backward messages to all steps, last to first.
+        """Fill `found`, (steps + 1, states, [runs]), with the backward messages to all steps.
 
-        Yields slices of rows of `found` that the caller may overwrite: they are filled, and no
-        further message is made from them.
+        They are made from the last step to the first. Yields slices of the first axis of `found`,
+        ranges of steps that the caller may overwrite: their messages are there, and no further one
+        is made from them.
         """
         if self._blocks is not None:
             self._blocks.backward(found)

@@ -1,4 +1,11 @@
-"""Weights of the states by the measurements of a discrete sensor: p(z | x)."""
+"""Weights of the states by the measurements of a discrete sensor: p(z | x).
+
+Weights are (*slice, [runs]), as a belief: an axis for each hidden variable of a step, of length one
+if the weights do not depend on it, then one of runs, which is there only if the user gave axes of
+runs. Their entries are numbers or logarithms, as a *semiring* has it. A *log-scale* is the
+logarithm of a number by which weights have been divided, to keep them near one. *Soft evidence* are
+weights w(z) of a sensor's states, in place of a state that was measured.
+"""
 
 from __future__ import annotations
 
@@ -84,12 +91,11 @@ class Weights:
         return turned.reshape(*turned.shape[: turned.ndim - len(self.order)], *self.shape)
 
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
-        """The weights of a measurement, (*slice, [runs]), the semiring's one in runs without it.
+        """The weights of the measurement at a row, (*slice, [runs]), as entries of the semiring.
 
-        The result is None where one measurement, shared by all runs or of the only run, is missing;
-        soft evidence always has weights. Entries are those of the semiring. Where they are numbers,
-        weights by soft evidence have been scaled: they are to be multiplied by the exponential of
-        `log_scale`.
+        In runs that lack the measurement they are the semiring's one. If all runs share it, or
+        there is one run, and it is missing, the result is None; soft evidence always has weights.
+        Where entries are numbers, weights by soft evidence have the log-scale `log_scale`.
         """
         values, taken = self.reading.values[row], self.reading.taken[row]
         if self.cpd.function is None:
@@ -115,10 +121,10 @@ class Weights:
     def picked(self, part: range) -> tuple[Array, Array] | None:
         """The weights of some steps, (steps, *slice, [runs]), and log-scales, (steps, [runs]).
 
-        All steps' weights are indexed at once. The largest weight of each step and run is one; a
-        step without a measurement has ones. `part` are consecutive steps. None where a step has
-        several measurements, or where the weights are no column of a constant table: with observed
-        parents, soft evidence, a function.
+        `part` are the steps, consecutive ones. The largest weight of each step and run is one; a
+        step without a measurement has ones. The weights of all steps are columns of one table, and
+        are selected at once. Where they are not, as with observed parents, soft evidence or a table
+        that is a function of inputs, the result is None, and so if a step has several measurements.
         """
         rows = self._rows(part)
         step = self.reading.step[rows.start : rows.stop] - part.start
@@ -136,11 +142,10 @@ class Weights:
 
     @cached_property
     def _scaled_columns(self) -> tuple[Array, Array]:
-        """The weights p(z | x) by state z of a sensor, (k + 1, *slice), and log-scales, (k + 1,).
+        """The weights p(z | x) of each state z, (k + 1, *slice), and log-scales, (k + 1,).
 
-        The largest weight of each of the k states z is made one; log-scales are the logarithms of
-        the divisors. The last entry is that of no measurement: ones, and 0. Only for sensors
-        without observed parents.
+        The sensor has k states, and no observed parents. The weights of a state are divided by the
+        largest. The last entry is for a missing measurement: ones, with the log-scale 0.
         """
         top = self._columns.max(axis=tuple(range(1, self._columns.ndim)), keepdims=True)
         top = np.where(top > 0.0, top, 1.0)
@@ -153,9 +158,11 @@ class Weights:
         return range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
 
     def multiply(self, found: Array, scales: Array, part: range) -> None:
-        """Multiply the weights of some steps, (steps, *slice, [runs]), by this sensor's, in place.
+        """Multiply the weights `found` of some steps by those of this sensor, in place.
 
-        This sensor's log-scales are added to `scales`, (steps, [runs]).
+        `found` (steps, *slice, [runs]) and `scales` (steps, [runs]) are the weights and log-scales
+        by other sensors; this sensor's log-scales are added to `scales`. `part` are the steps,
+        consecutive ones.
         """
         picked = self.picked(part)
         if picked is not None:
@@ -184,8 +191,9 @@ class Weights:
     def _softened(self, row: int, columns: Array, places: Any, semiring: Semiring) -> Array:
         """Weights by soft evidence w at a row: Σ_z w(z) p(z | parents), (*slice, [runs]).
 
-        columns: (axes of `places`..., child, *slice), as numbers.
-        places: Of each axis before the child's, the index of each run, (runs or 1,).
+        columns: The sensor's table, as numbers, (other axes..., child, *slice). The other axes are
+            those of observed parents, after one of runs if the table is a function of inputs.
+        places: For each of the other axes the index that each run selects, (runs or 1,).
         """
         values = (self._scaled if semiring.linear else self.reading.values)[row]
         runs = max([len(values), *(len(p) for p in places)])
