@@ -28,10 +28,13 @@ _NEGLIGIBLE = 1e-12
 
 
 def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any]) -> Found:
-    """By sensor, the `Associations` of its open sightings: their probabilities in all runs.
+    """By sensor, the associations of its open sightings in all runs, as an `Associations` record.
+
+    Sensors without open sightings are left out.
 
     bound: The evidence, with a `Reading` for each sensor.
-    values: The beliefs over which they are averaged, (runs, T + 1, *cells), the runs flattened.
+    values: The beliefs over which associations are averaged, (runs, T + 1, *cells), the user's axes
+        of runs being flattened to one.
     """
     every, lead = ((reading, reading.cpd) for reading in bound.readings), bound.lead
     open_ = [(reading, cpd) for reading, cpd in every if isinstance(cpd, UnidentifiedCPD)]
@@ -72,7 +75,7 @@ def _responsible(
     """
 
     def of(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The entry of an array of the reading, (rows, runs or 1, ...), at this row and run."""
+        """The entry (...) at `row` and `run` of an array (rows, runs or 1, ...) of the reading."""
         return np.asarray(rows[row, run if rows.shape[1] > 1 else 0])
 
     total = np.zeros(len(cpd.candidates) + 2)

@@ -49,8 +49,8 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
     def mean(self) -> Array:
         """The means, (..., n).
 
-        An angle's is its circular mean plus the mean of the differences from it, each of which is
-        wrapped to [−π, π).
+        The mean of an angle is its circular mean plus the mean of the differences from that, which
+        are wrapped to [−π, π).
         """
         return closed(self._mean())
 
@@ -112,7 +112,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         Parameters
         ----------
         size : int or tuple of int
-            How many draws of each belief.
+            The number of draws of each belief, or the shape of an array of draws.
         rng : numpy.random.Generator or int
             The generator of draws, or its seed.
 
@@ -128,7 +128,8 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
         """Draw `count` point masses of each belief, by their probabilities.
 
-        The draws are (count, *lead, n), or (count, beliefs, n) with the leading axes flattened.
+        The draws are (count, *lead, n); subclasses may flatten the leading axes to one, since
+        `sample` reshapes them.
         """
         raise NotImplementedError
 
@@ -175,13 +176,14 @@ class GridBelief(PointMassBelief):
     - p_k: their probabilities, `values`.
 
     Leading axes are independent beliefs: runs, and, where `steps` says so, steps in time. Means and
-    covariances are those of the point masses; those of angles are taken about the circular mean μ°,
-    the direction of Σ p_k (cos c_k, sin c_k), of differences wrapped to [−π, π).
+    covariances are those of the point masses. Those of an angle come from its differences, wrapped
+    to [−π, π), from the circular mean μ°, the direction of Σ p_k (cos c_k, sin c_k): the mean is μ°
+    plus the mean difference.
 
     Attributes
     ----------
     components : tuple of str
-        In the order of the axes of cells.
+        The names of the n components, in the order of the axes of cells.
     centres : tuple of ndarray
         (cells,) of each axis; those of an angle go round the circle from −π on.
     values : ndarray
@@ -222,7 +224,7 @@ class GridBelief(PointMassBelief):
         )
 
     def _mean(self) -> Array:
-        """The means (..., axes); an angle's is its circular mean plus the mean offset from that."""
+        """The means (..., n); an angle's mean is its circular mean plus the mean offset from it."""
         each = [
             axis.reference + about + offset
             for axis, (about, _, offset) in zip(self._parts, self._moments, strict=True)
@@ -230,7 +232,7 @@ class GridBelief(PointMassBelief):
         return np.stack(each, axis=-1)
 
     def _cov(self) -> Array:
-        """The covariances (..., axes, axes), from the marginals of one and of two axes.
+        """The covariances (..., n, n), from the marginals of single axes and of pairs of axes.
 
         Differences of an angle's centres from its mean are taken the shorter way round.
         """
@@ -317,17 +319,18 @@ class GridBelief(PointMassBelief):
 
     @cached_property
     def _marginals(self) -> dict[tuple[int, ...], Array]:
-        """The marginals found so far, by the indices of their axes."""
+        """The marginals (..., *their cells) found so far, by the indices of their axes."""
         return {}
 
     @cached_property
     def _moments(self) -> list[tuple[Array, Array, Array]]:
-        """Of each axis (about, offsets, mean): a middle, differences from it, and their mean.
+        """For each axis a triple (about, offsets, mean), from which moments are computed.
 
-        `about` (...) is the mean, of an angle the circular mean, counted from the middle of the
-        axis (`Axis.reference`); `offsets` (..., cells) are the centres' differences from it, of an
-        angle wrapped to [−π, π). `mean` (...) is the mean of these differences: zero but for
-        rounding and, of an angle, for probabilities that are not symmetric.
+        `about` (...) is the mean of the marginal, or of an angle the circular mean, counted from
+        the middle of the axis (`Axis.reference`). `offsets` (..., cells) are the differences of the
+        centres from it, which are wrapped to [−π, π) along an angle. `mean` (...) is the mean of
+        these offsets: zero up to rounding, but not along an angle whose probabilities are not
+        symmetric.
         """
         found = []
         for k, axis in enumerate(self._parts):

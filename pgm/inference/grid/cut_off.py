@@ -45,12 +45,13 @@ class Cut(NamedTuple):
 class Tails(NamedTuple):
     """Running estimates, for one run, of the shares of a belief cut off at the ends of the axes.
 
-    For each step come the tails `predicted`, then those `measured` if anything was measured. The
-    part cut off beyond an end is assumed to become as much likelier, with each measurement, as the
-    last cells within. If the model is true these gains are a martingale: a share of ε becomes one
-    of 10⁻³ with a probability of 10³ε at the most (Ville's inequality). The share that leaves the
-    bounds at a step is followed likewise, but through the measurements of that step alone, and only
-    where they make the last cells more than 30 times likelier.
+    At each step `predicted` gives the estimates for the predicted belief; if anything was measured,
+    `measured` then gives those for the belief after the measurements. The share cut off beyond an
+    end is assumed to grow, with each measurement, by the same factor as the share in the last cells
+    within. If the model is true, the product of these factors is a martingale: a share of ε becomes
+    one of 10⁻³ with a probability of 10³ε at the most (Ville's inequality). The share that leaves
+    the bounds at a step is assumed to grow likewise, but through the measurements of that step
+    alone, and counts only where they make the last cells more than 30 times likelier.
 
     axes: The axes of the lattice.
     share: The shares of the belief estimated to be cut off at the ends of each axis, (axes, 2).
@@ -58,8 +59,10 @@ class Tails(NamedTuple):
     open: Whether the axis goes on beyond that cell, so that something may be cut off, (axes, 2).
     left: The shares of the belief that have left the bounds at the step, (axes, 2); zero at ends
         that are not at the bounds.
-    before: The marginals' shares in these cells before the step's measurements, (axes, 2).
-    after: Their shares given the step's measurements, (axes, 2); `before` if nothing was measured.
+    before: The marginals' shares in the first and the last cell in use, before the measurements of
+        the step, (axes, 2).
+    after: The shares in the same cells given the step's measurements, (axes, 2); equal to `before`
+        until they are taken in.
     """
 
     axes: tuple[Axis, ...]
@@ -81,7 +84,8 @@ class Tails(NamedTuple):
     def at(self, marginals: Sequence[Array], left: float) -> Tails:
         """The tails of a prior, or of an online belief, before the measurements of its step.
 
-        The shares cut off stay as they are; cells in use and shares in them are found anew.
+        The shares cut off stay as they are. The cells in use, and the belief's shares in the first
+        and the last of them, are found anew.
 
         marginals: The belief's marginals (cells,), one for each axis.
         left: The share of the belief that has left the bounds at its step.

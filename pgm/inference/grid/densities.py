@@ -128,12 +128,12 @@ class Dense:
 
 @dataclass(frozen=True, eq=False)
 class DensityGroup(Members):
-    """A group of states that are moved by their CPDs' densities, of any kind, from cell to cell.
+    """States that move together, from every cell to every cell, by the densities of their CPDs.
 
-    A hidden control among the parents is refused by a ModelError.
+    The CPDs may be of any kind. A hidden control among the parents is refused by a ModelError.
 
-    kept: By a group's key, the weights between all cells, where they are the same at all steps; it
-        is added to, and may be shared with other groups.
+    kept: The weights between all cells, of groups whose weights are the same at all steps, by the
+        key that identifies a group. New ones are added; groups may share the mapping.
     """
 
     kept: dict[tuple[object, ...], Dense] = field(default_factory=dict)
@@ -151,7 +151,7 @@ class DensityGroup(Members):
                     )
 
     def depends(self) -> tuple[set[int], set[int]]:
-        """The axes on which the densities depend: (those of the step before, of their own step)."""
+        """The sets of axes on which the densities depend: of the step before, and of their own."""
         before, after = set[int](), set[int]()
         for cpd in self.states:
             for parent in cpd.parents:
@@ -162,8 +162,8 @@ class DensityGroup(Members):
     def move(self, step: int, run: int, window: Window) -> Dense:
         """The weights of a step in a run, from the cells of a window to all cells of moved axes.
 
-        Weights that are the same at all steps, and are 2^24 at the most, are made once for all
-        source cells, kept, and cut to the window.
+        Where the weights are the same at all steps, and no more than 2^24 in number, they are made
+        once for all source cells, kept, and cut to the window.
         """
         before, after = self.depends()
         cells = math.prod(self.lattice.shape[k] for k in self.axes)
@@ -397,9 +397,10 @@ class _Maker:
     def _shift(self, rows: Integers, whole: Array, near: Array, parts: Array) -> None:
         """Raise `self.share` to how much some rows' sums vary as centres shift by parts of a cell.
 
-        rows: The rows, flat indices of source cells.
-        whole: The sums over centres that are not shifted, by row.
-        near: The mask of rows with weights at the bounds, whose sums go on beyond these.
+        rows: The rows looked at, given as flat indices of source cells.
+        whole: The sums of all rows over centres that are not shifted, (source cells,).
+        near: The mask (source cells,) of rows with weights at the bounds, whose sums go on beyond
+            these.
         parts: The shifts, as fractions of a cell.
         """
         for beyond in (False, True):

@@ -125,10 +125,11 @@ class Dependence:
     ) -> None:
         """Probe a function at a step, and add the axes on which its values are found to depend.
 
-        It is probed at random cells; it is tested at every centre the first time, where the probe
-        finds a new axis, and where the known dependence fails at the cells `some`. If two searches
-        of all centres for more axes leave differences, such as small ones that add up, each value
-        is taken to depend on all axes.
+        It is probed at random cells. The known dependence is then tested at every centre if this is
+        the first call, if the probe has found a new axis, or if the dependence fails at the cells
+        `some`. Where that test fails, all centres are searched for further axes, twice at the most.
+        If it still fails, as where differences too small to be seen add up, each value is taken to
+        depend on all axes that it may depend on.
 
         some: Cells (n, axes) of the belief, at which the known dependence is tested too; None for
             no such test.

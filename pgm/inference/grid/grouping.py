@@ -37,8 +37,8 @@ def groups(
 
     cpds: The CPDs of the states and of the hidden controls.
     known: For each CPD, in the order of `cpds`, the values of its observed parents, by parent.
-    kept: By a group's key, weights from every cell to every cell, of groups that are moved by
-        densities; groups add to it and share it.
+    kept: The weights from every cell to every cell, of groups that are moved by densities, by the
+        key that identifies a group; groups add to it and share it.
     prior: Whether the CPDs are a prior's.
     first: The step before the one that the first row of the known values is for.
     """
@@ -81,8 +81,9 @@ def groups(
 def joined(some: Sequence[Members], kept: Kept) -> Members:
     """Several groups as one: moved by displacements if all are Gaussian, otherwise by density.
 
-    One group alone is returned as it is. `kept` has, by a group's key, the weights from every cell
-    to every cell of groups that are moved by density; groups add to it and share it.
+    One group alone is returned as it is. `kept` has the weights from every cell to every cell, of
+    groups that are moved by density, by the key that identifies a group; groups add to it and share
+    it.
     """
     one = some[0]
     if len(some) == 1:

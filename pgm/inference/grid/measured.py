@@ -47,8 +47,8 @@ class Shape:
         empty if h is no such sum. None before h is first called; until `tested`, all circles on
         which h depends.
     tested: Whether it has been tested at every centre that h is such a sum.
-    highest: Of a sensor given by its density: by the number of components measured, the largest
-        log-density found so far at a centre.
+    highest: The largest log-density that measurements have had at a centre so far, by the number of
+        their components that were measured; only for a sensor given by its density.
     """
 
     depended: Dependence
@@ -113,11 +113,11 @@ class MeasuredSensor:
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
         """One measurement over a window, as residuals and a constant.
 
-        ln p(z | x) is the constant less the sum of what the residuals' method `squared` gives: at
-        each cell half the squared whitened residual of one component, or of all together, or how
-        far a log-density lies below the constant. The constant is the log-density at zero residual
-        or, of a sensor given by its density, the largest log-density found. If no component was
-        measured there are no residuals, and the constant is 0.
+        ln p(z | x) is the constant less the sum of what the residuals' method `squared` gives. With
+        Gaussian noise that is, at each cell, half the squared whitened residual of one component,
+        or of all together, and the constant is the log-density at zero residual. For a sensor given
+        by its density it is how far the log-density lies below the constant, which is the largest
+        one found. If no component was measured there are no residuals, and the constant is 0.
         """
         raise NotImplementedError
 

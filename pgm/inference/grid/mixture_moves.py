@@ -31,7 +31,7 @@ class Step:
 
     @property
     def split(self) -> frozenset[int]:
-        """The axes along which each cell is split by itself on the cells nearest to its target."""
+        """The axes moved by a `Split`, which spreads each cell over those nearest to its target."""
         each = [operator.axes for _, operator in self.leaves() if isinstance(operator, Split)]
         return frozenset().union(*each)
 
@@ -53,8 +53,8 @@ class Step:
     def leaves(self) -> Iterator[tuple[float, Operator]]:
         """All operators, mixtures taken apart, each as a pair (probability, operator).
 
-        The probability is that of the mixture's part that the operator moves; 1 of an operator of
-        no mixture. Of a mixture within a mixture the probabilities of both are multiplied.
+        The probability is that of the mixture's part to which the operator belongs, or 1 outside
+        mixtures. For a part of a mixture within a mixture it is the product of both probabilities.
         """
         for operator in self.operators:
             if isinstance(operator, Mixed):
@@ -123,7 +123,7 @@ class Mixed:
         return total
 
     def _of(self, step: Step) -> tuple[Integers, ...]:
-        """The index that takes one part's target window from an array over the sum's `target`."""
+        """The index of the target window of `step`, a part's move, in an array over `target`."""
         each = [
             (np.arange(own.length) + own.first - span.first) % axis.cells
             for own, span, axis in zip(step.target, self.target, self.lattice.axes, strict=True)
@@ -155,7 +155,7 @@ class MixedGroup(Members):
 
 
 def _around(spans: Sequence[Span], cells: int, periodic: bool) -> Span:
-    """The shortest span that covers several, on a line or (`periodic`) on a circle of cells."""
+    """The shortest span that covers all `spans`, on a line or (`periodic`) a circle of `cells`."""
     if all(span == spans[0] for span in spans):
         return spans[0]
     if not periodic:

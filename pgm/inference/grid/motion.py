@@ -44,9 +44,11 @@ _BOUNDS = 20.0
 class Motion:
     """The motion by a prior or a transition: groups of states that are moved one after another.
 
-    known: By a group's key, the axes on which its displacements depend, as far as tested; it is
-        added to.
-    kept: By a group's key, weights by density that are the same at all steps; it is added to.
+    A group is identified by its key, `Members.key`; both mappings by key are added to.
+
+    known: By key, the axes on which the displacements of a group depend, as far as tested.
+    kept: By key, the weights between all cells of a group that is moved by a density, where they
+        are the same at all steps.
     """
 
     lattice: Lattice
@@ -68,9 +70,10 @@ class Motion:
         return Step(source, window, operators)
 
     def _step(self, group: Members, step: int, run: int, source: Window, window: Window) -> Step:
-        """The operators of one group, from `window`, which the groups moved before it have reached.
+        """The move of one group: its operators, and the windows from and to which they lead.
 
-        `source` is the window of the belief at the step before.
+        source: The window of the belief at the step before.
+        window: The window that the groups moved before have reached, from which this one starts.
         """
         if isinstance(group, MixedGroup):
             parts = [self._step(part, step, run, source, window) for part in group.parts]
@@ -89,7 +92,7 @@ class Motion:
     def _depends(
         self, group: Members, step: int, run: int, source: Window
     ) -> tuple[set[int], set[int]]:
-        """The axes that a group's move depends on: (those of the step before, those of its own).
+        """The sets of axes on which a group's move depends: of the step before, and of its own.
 
         `source` is the window of the belief at the step before, in which the dependence is tested.
         """
@@ -116,7 +119,10 @@ class Motion:
         noises = [np.zeros(spread.size), *(drawn if spread.size else ())]
 
         def values(before: Array, after: Array) -> Array:
-            """The displacements (n, noises, axes of the group), in cells, without and with noise.
+            """The displacements of n points, (n, noises, axes of the group), in cells.
+
+            They are found at each of the `noises`: without shared noise, then, if the group has
+            such noise, at two draws of it.
 
             before, after: Points (n, axes of the lattice) of the step before and of this one.
             """
@@ -130,7 +136,10 @@ class Motion:
         slack = _slack(self.lattice, group)
 
         def differ(one: Array, other: Array) -> Mask:
-            """The mask of displacements that differ by more than rounding, angles wrapped."""
+            """The mask of displacements that differ by more than rounding, angles wrapped.
+
+            Like the displacements it is (n, noises, axes of the group).
+            """
             different: Mask = np.abs(group.wrapped(one - other)) > slack
             return different
 
@@ -169,7 +178,7 @@ class Motion:
 
 
 def _slack(lattice: Lattice, group: Group) -> Array:
-    """The differences of displacements that count as rounding, in cells, (axes of the group,)."""
+    """How far displacements may differ by rounding alone, in cells, (axes of the group,)."""
     largest = [
         max(abs(lattice.axes[k].low), lattice.axes[k].width * lattice.axes[k].cells)
         for k in group.axes
@@ -182,8 +191,10 @@ class _Maker:
 
     source: The window of the belief at the step before, in which the dependence is tested.
 
+    spread: The noise of the displacements.
     dependence: The axes on which the group's displacements depend.
-    noise: The nodes of a quadrature over the white noise that displacements share, (nodes, size).
+    noise: The nodes of a quadrature over the white noise that displacements share: (nodes, numbers
+        of the noise).
     nodes: The weights of these nodes, (nodes,).
     """
 
@@ -336,7 +347,8 @@ class _Maker:
     def _split(self, window: Window) -> tuple[Window, list[Operator]]:
         """Split each cell on those nearest to its target, then blur by the rest of the variance.
 
-        Returned are the target window and the operators that lead there.
+        Splitting takes up to ¼ squared cell of an axis's variance. Returned are the target window
+        and the operators that lead there from `window`.
         """
         group, lattice = self.group, self.lattice
         indices = lattice.indices(window)

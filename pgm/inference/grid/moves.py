@@ -123,8 +123,8 @@ class Move:
 class Sweep:
     """An operator of moves along one axis after another, averaged over nodes of a quadrature.
 
-    moves: The moves M_1 to M_K, in order; the operator is Σₙ wₙ M_K(n) … M_1(n).
-    nodes: The weights w of the nodes, (nodes,), of sum one.
+    moves: The moves M_1 to M_K, in order; the operator is Σₙ wₙ M_K(n) … M_1(n), n being a node.
+    nodes: The weights wₙ of the nodes, (nodes,), of sum one.
     """
 
     moves: Sequence[Move]
@@ -154,7 +154,8 @@ class Sweep:
         moves: M_1 to M_K, in the order in which they are applied.
         apply: Applies one move, at a node, to an array, forwards or backwards.
 
-        Moves that are the same at all nodes, at either end, are made once, outside the sum.
+        Moves at the beginning and at the end of the sequence that are the same at all nodes are
+        made once, outside the sum.
         """
         # Moves that are the same at all nodes are made once, before those that differ, or after.
         differ = [k for k, move in enumerate(moves) if move.varies]
@@ -208,10 +209,9 @@ class Split:
 
     @cached_property
     def _rest(self) -> Integers:
-        """The part of each cell's flat target index that axes at rest give, (source cells,).
+        """What the axes that are not moved contribute to each cell's target index, (source cells,).
 
-        The flat index numbers the cells of the target window; axes at rest are those that are not
-        moved.
+        The target index is the flat index of a cell in the target window.
         """
         counts = [span.length for span in self.target]
         strides = [int(np.prod(counts[k + 1 :])) for k in range(len(counts))]
@@ -227,7 +227,7 @@ class Split:
         """The three points that each cell is split on along each moved axis, at a node.
 
         For each axis there are three pairs (index, weight), both (source cells,): of the cell
-        before the nearest one, of the nearest, and of the cell after it. The index is the
+        before the one nearest to the target, of the nearest, and of the one after. The index is the
         contribution of the point's place along the axis to its flat index in the target window. The
         weight is zero outside of the window.
         """

@@ -1,4 +1,10 @@
-"""Filtering on a grid in a robot's loop, one step at a time."""
+"""Filtering on a grid in a robot's loop, one step at a time.
+
+The module has the filter, its beliefs, and the base of all online filters by point masses, be they
+cells or particles. A call of `predict` or `update` has its evidence in `bound`, with arrays for all
+runs. The work on one run is done by its `GridSlices`, which has the run's prior, motion and
+measurements. Weights of measurements are densities divided by e^s, s being their log-scale.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -35,7 +41,7 @@ from pgm.variables import Variable
 class OnlineGridBelief(Shown, NoArray):
     """The belief of an online filter at one step, on a grid.
 
-    It holds no past steps, as beliefs of a filter with a lag do: its `behind` is None.
+    It holds no past steps: `behind`, where the beliefs of a filter with a lag have theirs, is None.
 
     Attributes
     ----------
@@ -109,7 +115,7 @@ Kept = TypeVar("Kept", np.float64, np.intp)
 
 
 class PointFilter(InCode, Immutable, Generic[Belief]):
-    """Base of online filters by point masses; they return new beliefs, and change none in place.
+    """Base of online filters by point masses; their methods return new beliefs and change none.
 
     model: The network that is filtered.
     belief: The user's choice of beliefs, a `Grid` or `Particles`.
@@ -173,7 +179,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         return self._updated(belief, replace(bound, readings=tuple(shifted)))
 
     def _check(self, belief: Any) -> None:
-        """Refuse, by a ModelError, a belief that no filter of this model and kind has made."""
+        """Refuse, by a ModelError, a belief of another model, or of other cells or particles."""
         if not self._owns(belief):
             kind = type(self.belief).__name__.lower()
             raise ModelError(
@@ -204,13 +210,13 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
     model : DynamicBayesianNetwork
         A model of continuous CPDs.
     belief : Grid
-        Without `refine`, which takes recorded evidence.
+        The grid; it must not ask for `refine`, which runs again over recorded evidence.
 
     Raises
     ------
     ModelError
-        If the grid has `refine`, its cells are not those of the states' components, or its beliefs
-        would not fit memory.
+        If the grid has `refine`, does not give cells to exactly the components of the states, or
+        has beliefs that would not fit in memory.
 
     Examples
     --------
@@ -260,9 +266,9 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         left = _broadcast(belief.status.outside_by_step[..., -1], belief.lead, bound)
 
         def taken(slices: GridSlices, values: Array) -> tuple[Array, float]:
-            """A run's belief times the weights of its measurements, and the weights' log-scale.
+            """A run's belief times the weights of the step's measurements, and their log-scale.
 
-            `values` is the belief, (*cells), and `slices` has the run's measurements.
+            `values` is the predicted belief, (*cells), and `slices` has the run's measurements.
             """
             slices.begin(step, values, float(left[slices.run]))
             weights, scale = slices.likelihood(step)
@@ -283,9 +289,9 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         work: Callable[[GridSlices, Array], tuple[Array, float]],
     ) -> list[tuple[GridSlices, Array, float]]:
-        """Do some work in each run: a list of (its `GridSlices`, belief after it, log-density).
+        """Do some work in each run: a list of (`GridSlices`, belief afterwards, log-density).
 
-        first: The step at which the work is done; of a prediction the step before.
+        first: The step at which the work is done; for a prediction the step before.
         before: The belief to go on from, whose runs broadcast to the evidence's; None for the
             prior.
         work: A function of a run's slices and its belief (*cells), which is empty without `before`.
@@ -361,9 +367,9 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
 def _broadcast(
     each: npt.NDArray[Kept], lead: tuple[int, ...], bound: BoundEvidence
 ) -> npt.NDArray[Kept]:
-    """Values of a belief's runs, broadcast to the runs of the evidence, (runs,).
+    """Values of a belief's runs, broadcast to the flattened runs of the evidence, (runs,).
 
-    `each` has one value for each of the belief's runs, whose axes are `lead`; a belief of one run
-    may be followed by evidence of many.
+    `each` has one value for each of the belief's runs, flattened too; `lead` is the shape of their
+    axes. A belief of one run may be followed by evidence of many.
     """
     return np.broadcast_to(each.reshape(lead), bound.lead).reshape(bound.runs)

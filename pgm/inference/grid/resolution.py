@@ -14,10 +14,14 @@ only narrows count once in all.
 
 l is evaluated at the shifted centres; b is interpolated through the logarithms of its cells, by
 parabolas along each axis. Axes along which b itself fills only a cell or two are not shifted. A
-peak of a mixture that may lie between all shifted centres counts as an error of one nat. The error
-of a step whose peak is wide counts as zero: a curvature of c, the second difference of logarithms
-from cell to cell, is a standard deviation of 1/√c cells (Sloan & Joe, Lattice Methods for Multiple
-Integration, 1994, of shifted rules; McKay, Beckman & Conover, 1979, of Latin hypercubes).
+peak of a mixture that may lie between all shifted centres counts as an error of one nat. The width
+of a peak is judged by its curvature, minus the second difference of logarithms from cell to cell: a
+curvature of c is a standard deviation of 1/√c cells. The error of a step counts as zero if the
+curvatures of b l along all axes sum to less than 3.5, and the expected measurement of no sensor
+moves by √3.5 standard deviations of its noise, or more, from a cell to the next.
+
+(Sloan & Joe, Lattice Methods for Multiple Integration, 1994, have shifted rules; McKay, Beckman &
+Conover, 1979, Latin hypercubes.)
 """
 
 from __future__ import annotations
@@ -64,7 +68,8 @@ def error(
     found: The weights of the step's measurements in this window.
     window: The cells in use, a span along each axis.
 
-    Zero where nothing was measured, the belief is wide for the cells, or no axis can be shifted.
+    It is zero where nothing was measured, where the belief given the measurements is wide for the
+    cells, or where no axis can be shifted.
     """
     if found.values is None:
         return 0.0
@@ -127,7 +132,7 @@ def _shifts(axes: int) -> Array:
 
 
 def _turns(lattice: Lattice, window: Window) -> Mask:
-    """The mask (axes,) of the axes that are circles and that a window has all cells of."""
+    """The mask (axes,) of the axes that are circles of which the window has all cells."""
     return np.array(
         [
             axis.angle and span.length == axis.cells
@@ -137,13 +142,14 @@ def _turns(lattice: Lattice, window: Window) -> Mask:
 
 
 def _curvatures(level: Array, turns: Mask) -> Array:
-    """Minus the second differences of logarithms at their maximum, along each axis, (axes,).
+    """A belief's curvature along each axis, (axes,), at its most probable cell.
 
     level: The logarithms of the probabilities of a window's cells.
     turns: The mask of axes that go round a whole circle.
 
-    At an end of the window the difference to the neighbour inside counts twice. The curvature is
-    infinite where a neighbour within the window has probability zero.
+    The curvature is minus the second difference of the logarithms. At an end of the window the
+    difference to the neighbour inside counts twice. The curvature is infinite where a neighbour
+    within the window has probability zero, or where there is no neighbour.
     """
     place = np.array(np.unravel_index(int(level.argmax()), level.shape), dtype=np.intp)
     here, found = float(level[tuple(place)]), np.full(level.ndim, np.inf)
@@ -189,9 +195,9 @@ def _drawn(level: Array, shift: Array, turns: Mask) -> Array:
     shift: The shares, (axes,).
     turns: The mask of axes that go round a whole circle.
 
-    Between two cells the logarithm is the straight line, bent as the flatter of the two parabolas
-    about the cells, or not at all if these bend opposite ways. At an edge, and beside a cell of
-    probability zero, a cell keeps its own logarithm.
+    Between two cells the logarithm follows a parabola through both. Its curvature is the smaller in
+    size of those at the two cells, and zero if these differ in sign. At an edge, and beside a cell
+    of probability zero, a cell keeps its own logarithm.
     """
     for axis, share in enumerate(shift):
         if not share:

@@ -245,7 +245,7 @@ class GridSensor(MeasuredSensor):
 def likelihood(sensors: Sequence[MeasuredSensor], step: int, run: int, window: Window) -> Weights:
     """The density of all measurements of a step, in a run, at the cells of a window.
 
-    The `Weights` are the densities divided by the largest, with the logarithm of that.
+    The `Weights` have the densities divided by the largest of them, and its logarithm.
     """
     terms, scale, read = list[Residuals](), 0.0, list[tuple[MeasuredSensor, int]]()
     for sensor in sensors:

@@ -95,7 +95,8 @@ class Tested(NamedTuple):
     A group is a set of states that move together, and is identified by its key, `Members.key`.
 
     motion: By a group's key, the axes on which its displacements depend.
-    sensors: By sensor, the axes on which its function depends, and how (`Shape`).
+    sensors: By sensor, a `Shape`: the axes on which its function depends, and whether the function
+        is a sum of one of angles and one of the other axes.
     kept: By a group's key, the transition weights from every cell to every cell, of a group that is
         moved by densities which are the same at all steps.
     """
@@ -265,7 +266,10 @@ class GridSlices:
             self._note(cut=Cut(bound(log_density, best), step))
 
     def _note(self, **found: Any) -> None:
-        """Keep each figure of `found`, by its field in `Worst`, that is worse than in `worst`."""
+        """Replace figures in `worst` by those of `found` that are worse.
+
+        The names in `found` are the fields of `Worst`.
+        """
         self.worst = self.worst.of(Worst(**found))
 
     def forward(self, step: int, belief: Array) -> Array:

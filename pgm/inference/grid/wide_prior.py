@@ -26,12 +26,12 @@ _WIDE = 1.3
 
 
 def wide(group: Group, run: int, window: Window) -> Dense | None:
-    """The operator that puts a wide prior on the lattice by its normal density; else None.
+    """The operator that puts a wide prior on the lattice by its normal density; None of any other.
 
-    Its weights are the probabilities (1, 1, cells of the group's axes); `window`, the source, has
-    one cell along these axes. A prior is wide if it is a single `GaussianCPD` of a finite, regular
-    and correlated covariance, each of whose components has a standard deviation, given the other
-    components, of 1.3 cells or more.
+    `group` has the states of the prior. The operator's weights are the probabilities (1, 1, cells
+    of the group's axes); `window`, from which it leads, has one cell along these axes. A prior is
+    wide if it is a single `GaussianCPD` of a finite, regular and correlated covariance, each of
+    whose components has a standard deviation, given the other components, of 1.3 cells or more.
     """
     cpd, lattice = group.states[0], group.lattice
     if len(group.states) > 1 or not isinstance(cpd, GaussianCPD):

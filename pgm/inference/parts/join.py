@@ -1,4 +1,10 @@
-"""Posteriors of parts of the runs, joined to one posterior of all runs."""
+"""Posteriors of parts of the runs, joined to one posterior of all runs.
+
+A part is a slice of the runs, whose posterior was computed by itself. Here `graph` is the compiled
+network, `bound` the evidence in arrays for all runs, and `lineariser` the rule for nonlinear CPDs
+that have none of their own. A plan (`ChainPlan`) has the CPDs with their evidence and their
+linearisations. Arrays are (steps or measurements, runs, ...), if no other shape is given.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +38,8 @@ def joined(
 ) -> ChainPosterior:
     """The posterior of all runs from the posteriors of its parts, `found`, in their order.
 
-    It equals that of one call for all runs. `graph`, `bound` and `status` are of all runs.
+    It equals the posterior of one call for all runs. `graph`, `bound` and `status`, like the
+    result, are of all runs.
     """
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     return type(found[0])(
@@ -57,9 +64,9 @@ def swept_once(
 ) -> ChainPosterior:
     """The posterior of a filter or smoother that linearised once, from its beliefs of all runs.
 
-    `beliefs` are the filtered mean, covariance and log-density of each step, (T+1, runs, ...), then
-    of a smoother its mean and covariance. The posterior finds anything else, when asked, by another
-    sweep.
+    `beliefs` are arrays (T+1, runs, ...) of the filtered means, covariances and log-densities,
+    followed, if it is a smoother, by the smoothed means and covariances. The posterior finds
+    anything else, when asked, by another sweep.
     """
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     mean, cov, log_density, *smoothed = beliefs
@@ -71,8 +78,8 @@ def swept_once(
 def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
     """The moments and log-densities of the parts' forward passes, as those of all runs.
 
-    `plan` is that of all runs, into which the parts' linearisations and records of sensors are
-    written.
+    `found` are the posteriors of the parts, in order. `plan` is that of all runs, into which the
+    linearisations and the records of sensors of the parts' plans are written.
     """
     plans = [each._plan for each in found]
     for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
@@ -110,9 +117,9 @@ def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
 
 
 def _digits(status: Status) -> Array:
-    """The decimal digits of each run that rounding leaves, (runs,); 15.7 where not measured.
+    """How many decimal digits of a mean rounding leaves in each run, (runs,).
 
-    That is as many as float64 has.
+    Where that was not measured it is 15.7, as many as float64 has.
     """
     if status.digits is None:
         return np.full(status.converged.size, -np.log10(np.finfo(np.float64).eps))
@@ -122,7 +129,9 @@ def _digits(status: Status) -> Array:
 def _family(whole: Family, parts: list[Family]) -> None:
     """Concatenate the parts' linearisations of one CPD along the runs, in `whole`.
 
-    A linearisation is a matrix F, an offset b and a noise covariance Q.
+    A linearisation is a matrix F, an offset b and a noise covariance Q for each step, or each
+    measurement, and run. What is exact without linearisation is in `whole` already: F and b of an
+    affine CPD, and Q where no linearisation adds an error to it.
     """
     if not whole.exact:
         whole.matrix = np.concatenate([part.matrix for part in parts], axis=1)
@@ -135,9 +144,9 @@ def _family(whole: Family, parts: list[Family]) -> None:
 def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
     """Concatenate the parts' records of one sensor along the runs, in `whole`.
 
-    They are its measurements, angles moved by whole turns to where linearisations want them; the
-    weights of robust noise; the decisions of gates; and, by step, the covariances (`cross`) between
-    the errors of measurements that are linearised together.
+    The records are the sensor's measurements, angles moved by whole turns to the branch that was
+    used in linearising; the weights of robust noise; the decisions of gates; and, by step, the
+    covariances (`cross`) between the errors of measurements that are linearised together.
     """
     whole.moved = np.concatenate([part.moved for part in parts], axis=1)
     if whole.robust:
@@ -164,10 +173,11 @@ def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
 
 
 def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
-    """Results of parts, all of the type `kind`, as one: arrays concatenated along the axis of runs.
+    """One result of all runs, from the results of the parts, which are all of the type `kind`.
 
-    That is their second axis. Named tuples and dataclasses are joined field by field; of bools and
-    floats the least is taken. The result is None if the first part's is.
+    Arrays are concatenated along their second axis, which is of runs. Named tuples and dataclasses
+    are joined field by field; of bools and floats the least is taken. If the first part's result is
+    None, so is that of all.
     """
     if parts[0] is None:
         return None

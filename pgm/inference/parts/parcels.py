@@ -32,8 +32,9 @@ AnyArray = npt.NDArray[Any]
 class _Place(NamedTuple):
     """Where an array is, as it stands in a pickle in place of the array.
 
-    `memory` is the array's numbers themselves, the name of a shared block, or None for the parcel's
-    own block; `offset` is in bytes from its beginning. The rest is how the array views that memory.
+    `memory` says where its numbers are: in an array that is pickled with the place, in the shared
+    block of a name, or, if it is None, in the parcel's own block. `offset` is in bytes from the
+    beginning of that memory; the other fields are how the array views it.
     """
 
     memory: AnyArray | Name | None
@@ -121,7 +122,7 @@ class Parcel:
 
 
 class _Pickler(pickle.Pickler):
-    """A pickler that writes the places of arrays in their stead."""
+    """A pickler that writes the places of arrays in their stead, as the `parcel` decides."""
 
     def __init__(self, parcel: Parcel, file: io.BytesIO) -> None:
         super().__init__(file, protocol=5)
@@ -159,8 +160,8 @@ def loads(data: bytes, own: mmap.mmap | None) -> Any:
 def refuse(named: Sequence[Any], error: Exception) -> ModelError:
     """The `ModelError` to raise where pickling has raised `error`.
 
-    It says which of the `named` objects cannot be pickled, which part of it, and why; if all of
-    them can be, it has the words of `error`.
+    It names the first of the objects `named` that cannot be pickled, such as CPDs, with the part of
+    it that is at fault, and why; if all of them can be pickled, it has the words of `error`.
     """
     for each in named:
         fault = _fault(each)

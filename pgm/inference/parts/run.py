@@ -3,6 +3,10 @@
 A part is a slice of the runs with its evidence; a job is the work on it; its share is the portion
 of its posterior that comes back. The room is a list of arrays for all runs, (steps, runs, ...),
 into which the parts' results go; it is empty if posteriors come back whole.
+
+Here `graph` is the compiled network, and `bound` the evidence in arrays over runs. A schedule
+says whether to filter or to smooth, and how often to linearise; None smooths. `lineariser` is the
+rule for nonlinear CPDs that have none of their own.
 """
 
 from __future__ import annotations
@@ -123,11 +127,12 @@ def _with_places(
 ) -> Status:
     """The `status` of all runs, with fewer digits for parts that have not measured theirs.
 
-    Where some parts have measured how many digits rounding leaves, the runs of the others stand in
-    `status` with all of float64's digits. Those runs lose digits here where the last place of a
-    mean in float64 is coarse beside its standard deviation. The means and deviations are those that
-    the part has sent, in the `room` or, of a whole posterior, in its result. If no part or every
-    part has measured digits, the status stays as it is.
+    A status may tell how many digits of the means rounding leaves in each run. If only some parts
+    have measured them, `status` gives the runs of the others all of float64's digits. From these
+    runs digits are taken off here by how coarse the last place of a mean in float64 is beside its
+    standard deviation. The means and deviations are those that a part has sent: in the `room`, or,
+    where its posterior came back whole, in its result. If no part or every part has measured
+    digits, the status stays as it is.
     """
     if status.digits is None or all(result.status.digits is not None for result in results):
         return status
@@ -213,7 +218,7 @@ def _require_memory(
 
 
 def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
-    """The variables that `keep` names; one that is not hidden raises an `EvidenceError`."""
+    """The variables that the user's `keep` names; an `EvidenceError` if one is not hidden."""
     kept = as_scope(keep, "keep", ordered=False)
     for variable in kept:
         if variable not in layout.slice:
@@ -248,9 +253,10 @@ def _gaussians(
 class Share:
     """The portion of a part's posterior that a worker sends back.
 
-    If `kept` is not None it is the marginals of these variables, and the log-evidence. Otherwise it
-    is with `beliefs` the filtered moments and log-densities of all steps, with `smoothed` the
-    smoothed moments, too; and without `beliefs` the posterior itself.
+    kept: The variables whose marginals are sent, with the log-evidence; None if none were chosen.
+    beliefs: Whether the filtered moments and log-densities of all steps are sent. If this is False,
+        and `kept` is None, the posterior itself is sent.
+    smoothed: Whether the smoothed moments are sent with these beliefs.
     """
 
     kept: Scope | None
@@ -279,9 +285,10 @@ class Share:
     def shapes(self, graph: DynamicGraph, bound: BoundEvidence) -> list[Shape]:
         """The shapes of the arrays sent back, for all runs: ((steps, runs), lengths of own axes).
 
-        The arrays are the mean and covariance of each kept variable, then the log-evidence, as of
-        one step; or the mean, covariance and log-density of the filter, then the mean and
-        covariance of a smoother; there are none if posteriors are sent whole.
+        With kept variables the arrays are the mean and the covariance of each, then the
+        log-evidence, for which steps is 1. With beliefs they are the mean, covariance and
+        log-density of the filter, then the mean and covariance of a smoother. There are none if
+        posteriors are sent whole.
         """
         layout, everywhere = graph.layout, (bound.steps + 1, bound.runs)
         found: list[Shape] = []
@@ -350,8 +357,9 @@ class Result(NamedTuple):
 
     kind: Whether beliefs are filtered, of a fixed lag or smoothed.
     log_evidence_kind: A word for how true the log-evidence is, such as "exact" or "linearised".
-    careful: Whether it was computed with twice float64's digits; then, unless variables are kept,
-        there are neither arrays nor a posterior, since all runs are solved again together.
+    careful: Whether the part had to be computed with twice float64's digits; then, unless variables
+        are kept, there are neither arrays nor a posterior, since all runs are solved again
+        together.
     arrays: The arrays of the share; None where they have been written to the room.
     found: The posterior, where it is sent whole.
     """

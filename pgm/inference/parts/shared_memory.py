@@ -40,9 +40,11 @@ _idle: weakref.WeakKeyDictionary[Executor, list[Block]] = weakref.WeakKeyDiction
 
 
 class Name(NamedTuple):
-    """The name of a block in other processes: its maker's process, its number, file and size.
+    """The name by which other processes open a block.
 
-    The number tells apart blocks that had the same file descriptor one after another.
+    It has the id of the process that made the block, the block's number there, its file descriptor
+    and its size in bytes. The number tells apart blocks that had the same descriptor one after
+    another.
     """
 
     process: int
@@ -92,7 +94,8 @@ class Block:
     def hold(self, size: int, *, anew: bool = False) -> mmap.mmap:
         """The block mapped into this process, first enlarged to `size` bytes if it has fewer.
 
-        With `anew` the mapping is new; without, one that the block keeps for all such calls.
+        With `anew` a new mapping is made, which the block does not keep; without it, all calls
+        return one mapping, which the block keeps until it is enlarged.
         """
         if size > self.size or not self.size:
             self.size, self._memory = max(size, 1), None

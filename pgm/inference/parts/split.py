@@ -45,9 +45,9 @@ class Part:
 def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
     """The parts of all runs, in order: of equal size but for the last, which may be smaller.
 
-    `whole` is the part of all runs. Parts are as large as memory allows, with at most 5,000 runs,
-    but so many that each of the `workers` gets as many as any other, or, since sizes are rounded
-    up, one less.
+    `whole` is the part of all runs. Parts are as large as memory and a limit of 5,000 runs allow,
+    but their number is such that all `workers` get equally many, or some get one less, since sizes
+    are rounded up.
     """
     graph, bound, start = whole.graph, whole.bound, whole.start
     size = _size(graph, bound, lineariser, workers)
@@ -64,9 +64,10 @@ def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
 
 
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
-    """The number of runs in a part, rounded up: one part a worker, or more where memory bounds it.
+    """The number of runs in a part, rounded up, so that each worker gets one part, or equally many.
 
-    A step needs about 5 (n + s) (n + 1) floats for a slice of n components, s of them states; a
+    There are more parts than workers where memory or 5,000 runs bound a part. In each run a step
+    needs about 5 (n + s) (n + 1) floats for a slice of n components, s of them states; a
     measurement of d components 5 d (d + 1). If a lineariser draws its points afresh for each run,
     the part is all runs.
     """

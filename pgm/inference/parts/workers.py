@@ -109,11 +109,11 @@ class Workers:
     ) -> Iterator[Done]:
         """The answers of all jobs, in their order, as they come.
 
-        `work` is a function of one job, to be found in a module by name; `runs` has each job's
-        runs, for errors. With `large` the large arrays of answers travel in shared blocks, if
-        processes can share memory and there are at most 100 jobs. Without an executor a job's error
-        is raised; with one the answer has it. If jobs cannot be pickled, a `ModelError` says which
-        of the `named` objects is why.
+        `work` is a function of one job, to be found in a module by name. `runs` has the runs of
+        each job, which errors name. With `large` the large arrays of answers travel in shared
+        blocks, if processes can share memory and there are at most 100 jobs. Without an executor a
+        job's error is raised; with one the answer has it. If jobs cannot be pickled, a `ModelError`
+        says which of the objects `named` is why.
         """
         if self._executor is None:
             yield from (Done(work(job)) for job in jobs)
@@ -133,7 +133,10 @@ class Workers:
         answers = [Block() if apart else None for _ in jobs]
 
         def calls() -> Iterator[Any]:
-            """The call of each job, once its large arrays are in the parcel's block."""
+            """For each job, in order, what to submit to the executor: a function and its arguments.
+
+            Before a job's call is yielded, its large arrays are copied to the block of the parcel.
+            """
             for pickle, answer in zip(pickles, answers, strict=True):
                 if memory is not None:
                     pickle.fill(memory)
@@ -177,9 +180,9 @@ class Workers:
                 task.future.cancel()
 
     def _lost(self, runs: Sequence[slice], error: Exception) -> ExecutorError:
-        """The error for parts of the runs whose worker has died, adjacent parts as one range.
+        """The error that tells which runs were lost with a worker, adjacent parts as one range.
 
-        `error` is the exception that the executor has raised.
+        `runs` are the lost parts, and `error` is the exception that the executor has raised.
         """
         rows: list[tuple[int, int]] = []
         for part in runs:
