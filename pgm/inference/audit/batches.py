@@ -1,7 +1,7 @@
 """Importance draws in batches of bounded size, and the estimates made from them.
 
 Draws are S from the Gaussian answer q for each run, and S from a defensive density d with wider
-tails.
+tails. A draw has a value of every hidden variable; that of a chain is made slice by slice.
 """
 
 from __future__ import annotations
@@ -27,14 +27,17 @@ class Drawing(Protocol):
 
     @property
     def width(self) -> int:
-        """The number of floats that one draw of one run occupies while it is made."""
+        """The number of floats that a draw of one run takes while it is made.
+
+        Of a chain, which is drawn slice by slice, it is that of one slice.
+        """
 
     @property
     def length(self) -> int:
-        """The number of floats of a whole draw of one run."""
+        """The number of floats of a whole draw of one run, of all slices."""
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """Make `count` draws for each run, of d if `defensive`, else of q."""
+        """Make `count` draws for each run, of d if `defensive`, else of q, with log-densities."""
 
     def sums(self) -> list[Sums]:
         """Sums for the moments of draws, still empty, one for each scope that is compared.

@@ -117,9 +117,11 @@ class ChainDraws:
         """Prepare to draw from the Gaussian of smoothed moments, and look for other modes.
 
         beliefs: The smoothed moments of all slices.
-        reverse: The conditionals of the states given the slice after them.
+        reverse: In `states`, (T, runs, ...), the conditionals of the states at a step given the
+            slice after them and the measurements up to the step.
         reference: (runs,): ln p(z) of the linearised model; None unless densities are relative.
-        judged: (T+1,): as of the class.
+        judged: (T+1,): for each step, whether the posterior's belief at it is given all
+            measurements.
         """
         relative = reference is not None
         prior, transition = (
@@ -166,7 +168,7 @@ class ChainDraws:
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
     def sums(self) -> list[Sums]:
-        """Sums, still empty, for the moments of each hidden variable, the states, and the pairs.
+        """Sums, still empty, for the moments of each hidden variable, of all states, and of pairs.
 
         Pairs are left out unless, at some step, the posterior's beliefs of both of the pair's
         slices are given all measurements.
@@ -280,7 +282,7 @@ class ChainDraws:
 class _Law:
     """Makes, from smoothed moments, Gaussian laws by which trajectories are drawn forward in time.
 
-    layout: The vectors of states, slices and pairs.
+    layout: Where variables stand in the vectors of states, slices and pairs.
     prior, transition: Pairs of a CPD's `Link` and its `Term`.
     """
 

@@ -71,7 +71,8 @@ def find(
     own : Conditional
         (T, runs, ...): the answer's conditionals of the states given the slice after them.
     make : callable
-        Makes the `Path` of smoothed moments and conditionals of all runs, as `answer` and `own`.
+        Makes the law of trajectories, a `Path`, from smoothed moments and conditionals of all runs,
+        in the forms of `answer` and `own`.
     most : int
         The largest number of modes that are to be drawn from.
     """
@@ -134,8 +135,10 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
         place, there = np.maximum(index, 0) * runs + np.arange(runs), index >= 0
 
         def taken(other: Array, mine: Array, place: Array = place, there: Array = there) -> Array:
-            """The mode's array in the runs that have it, the answer's, `mine`, in the rest.
+            """A mode's array, (steps, runs, ...), with the answer's values in runs that lack it.
 
+            other: The array of all N smoothers, (steps, N, ...).
+            mine: That of the answer, (steps, runs, ...).
             place: For each run, the index in `other` of the smoother that found the mode, (runs,).
             there: The mask of the runs that have the mode, (runs,).
             """

@@ -121,6 +121,9 @@ class Sums:
         (steps,): whether the posterior's belief at a step is given all measurements, as q is.
     timed : bool
         Whether the network has steps.
+    _offsets, _squares : ndarray
+        (2, steps, runs, n) and (2, steps, runs, n, n): the sums of δ and of δ δᵀ, weighed by y and
+        by v.
     """
 
     scope: tuple[Variable, ...]

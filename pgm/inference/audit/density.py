@@ -6,6 +6,9 @@ component follows from the parents and from s of the free ones. A draw is *lost*
 at it. A *relative* density is that of the CPD divided by that of its linearisation. A CPD has
 *rows*: the steps of a transition, the measurements of a sensor, or, in a network without time, the
 CPD's copies. Values of an angle on different *branches* differ by whole turns.
+
+d is the number of the child's components, n that of the hidden parents'. In an array (..., S, d)
+the axes ... are (runs,) where an argument `rows` is a number, (k, runs) where it is k rows.
 """
 
 from __future__ import annotations
@@ -61,12 +64,12 @@ class Drawn(NamedTuple):
 class Term:
     """The density of a CPD at draws of its family.
 
-    `family` is the CPD at its rows. `own` (rows or 1, runs or 1, d, d) is the root L of the CPD's
-    noise. If `relative`, densities are divided by those of the linearised CPD. `linearised` (rows,
-    runs, d, d) is the root of the linearised CPD's noise; it is None if densities are not relative,
-    and of an affine CPD, whose relative density is one. `taken` (rows, runs or 1, d) marks the
-    components of a sensor's readings that were measured, None for all; the other components are
-    given unit variance, and count for nothing.
+    `family` is the CPD at its rows, with its linearisation there. `own` (rows or 1, runs or 1, d,
+    d) is the root L of the CPD's noise. If `relative`, densities are divided by those of the
+    linearised CPD. `linearised` (rows, runs, d, d) is the root of the linearised CPD's noise; it is
+    None if densities are not relative, and of an affine CPD, whose relative density is one. `taken`
+    (rows, runs or 1, d) marks the components of a sensor's readings that were measured, None for
+    all; the other components are given unit variance, and count for nothing.
     """
 
     family: Family
@@ -77,7 +80,7 @@ class Term:
 
     @classmethod
     def make(cls, family: Family, *, relative: bool, taken: Mask | None = None) -> Term:
-        """The density of a CPD at its rows, `family`; the arguments are those of the class.
+        """The density of the CPD `family`; the arguments are the fields of the class.
 
         A NumericalError is raised if densities are relative and the CPD has robust noise, or is
         nonlinear with singular noise.
@@ -124,7 +127,7 @@ class Term:
         *,
         strict: bool = True,
     ) -> Drawn:
-        """The children of draws of the parents at one row, (runs, S, n), with their log-densities.
+        """The children, with their log-densities, of draws of the parents (runs, S, n) at one row.
 
         Free components are as `proposed`, (runs, S, d); at the draws that `afresh` marks (None: at
         none) they are drawn from the CPD, with Student's t for its noise. The other components
@@ -178,9 +181,9 @@ class Term:
         """The log-density of a sensor's k measurements in `rows`, summed, (runs, S).
 
         `parents` (k, runs, S, n) are the draws. `values` (k, runs or 1, d) are the measurements;
-        `moved` (k, runs, d) are the same with angles on the branch of the linearisation, at which
-        affine and linearised CPDs are evaluated. The log-density of a lost draw is NaN, or, if
-        `strict`, a LinearisationError is raised.
+        `moved` (k, runs, d) are the same with angles on the branch of the linearisation, and are
+        what the densities of affine and of linearised CPDs are taken at. The log-density of a lost
+        draw is NaN, or, if `strict`, a LinearisationError is raised.
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
@@ -232,7 +235,7 @@ class Term:
         return residual if self.taken is None else np.where(self._seen(rows), residual, 0.0)
 
     def _seen(self, rows: int | slice) -> Mask | np.bool_:
-        """The mask of the components measured in k rows, (k, runs or 1, 1, d); True for all."""
+        """The mask of the components measured in `rows`, (..., 1, d); True if all were."""
         return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
@@ -249,7 +252,7 @@ class Term:
         return own - _log_density(self.linearised[rows], residual)
 
     def _affine(self, rows: int | slice, parents: Array) -> Array:
-        """The linearised mean F x + b at parents x (..., S, n), (..., S, d)."""
+        """The means F x + b of the linearised CPD, (..., S, d), at parents x (..., S, n)."""
         matrix, offset = self.family.matrix[rows], self.family.offset[rows]
         value: Array = parents @ transpose(matrix) + offset[..., None, :]
         return value
@@ -336,5 +339,8 @@ def _at(stacked: Stack, rows: int | slice) -> Stack:
 
 
 def _log_density(lower: Array, residual: Array) -> Array:
-    """The log-density ln N(residual; 0, L Lᵀ), (..., S), of residuals (..., S, d)."""
+    """The log-density ln N(residual; 0, L Lᵀ), (..., S), of residuals (..., S, d).
+
+    `lower`, (..., d, d), is the root L.
+    """
     return normal_density.log_density(lower, normal_density.whitened(lower, residual)[0])

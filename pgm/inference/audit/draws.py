@@ -1,4 +1,4 @@
-"""Importance draws for an audit in the making, slice by slice, with their densities.
+"""Importance draws for an audit, made slice by slice, with their densities.
 
 Draws are from the Gaussian answer q, or from a defensive density d. Of the draws from d some follow
 q but for an excursion (`Excursions`), the others are from Gaussians at other modes (`Modes`). A

@@ -44,8 +44,8 @@ def starts(plan: ChainPlan, answer: Array) -> Array:
     n), and ρ_k the drive without noise that leaves μ after step k, they are
 
     - μ itself, and ρ;
-    - mirror images 2ρ − μ, of all components together and of one after another; and 2ρ_k − μ for
-      the middle step k;
+    - mirror images 2ρ − μ of all components, and of one component alone for each of the first
+      four; the same about ρ_k in place of ρ, for the middle step k;
     - drives from points that fill the prior, without noise and with it.
 
     The same noise is drawn in each call. A trajectory that is not finite is replaced by μ.

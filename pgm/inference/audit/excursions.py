@@ -29,11 +29,11 @@ class Excursions:
     """One excursion a draw: slices k to l leave the Gaussian answer, all others follow it.
 
     On it a slice is drawn by the model's own CPDs (stage PREDICTION), or by the Gaussian answer's
-    conditional (stage TAILS), with Student's t for the noise. The first slice begins it with a
-    probability of ½, all others alike; each of its slices is the last one with a probability of ⅛.
-    The density of a draw, over all excursions that may have led to it, is summed up slice by slice,
-    over the four stages, in the order BEFORE, PREDICTION, TAILS, AFTER. S is the number of draws of
-    a run.
+    conditional (stage TAILS), with Student's t for the noise. Where there are several slices, it
+    begins at the first with a probability of ½, else at one of the others, all equally likely; each
+    of its slices is its last one with a probability of ⅛. The density of a draw, over all
+    excursions that may have led to it, is summed up slice by slice, over the four stages, in the
+    order BEFORE, PREDICTION, TAILS, AFTER. S is the number of draws of a run.
 
     slices : int
         The number of slices of a draw, 1 or more.
@@ -93,6 +93,7 @@ class Excursions:
         Parameters
         ----------
         index : int
+            The number of the slice, from 0.
         so_far : Density
             The density up to the slice before.
         gaussian, predicted : ndarray
@@ -121,8 +122,8 @@ class Density(NamedTuple):
     scale: (runs, S).
     shares: (4, runs, S): for each stage, in their order.
 
-    A share that is too small for float64 beside another becomes zero and stays so, which changes
-    little: what may follow one stage may follow the other.
+    A share that is too small beside another for float64 becomes zero. That changes little, since
+    slices that may follow the one stage may follow the other, too.
     """
 
     scale: Array

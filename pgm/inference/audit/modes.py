@@ -1,7 +1,9 @@
 """Other modes of a posterior: fixed points that smoothers reach from other starts.
 
-Smoothers (of a network without time: calibrations) are started from C points in each run, and up to
-K of the modes they find get a share of the defensive draws.
+Smoothers (of a network without time: calibrations) are started from C points in each run. The
+audit draws from the Gaussian answer q and, *defensively*, from a density with wider tails. Up to K
+of the modes found get a share of the defensive draws; the others of these draws follow q but for an
+*excursion* of some slices. n is the number of the components of all slices together.
 """
 
 from __future__ import annotations
@@ -55,13 +57,13 @@ class Modes:
 
     @classmethod
     def made(cls, laws: Iterable[tuple[Callable[[], Path], Array]], missed: Array) -> Modes:
-        """The modes of some laws, as far as these can be drawn from.
+        """The modes whose laws can be made and drawn from.
 
-        laws: Pairs of a function that makes the law of a mode, and the mode's shares, (runs,).
+        laws: For each mode, a function that makes its law, and its shares of the draws, (runs,).
         missed: The part of all modes' evidence that belongs to modes left out already, (runs,).
 
-        A law that cannot be made, or has no density, is left out, and the part of all modes' shares
-        that it had is added to `missed`.
+        A law that cannot be made, or has no density, is left out, and its part of all modes' shares
+        is added to `missed`.
         """
         paths, shares = [], []
         for make, share in laws:
@@ -153,6 +155,7 @@ def choose(points: FixedPoints, mean: Array, std: Array, most: int = MOST) -> Ch
     Parameters
     ----------
     points : FixedPoints
+        The fixed points that the smoothers reached.
     mean, std : ndarray
         (runs, n): the answer's means and standard deviations.
     most : int

@@ -114,7 +114,7 @@ class Proposal:
         return log_ratio(self._constants[0][row][:, None], squared)
 
     def _mean(self, row: int, given: Array) -> Array:
-        """The conditional mean F x + b at draws x of the parents, (runs, S, m) → (runs, S, n)."""
+        """The conditional means F x + b, (runs, S, n), given x (runs, S, m)."""
         mean: Array = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
         return mean
 

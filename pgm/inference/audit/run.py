@@ -1,4 +1,4 @@
-"""Auditing a posterior."""
+"""The audit of a Gaussian posterior: the call that measures its distance from the exact one."""
 
 from __future__ import annotations
 
@@ -82,7 +82,8 @@ def audit(
     rng : numpy.random.Generator or int
         The generator of draws, or its seed.
     progress : bool or callable
-        As for `infer`, of batches of draws.
+        Whether bars show how many batches of draws are done, on a terminal or in a notebook; or a
+        function, ``progress(done, total)``, called at the start and after each batch.
 
     Raises
     ------

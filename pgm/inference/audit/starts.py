@@ -14,7 +14,7 @@ ALONE = 4
 def white_points(count: int, dimension: int) -> Array:
     """Points that fill N(0, I) evenly, (C, n), the same in each call: C is `count`, n `dimension`.
 
-    Each component takes every of the C quantiles (k + ½)/C once, in an order of its own: a Latin
+    Each component takes each of the C quantiles (k + ½)/C once, in an order of its own: a Latin
     hypercube (McKay, Beckman & Conover, 1979).
     """
     order = np.random.default_rng(0).permuted(np.tile(np.arange(count), (dimension, 1)), axis=1)

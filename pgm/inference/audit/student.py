@@ -22,11 +22,12 @@ def stretch(white: Array, where: Mask, rng: np.random.Generator) -> None:
 
 
 def log_ratio(size: Integers, squared: Array) -> Array:
-    r"""The logarithm of Student's t density over the Gaussian, at |s|² of n = `size` components.
+    r"""The logarithm of Student's t density over the Gaussian, at noise s of n = `size` components.
 
     .. math:: c_n - \tfrac{ν + n}{2} \ln(1 + |s|^2/ν) + \tfrac12 |s|^2
 
     with ν = 5 degrees of freedom and the logarithm c_n of the ratio of both densities at zero.
+    `squared` is |s|²; `size` is an array whose shape broadcasts against it.
     """
     constant = np.array([_log_constant(k) for k in range(int(size.max(initial=0)) + 1)])[size]
     power = 0.5 * (FREEDOM + size)

@@ -50,7 +50,7 @@ class TreeDensity:
         return cls(model, [Term.make(f, relative=relative, taken=taken) for f, taken in every])
 
     def free(self, shape: tuple[int, int]) -> Mask:
-        """The mask of free components, (1, runs, n), of a `shape` (runs, n)."""
+        """The mask of free components, (1, runs, n); `shape` is (runs, n)."""
         free = np.zeros((1, *shape), dtype=bool)
         for group, term in zip(self.model.layout.groups, self.terms, strict=True):
             mask = term.free()

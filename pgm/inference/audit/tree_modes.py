@@ -91,9 +91,9 @@ def find(
 def starts(density: TreeDensity, answer: Array) -> Array:
     """Points (runs, C, n) from which calibrations start, the answer's means μ (runs, n) first.
 
-    They are followed by mirror images 2ρ − μ, by ρ, the values that the CPDs make of zero noise,
-    parents before children, and by values that the CPDs make of white noise at points that fill
-    N(0, I). A point at which the model has no density is replaced by μ.
+    Let ρ be the values that the CPDs make of zero noise, parents before children. The means are
+    followed by mirror images 2ρ − μ, by ρ, and by the values that the CPDs make of white noise, at
+    points that fill N(0, I). A point at which the model has no density is replaced by μ.
     """
     size = answer.shape[-1]
     white = np.concatenate([np.zeros((1, size)), white_points(POINTS, size)])
@@ -108,7 +108,8 @@ def starts(density: TreeDensity, answer: Array) -> Array:
 class Search:
     """Gauss–Newton on a tree from C = `count` points for each run, all in one linearised network.
 
-    This network has every run C times: its run c · runs + r is the copy c of run r.
+    This network has every run C times: its run c · runs + r is the copy c of run r. `plan` has the
+    rounds of messages by which the tree is calibrated, `density` the log-density that is climbed.
     """
 
     plan: TreePlan

@@ -45,13 +45,14 @@ class Backward:
     """A smoother that draws trajectories backwards through the clouds of a particle filter.
 
     model: The network with its evidence.
-    particles: The user's choice, with the number of trajectories and the way of drawing them.
+    particles: The user's settings, which tell how many trajectories are drawn, and in which of the
+        two ways.
     clouds: The filter's particles given the measurements up to each step, from 0 to T.
     restarted: The mask (T+1, runs) of steps at which a run's particles were drawn from the prior;
         these particles do not depend on the step before.
 
-    unmoved: By step, the share of a run's trajectories that stayed at their ancestor, (T, runs);
-        zeros until `smoothed` or `lagged` is called.
+    unmoved: (T, runs): in row t, the share of a run's trajectories that, at step t, stayed at the
+        ancestor of their particle at step t + 1; zeros until `smoothed` or `lagged` is called.
     """
 
     def __init__(
@@ -112,12 +113,14 @@ class Backward:
         return [stream(seed, first + run, step, purpose) for run in range(len(self._counts))]
 
     def _cloud(self, step: int, place: Integers) -> Cloud:
-        """The cloud of the particles at `place`, (trajectories,), of a step, equally weighted."""
+        """The particles of a step at the places `place`, (trajectories,), equally weighted."""
         states = np.take(self.clouds[step].states, place, axis=1)
         return Cloud(states, uniform(self._counts), self._starts)
 
     def _last(self, step: int, about: int) -> Integers:
-        """Draw the places (trajectories,) at the last step of trajectories, by filtered weights.
+        """Draw the place at which each trajectory ends, by the weights of the filter's particles.
+
+        Returns the places, (trajectories,).
 
         step: The last step of the trajectories.
         about: The step whose belief the trajectories are drawn for; see `_generators`.
@@ -131,16 +134,18 @@ class Backward:
         return np.concatenate(found)
 
     def _before(self, step: int, place: Integers, after: States, about: int) -> Integers:
-        """Draw the places (trajectories,) at a step, by backward simulation from the step after.
+        """Draw for each trajectory its place at a step, given its state at the step after.
+
+        Returns the places, (trajectories,).
 
         place: The trajectories' places at the step after, (trajectories,).
         after: The trajectories' states at the step after, (d, trajectories).
         about: The step whose belief the trajectories are drawn for; see `_generators`.
 
-        A particle x_i of weight w_i is drawn with probability ∝ w_i p(after | x_i), over all
-        particles or by Metropolis moves from the ancestor. Where a run was restarted from the prior
-        at the step after, its states there do not depend on earlier ones, and particles are drawn
-        with probability w_i.
+        A particle x_i of weight w_i is drawn with probability ∝ w_i p(after | x_i), in full or by
+        Metropolis moves that begin at the ancestor of the trajectory's particle at the step after.
+        Where a run was restarted from the prior at the step after, its states there do not depend
+        on earlier ones, and particles are drawn with probability w_i.
         """
         later, cloud = self.clouds[step + 1], self.clouds[step]
         generators = self._generators(step, about)

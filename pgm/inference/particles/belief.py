@@ -2,7 +2,8 @@
 
 A *cloud* has the particles of all runs, one run after another, with their weights. Its states are
 an array (rows, particles), with a row for each component of its variables. A belief has a cloud for
-each of its steps, or a single one, and may be over some of the rows only.
+each of its steps, or a single one, in `_clouds`, and may be over some of the rows only: `_parts`
+has its components, with their rows. `_runs` is the shape of its axes of runs.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ class ParticleBelief(PointMassBelief):
         return self._by_lead(np.stack([cov for _, cov in self._moments], axis=0), first=True)
 
     def _over(self, places: tuple[int, ...]) -> ParticleBelief:
-        """The belief over the components at the indices `places`, in the order of these."""
+        """The belief over the components at the indices `places`, in that order."""
         each = [self._parts[k] for k in places]
         return ParticleBelief(each, self._clouds, self._runs, self.steps)
 
@@ -236,7 +237,8 @@ class ParticleBelief(PointMassBelief):
     def _moments_of(self, cloud: Cloud) -> tuple[Array, Array]:
         """The weighted means (runs, d) and covariances (runs, d, d) of a cloud's particles.
 
-        An angle's mean is its circular mean plus the mean difference from that, wrapped.
+        An angle's mean is its circular mean μ° plus the weighted mean of the particles' differences
+        from μ°, each wrapped; the sum is wrapped, too.
         """
         weights, count = cloud.weights, len(self._parts)
         mean, apart = np.empty((count, cloud.runs)), np.empty((count, len(weights)))
@@ -269,6 +271,8 @@ class ParticleBelief(PointMassBelief):
 
     def _by_lead(self, values: npt.NDArray[Any], first: bool = False) -> npt.NDArray[Any]:
         """Values (runs, steps, ...) as a read-only array (*lead, ...).
+
+        A belief that has no axis of steps has a single step in the values.
 
         first: Whether steps are the first axis of the values, before runs.
         """

@@ -113,7 +113,7 @@ class CellProposal(InCode, Immutable):
         return float(np.log(self.widths).sum())
 
     def sensors(self, model: ParticleModel, step: int) -> list[Sensor]:
-        """The sensors with measurements at a step whose only hidden parent is this state."""
+        """The sensors that have measurements at a step, and no hidden parent but this state."""
         found = []
         for sensor in model.sensors:
             hidden = [v for v in sensor.law.cpd.parents if v in model.places]
@@ -195,7 +195,7 @@ def _require_apart(what: str, places: Array, around: Array) -> None:
     """Refuse cells that overlap, by a ModelError whose text begins with `what`.
 
     places: The centres, (k, d), in widths of the cells.
-    around: The length of the circle of each angle, in widths, (d,); 0 of other components.
+    around: A whole turn, in widths of the cells, for each angle, and 0 for other components, (d,).
     """
     from scipy.spatial import KDTree  # here, since it is slow to import
 

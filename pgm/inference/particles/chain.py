@@ -1,4 +1,4 @@
-"""The particle filter as sweeps along a chain carry it: a belief is a cloud of weighted draws.
+"""The particle filter of all runs, step by step: its beliefs are clouds of weighted particles.
 
 At each step the particles are resampled, if their weights have grown unequal: they are drawn anew
 in proportion to the weights, which are equal then. Every particle is moved and weighed,
@@ -11,8 +11,9 @@ normalised, sum to an estimate of p(z_t | z_0..t−1); the product of these esti
 estimates p(z_0..t) without bias (Del Moral, Feynman–Kac formulae, 2004, section 7.4).
 
 The *place* of a particle is its index along the last axis of a cloud's arrays, which have the
-particles of all runs, those of run 0 first. CPDs are evaluated at `Some` particles, and draw by
-their `Drawing`, the particles' random generators.
+particles of all runs, those of run 0 first. `Some` holds the particles at which CPDs are evaluated:
+their states at the step and at the step before, and their runs. `Drawing` holds the generators of
+these particles' random numbers.
 """
 
 from dataclasses import replace
@@ -76,8 +77,9 @@ class ParticleChain:
     def generators(self, step: int, purpose: int = FORWARD) -> Generators:
         """The random generators of a step's draws, one for each run.
 
-        purpose: What is drawn; each of FORWARD, RESTARTED, STARTED and INJECTED has random numbers
-            of its own.
+        purpose: What is drawn: the filter's particles (FORWARD), those of a run that begins anew
+            from the prior (RESTARTED), or states from cells, at step 0 (STARTED) or for an
+            injection (INJECTED). Each purpose has random numbers of its own.
         """
         first = self.model.bound.first_run
         runs = range(first, first + self.model.bound.runs)
@@ -233,9 +235,10 @@ class ParticleChain:
         return Cloud(*moved, cloud.averages)
 
     def _move(self, row: int, some: Some, drawing: Drawing) -> None:
-        """Draw the next states of the particles `some` into their array `some.now`, CPD by CPD.
+        """Draw the states of particles at a step, by one CPD of the transition after another.
 
-        row: The step's row in the observed parents' values of the transition's CPDs.
+        row: The row of the step in the values of the transition's observed parents.
+        some: The m particles; their array `some.now`, (d, m), takes the states drawn.
         drawing: The source of the particles' noise.
         """
         for law in self.model.transition:
@@ -270,8 +273,8 @@ class ParticleChain:
         """Weigh a cloud by a step's measurements, and estimate ln p(z_t | z_0..t−1), (runs,).
 
         If no particle of a run explains the measurements, `Particles.impossible` decides: they are
-        refused by an EvidenceError, or ignored, or the run is restarted from the prior. A run that
-        goes on has a log-density of −∞. An EvidenceError is raised, too, if after a restart no
+        refused by an EvidenceError, or ignored, or the run is restarted from the prior; in the last
+        two cases the run's estimate is −∞. An EvidenceError is raised, too, if after a restart no
         particle from the prior explains the measurements.
         """
         log_weights = cloud.log_weights + self._log_likelihood(step, cloud)
@@ -294,14 +297,15 @@ class ParticleChain:
     def _injected(self, step: int, cloud: Cloud, log_density: Array, injection: Injection) -> Cloud:
         """Replace particles in runs whose measurements fit worse than they used to.
 
+        cloud: The particles, weighed by the step's measurements.
         log_density: ln p(z_t | z_0..t−1), (runs,).
         injection: The user's choice: how a run's long-term and short-term averages of the
             measurements' likelihood are formed, and the cells from which a state is drawn.
 
-        The averages are carried on by `log_density`, and give the share of a run's particles to be
-        replaced. A run with such a share is resampled, its weights become equal, and in this share
-        of its particles the state variable of the cells is drawn from them; other variables keep
-        their values. The cloud returned has the new particles and averages.
+        The averages are updated with `log_density`, and then give the share of a run's particles
+        that is to be replaced. A run with such a share is resampled, its weights become equal, and
+        in this share of its particles the state variable of the cells is drawn from the cells;
+        other variables keep their values. The cloud returned has the new particles and averages.
         """
         measured, cells = self.model.measured(step), injection.cells
         averages = injection.averaged(cloud.averages, log_density, measured)
@@ -341,11 +345,12 @@ class ParticleChain:
     def _after_impossible(self, step: int, cloud: Cloud, impossible: Mask) -> Cloud:
         """The cloud to go on with, where no particle of some runs explains a step's measurements.
 
+        cloud: The particles, not weighed by the measurements yet.
         impossible: The mask of these runs, (runs,).
 
-        The particles of a run are drawn from the prior if it is to restart, or if none of them was
-        possible before the measurements either; otherwise they stay. An EvidenceError is raised if
-        the user chose ``impossible="raise"``.
+        The particles of a run are drawn from the prior if it is to restart, or if all of them had
+        weight zero already, before the measurements; otherwise they stay. An EvidenceError is
+        raised if the user chose ``impossible="raise"``.
         """
         if self.particles.impossible == RAISE:
             run = int(impossible.argmax())

@@ -57,7 +57,7 @@ class Guide:
 
     @property
     def _sensors(self) -> list[Any]:
-        """The sensors of Gaussian noise that have evidence."""
+        """The model's `Sensor`s that have evidence and whose CPDs are conditional Gaussians."""
         sensors = self.model.sensors
         return [s for s in sensors if isinstance(s.reading.cpd, ConditionalGaussian)]
 
@@ -97,8 +97,8 @@ class Guide:
     def _moments(self, row: int, some: Some) -> tuple[Moments, Moments]:
         """The moments of each particle's slice, before and after the step's measurements.
 
-        Means are (m, n), covariances (m, n, n). Errors of a user's function name the proposal and
-        the step.
+        Means are (m, n), covariances (m, n, n). The text of a LinearisationError or NumericalError
+        tells the proposal and the step.
 
         row: The row of the step's inputs.
         some: The particles, with their states at the step before.
@@ -131,13 +131,16 @@ class Guide:
         """
 
         def own(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-            """Give each particle the values (rows, runs or 1, d) of its run, (rows, m or 1, d)."""
+            """Values (rows, runs or 1, d) of the runs as values (rows, m or 1, d) of particles."""
             return values if values.shape[1] == 1 or some.owner is None else values[:, some.owner]
 
         def reading(found: Reading, rows: range) -> Reading:
-            """A sensor's measurements in some rows, as those of step 1 of a chain of particles.
+            """A sensor's measurements at the step, as those of step 1 of the chain.
 
-            A particle has the values of its run.
+            found: All measurements of the sensor, one in each row.
+            rows: The rows that are of the step.
+
+            A particle has the measurements of its run.
             """
             chosen = slice(rows.start, rows.stop)
             return replace(
@@ -202,9 +205,10 @@ def require_guidable(model: DynamicBayesianNetwork) -> None:
 
 
 def _whitened(lower: Array, cov: Array) -> Array:
-    """The covariances A⁻¹ P A⁻ᵀ, (m, n, n), of roots A, `lower`, and covariances P, `cov`.
+    """The covariances A⁻¹ P A⁻ᵀ of roots A, `lower`, and covariances P, `cov`, all (m, n, n).
 
-    Rows and columns of components without a pivot in A, which earlier ones determine, are zero.
+    A component with a zero on the diagonal of A is a function of those before it; its row and
+    column in the result are zero.
     """
     free = ~roots.determined(lower)
     half = solving.solve_lower(lower, cov) * free[..., None]

@@ -1,9 +1,11 @@
 """CPDs with their inputs, at many particles: draws of the child, and its density.
 
 A law is a CPD with the values of its observed parents, which have a row for each step of the
-transition, or for each measurement of a sensor. Arrays over m particles have components first, (d,
-m); functions of users see (m, d). A root L of a noise covariance is lower triangular, cov = L Lᵀ; a
-component has noise of its own where the diagonal of L, its pivot, is not zero.
+transition, or for each measurement of a sensor. The particles at which it is evaluated are given as
+`some`: their states at a step and at the step before, and their runs. Arrays over these m particles
+have components first, (d, m); functions of users see (m, d). A root L of a noise covariance is
+lower triangular, cov = L Lᵀ; a component has noise of its own where the diagonal of L, its pivot,
+is not zero.
 """
 
 from __future__ import annotations
@@ -109,7 +111,7 @@ class Law:
     """The law of a CPD of any kind, by the CPD's own sampler and density; base of other laws.
 
     inputs: By observed parent, its values (rows, runs or 1, d).
-    places: By hidden variable, the rows of its components in arrays of states.
+    places: By hidden variable, where its components stand on the first axis of arrays of states.
     dtype: The type of the states, float64 or float32.
     first_run: The number of the first run, from which texts of errors count.
     """
@@ -154,8 +156,8 @@ class Law:
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all particles.
 
-        taken: The mask (d,) of the components that were measured, for the rest of which the density
-            is given NaN; None for all.
+        taken: The mask (d,) of the components that were measured; the CPD's density is given NaN
+            for the others. None if all were measured.
         """
         values = self.given(row, some)
         if taken is not None and not taken.all():
@@ -201,8 +203,8 @@ class GaussianLaw(Law):
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all particles.
 
-        taken: The mask (d,) of the components that were measured; the density is their marginal
-            density. None for all. Under singular noise, which no sensor may have, it is ignored.
+        taken: The mask (d,) of the components that were measured, whose marginal density is taken;
+            None if all were. It is ignored under singular noise, which no sensor may have.
         """
         root = self.root(row, some.step)
         if not root.regular:
@@ -237,7 +239,10 @@ class GaussianLaw(Law):
         return found
 
     def open(self, row: int, step: int) -> Integers:
-        """The number of components with noise of their own, at a row, (runs or 1,)."""
+        """The number of components with noise of their own, at a row, (runs or 1,).
+
+        `step` is that of the row, for texts of errors.
+        """
         return self.root(row, step).open
 
     def mean(self, row: int, some: Some) -> States:
@@ -319,7 +324,7 @@ class GaussianLaw(Law):
         """The `Root` of the noise covariance at a row, one root for all runs or one for each.
 
         If the CPD gives its covariance by a function, a value that is no covariance raises a
-        ModelError.
+        ModelError. `step` is that of the row, for texts of errors.
         """
         if not isinstance(self.cpd.cov, Noise):
             return self._constant

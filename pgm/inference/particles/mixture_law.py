@@ -1,7 +1,8 @@
 """The laws of CPDs by their kind; the law of a mixture is made from the laws of its parts.
 
 A law is a CPD with the values of its observed parents, which have a row for each step of the
-transition, or for each measurement of a sensor. m is the number of particles, d that of the
+transition, or for each measurement of a sensor. The m particles at which it is evaluated are given
+as `some`: their states at a step and at the step before, and their runs. d is the number of
 components of the CPD's child.
 """
 
@@ -47,7 +48,7 @@ class MixtureLaw(Law):
         w_k is the mixture's weight of part k, p_k the density by its law. Parts that differ in the
         number of components with noise of their own are refused by a ModelError.
 
-        taken: The mask (d,) of the components that were measured; None for all.
+        taken: The mask (d,) of the components that were measured; None if all were.
         """
         self.open(row, some.step)
         terms = (part.log_density(row, some, child, taken) for part in self.parts)
@@ -57,6 +58,7 @@ class MixtureLaw(Law):
         """The number of components with noise of their own, at a row, (runs or 1,).
 
         Parts with different numbers have no density in common, and are refused by a ModelError.
+        `step` is that of the row, for texts of errors.
         """
         first, *others = (part.open(row, step) for part in self.parts)
         if any((other != first).any() for other in others):
@@ -93,7 +95,8 @@ def law(
     a ModelError.
 
     inputs: By observed parent, its values (rows, runs or 1, d).
-    places: By hidden variable, the rows of its components in arrays of states, (rows, m).
+    places: By hidden variable, where its components stand on the first axis of arrays of states,
+        (components, m).
     dtype: The type of the states, float64 or float32.
     first_run: The number of the first run, from which texts of errors count.
     """

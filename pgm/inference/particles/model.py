@@ -1,10 +1,11 @@
-"""A dynamic network with its evidence, as particles ask for it.
+"""A dynamic network with its evidence, whose CPDs draw particles and are evaluated at them.
 
 The slice has the states and then the hidden controls: its components are the rows of arrays of
 states, (d, particles). A *law* is a CPD with the values of its observed parents, its *inputs*,
 which have a row for each step of the transition, or for each measurement of a sensor. A measurement
-is given by its row in the sensor's `Reading`, where rows are sorted by step. `Some` particles are m
-in number, and may be of several runs.
+is given by its row in the sensor's `Reading`, where rows are sorted by step. `Some` holds the m
+particles at which CPDs are evaluated: their states at a step and at the step before, and their
+runs.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class ParticleModel:
     dtype: The type of the states, float64 or float32.
     first: The step before the first row of the transition's inputs.
 
-    places: By state and hidden control, the rows of its components in arrays of states.
+    places: For each state and hidden control, the slice of its rows in arrays of states.
     size: The number of components of the slice, d.
     """
 
@@ -143,9 +144,9 @@ class Sensor:
     def add(self, row: int, some: Some, total: Array) -> None:
         """Add the log-density of one measurement at particles to their totals (m,), in place.
 
-        Where runs were measured in different components, each pattern of measured components is
-        worked on by itself. Missing components that the density cannot leave out are refused by an
-        EvidenceError, log-densities that are NaN or plus infinity by a LinearisationError.
+        Where not the same components were measured in all runs, each pattern of measured components
+        is worked on by itself. Missing components that the density cannot leave out are refused by
+        an EvidenceError, log-densities that are NaN or plus infinity by a LinearisationError.
         """
         rows, taken = self.values[row], self.reading.taken[row]
         patterns = by_pattern(taken, some.owner)

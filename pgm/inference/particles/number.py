@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class KLDSampling(InCode, Immutable):
     r"""A number of particles that bounds the KL divergence from the belief they are drawn from.
 
-    Particles are drawn anew, in batches that double their number, until there are enough for the k
+    Particles are drawn anew, in batches that double their number n, until it is enough for the k
     bins that they occupy,
 
     .. math:: n \ge \frac{q_{1-δ}(k)}{2 ε}
@@ -219,7 +219,7 @@ class LikelihoodSampling(InCode, Immutable):
     def more(self, count: int, found: float) -> int:
         """How many particles to draw next: 0 if `found` has reached the threshold L.
 
-        Otherwise as many again are drawn, up to `most` in all.
+        Otherwise as many again as have been drawn, but no more than `most` in all.
 
         count: How many have been drawn.
         found: The sum of their likelihoods, as shares of the largest possible.

@@ -1,7 +1,12 @@
 """Filtering with particles in a robot's loop, one step at a time.
 
-A fixed-lag filter of Gaussian beliefs keeps a window of steps in a belief's `behind`; particles
-have none. *Inputs* are the values of the transition's observed parents.
+*Inputs* are the values of the transition's observed parents. An argument `bound` is the evidence of
+a single call, in one run or several: the inputs of a prediction, or the measurements of an update.
+
+A belief has its particles in `_cloud`, and the filter and network that made them in `_filter` and
+`_model`. Where a step's particles are moved again once its measurements are known, `_before` has
+those of the step before and the inputs that moved them. `behind` is the window of steps that a
+fixed-lag filter of Gaussian beliefs keeps; it is None, since particles have no such window.
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""The posterior of a network as particles."""
+"""The answer of a particle filter or smoother: beliefs at all steps, log-evidence and status.
+
+A *cloud* has the particles of all runs at one step, with their weights. A posterior has in
+`_clouds` a cloud of each step, in `_filtered` those of the forward sweep, and in `_model` the
+network with its evidence.
+"""
 
 from __future__ import annotations
 
@@ -85,10 +90,11 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
 
     @cached_property
     def associations(self) -> Found:
-        """By sensor, the probabilities of what its sightings are of, as `Associations`.
+        """For each sensor with sightings of unknown things, the probabilities of the candidates.
 
-        Sensors are those with sightings of unknown things: the evidence gives ``pgm.unknown`` for a
-        parent of the sensor.
+        A sensor's `Associations` tell of each sighting how probably it is of each candidate for the
+        thing, of a new thing, or spurious. Things are unknown where the evidence gives
+        ``pgm.unknown`` for a parent of the sensor.
         """
         lead = self.log_evidence.shape
         return MappingProxyType(
@@ -136,7 +142,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         Returns
         -------
         ParticleBelief
-            In the order given.
+            The joint belief, with the variables in the order given.
 
         Raises
         ------

@@ -54,7 +54,7 @@ class Record:
         """
 
         def by_run(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-            """Values (steps, runs) as (*lead, steps)."""
+            """Values (steps, runs) as (*lead, steps), `lead` being the user's axes of runs."""
             return np.ascontiguousarray(values.T).reshape(*lead, -1)
 
         return ParticleStatus(

@@ -90,7 +90,7 @@ def require_room(size: int, particles: Particles, steps: int, runs: int, kind: K
 
     size: The number of components of a particle.
     steps, runs: How many steps, T + 1, and runs are kept.
-    kind: Filtered; of any other kind there are trajectories besides.
+    kind: Filtered, or the kind of a smoother, whose trajectories take room, too.
     """
     share = np.dtype(particles.dtype).itemsize / 8
     # States, weights and ancestors of the filter; states and weights of trajectories.

@@ -91,7 +91,7 @@ class ParticleStatus(Shown, Immutable):
 
     @property
     def few(self) -> bool:
-        """Whether, at some step, fewer than ten particles are effective, and not all of them."""
+        """Whether, at some step of a run, the effective number is below ten and below `number`."""
         return bool(self._few.any())
 
     @property

@@ -11,9 +11,10 @@ FORWARD, RESTARTED, BACKWARD, STARTED, INJECTED = range(5)
 def stream(seed: int, run: int, step: int, purpose: int = FORWARD) -> np.random.Generator:
     """The generator of a run's draws at a step for one purpose, independent of all the others.
 
-    purpose: The number of what is drawn. FORWARD are the particles of a filter, RESTARTED those of
-        a run that begins anew from the prior, BACKWARD the trajectories of a smoother (with a
-        fixed lag larger numbers, too), STARTED and INJECTED states from a proposal over cells.
+    purpose: The number of what is drawn: FORWARD the particles of a filter, RESTARTED those of a
+        run that begins anew from the prior, BACKWARD the trajectories of a smoother, STARTED and
+        INJECTED states from a proposal over cells. A fixed-lag smoother that draws the belief of a
+        step takes BACKWARD + k for its draws k steps later.
     """
     key = np.random.SeedSequence(seed, spawn_key=(run, step, purpose))
     return np.random.Generator(np.random.SFC64(key))
