@@ -25,12 +25,13 @@ from pgm.variables import Discrete
 def beliefs_of(
     graph: ClusterGraph, evidence: BoundStates, room: Room, *, allow: bool
 ) -> TreeBeliefs | AllowedBeliefs:
-    """Calibrate a graph without loops: the beliefs of all clusters given the evidence.
+    """The calibrated beliefs of all clusters of a graph without loops, given the evidence.
 
     If the evidence of some run has probability zero, `ImpossibleEvidence` is raised. With `allow`,
-    such runs are calibrated without evidence, and the result is `AllowedBeliefs`, which hide this:
-    for these runs they answer NaN, and ln p = −∞. `room` limits how many table entries, times runs,
-    are computed at once, and how many are kept. Tables too large for memory raise `GraphError`.
+    such runs are instead calibrated without evidence, and the result is an `AllowedBeliefs`, which
+    answers NaN for these runs, and −∞ for ln p(evidence). `room` limits how many table entries,
+    times runs, are computed at once, and how many are kept. Tables too large for memory raise
+    `GraphError`.
     """
     try:
         return TreeBeliefs.of(graph, evidence, room)
@@ -44,7 +45,8 @@ def beliefs_of(
 def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
     """The evidence of a batch, with that of lost runs taken out; the mask `lost` is (runs,).
 
-    The states of lost runs become −1, "not observed", and their soft weights one.
+    The observed states of lost runs become −1, "not observed", and their weights of soft evidence
+    become one. If all runs are lost, the result has no evidence at all.
     """
     if lost.all():
         return BoundStates(evidence.lead, {}, {})
@@ -79,8 +81,8 @@ class AllowedBeliefs:
         """The result of `reader`, a function of the calibrated tables, with NaN in lost runs.
 
         `reader` takes the flat array, (entries of clusters + entries of sepsets, [runs]), in which
-        `storage` finds the table of a cluster, and returns an array (..., [runs]). It may be called
-        for some of the runs at a time.
+        ``storage.table(array, cluster)`` is the table of a cluster, and returns an array
+        (..., [runs]). It may be called for some of the runs at a time.
         """
         return self._where_lost(np.nan, self.possible.read(reader))
 
@@ -89,9 +91,9 @@ class AllowedBeliefs:
         return self._where_lost(-np.inf, self.possible.log_evidence())
 
     def log_total(self, cluster: int) -> Array:
-        """The value ln p(evidence in the tree that has a cluster), ([runs]); −∞ in all lost runs.
+        """The log-probability of the evidence in the tree of `cluster`, ([runs]); −∞ in lost runs.
 
-        A lost run has −∞ for each cluster, even if only the evidence in another tree is impossible.
+        A lost run has −∞ even if the evidence is impossible only in another tree of the graph.
         """
         return self._where_lost(-np.inf, self.possible.log_total(cluster))
 

@@ -1,9 +1,11 @@
 """Evidence multiplied into the tables of a graph, in place.
 
 An observed state makes the entries of all other states zero; soft evidence w multiplies the entries
-of each state x by w(x). The *home* of a variable is the smallest cluster that holds it. All arrays
-of tables hold the entries of a semiring: numbers or logarithms. In shapes, [runs] is an axis that a
-single run lacks.
+of each state x by w(x). Evidence gives an observed state once for all runs, or as an array with a
+state for each run, where −1 stands for "not observed in this run". The *home* of a variable is the
+smallest cluster that holds it. The tables of all clusters stand in one flat array, in which
+`storage` tells the place of each; their entries are those of a semiring: numbers or logarithms. In
+shapes, [runs] is an axis that a single run lacks.
 """
 
 from __future__ import annotations
@@ -21,9 +23,9 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
 def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: Semiring) -> None:
     """Multiply the evidence of each variable into its home's table, in place.
 
-    `tables` is a flat array of all clusters' tables, (entries of tables + others, [runs]), laid out
-    by `storage` and in the entries of the semiring. The others, behind the tables, stay as they
-    are.
+    `tables` is a flat array, (entries of tables + others, [runs]), in the entries of the semiring:
+    first all clusters' tables, laid out by `storage`. The others behind them, such as room for the
+    tables of sepsets, are left unchanged.
     """
     for variable, state in evidence.states.items():
         table = storage.by_state[variable].of(tables)
@@ -49,7 +51,7 @@ def _weigh(table: Array, weights: Array, semiring: Semiring) -> None:
 
 
 def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
-    """Logarithms of all clusters' potentials times the evidence, (entries, runs).
+    """Flat array of logarithms, (entries, runs): all clusters' potentials times the evidence.
 
     An observed state enters every cluster that holds its variable, so that no message has to bring
     it; soft evidence, which must count once, enters its variable's home alone.
@@ -92,11 +94,12 @@ def one_hot(states: Integers, size: int) -> Array:
 
 
 def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
-    """The index into a table over `scope` that selects the states given once for all runs.
+    """The index that fixes those variables of a table that have one observed state for all runs.
 
-    The index has one element for each variable of the scope: the observed state, which drops the
-    axis, where the evidence is one state given for all runs; else a slice, which keeps the axis,
-    even if the evidence is an array of states, one for each run.
+    `scope` are the table's variables, and the index has one element for each of them. Where the
+    observed state is given once for all runs it is that state, so that the table loses the axis;
+    else it is a full slice, which keeps the axis, even if the variable is observed by an array of
+    states.
     """
     states = evidence.states
     return tuple(s if isinstance(s := states.get(v), int) else slice(None) for v in scope)
@@ -105,7 +108,7 @@ def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
 def axes_left(evidence: BoundStates, scope: States) -> States:
     """The variables of `scope`, in its order, except those observed in one state for all runs.
 
-    The tables of messages and beliefs have an axis for each variable that is returned; `put_in`
-    drops the axes of the others.
+    The tables of messages, beliefs and potentials that the user gets have an axis for each of the
+    variables returned, and none for the others.
     """
     return tuple(v for v in scope if not isinstance(evidence.states.get(v), int))

@@ -65,7 +65,7 @@ class FirstBeliefs:
 
     @cached_property
     def _planned(self) -> TreeBeliefs:
-        """The calibrated tables, by a plan; made when a joint, message or belief is first read."""
+        """The beliefs of all clusters by a plan, made when one of its tables is first asked for."""
         return TreeBeliefs.of(self.graph, self.evidence, self._room)
 
     @property
@@ -76,19 +76,20 @@ class FirstBeliefs:
     def read(self, reader: Callable[[Array], Array]) -> Array:
         """The result of `reader`, called with the calibrated tables in one flat array.
 
-        The array is (entries of clusters + entries of sepsets,); `storage` tells where in it each
-        cluster's table stands.
+        The array is (entries of clusters + entries of sepsets,), in which
+        ``storage.table(array, cluster)`` is the table of a cluster.
         """
         return self._planned.read(reader)
 
     def log_total(self, cluster: int) -> Array:
-        """The value ln p(evidence in the tree that has a cluster), ()."""
+        """The log-probability of the evidence in the tree of `cluster`, ()."""
         return self._planned.log_total(cluster)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
         """The message from one cluster to a neighbour: its values, and their log-scale, (1,).
 
-        The message is the values, (sizes of the sepset..., 1), times exp(log-scale).
+        The message is the values, (sizes of the sepset..., 1), times exp(log-scale). The axis of
+        length one is that of runs.
         """
         return self._planned.message(source, target)
 

@@ -170,7 +170,7 @@ class _Tree:
         return scope, table
 
     def _of_weights(self, place: int, weights: Array) -> Factor:
-        """The soft evidence of variable `place`, its weights (states,), as a factor.
+        """The soft evidence of the variable numbered `place`, weights (states,), as a factor.
 
         If the variable is observed too, the factor has the weight of its state alone.
         """
@@ -251,9 +251,9 @@ class _Tree:
         least = [math.inf] * len(sizes)
 
         def offer(scope: Sequence[int], table: Array) -> None:
-            """Offer a joint table over a scope, from which marginals may be summed.
+            """Keep a joint table for those variables of its scope that have none as small yet.
 
-            For each variable of the scope it is noted if it is the smallest so far.
+            The marginal of a variable is summed at the end from the table that is kept for it.
             """
             size = table.size
             for place in scope:

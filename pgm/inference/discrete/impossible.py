@@ -1,6 +1,9 @@
 """Errors for evidence of probability zero, which tell where it contradicts the tables.
 
-In shapes, [runs] is an axis that a single run lacks.
+On a graph without loops messages are sent to the roots of the trees, as a `TreePlan` lays out.
+*Tops* are the scales that are taken out of the messages, and out of the roots' tables: if one of
+them is zero, so is the probability of the evidence. In shapes, [runs] is an axis that a single run
+lacks.
 """
 
 import math
@@ -30,10 +33,10 @@ def require_possible(
 ) -> None:
     """Raise `ImpossibleEvidence` if the evidence has probability zero in some run.
 
-    log_tops: (tops, [runs]): logarithms of the scales taken out of messages on the way to the
-        roots, the sums of the roots' tables among them; in a run with impossible evidence at least
-        one is −∞.
-    of_runs: Text that is appended to the error's message if the evidence has axes of runs.
+    plan: The layout of the messages to the roots.
+    log_tops: (tops, [runs]): logarithms of the scales, of which at least one is −∞ in a run with
+        impossible evidence.
+    of_runs: Advice for batches, appended to the error's text if the evidence has axes of runs.
     """
     # One sum finds out, whatever is infinite.
     if math.isfinite(np.add.reduce(log_tops, None)):
@@ -62,10 +65,10 @@ def _contradiction(
 ) -> tuple[Cluster, list[Discrete]]:
     """The cluster of a tree at which evidence contradicts itself, and this evidence's variables.
 
-    `evidence` is that of one run, `root` the tree's root. The cluster is the deepest whose message
-    to its parent is zero throughout, or the root if no message is. The variables are those with
-    evidence in this cluster and in all clusters below it: first the observed ones, then those whose
-    soft evidence enters these clusters.
+    `evidence` is that of one run, `root` the number of the tree's root. The cluster is the deepest
+    whose message to its parent is zero throughout, or the root if there is no such message. The
+    variables are those with evidence in this cluster or in clusters below it: first the observed
+    ones, then those whose soft evidence enters one of these clusters.
     """
     forest, scopes = plan.forest, plan.storage.scopes
     messages = TreeMessages(plan.storage, evidence)
@@ -87,12 +90,15 @@ def _contradiction(
 
 
 def contradicted(empty: Mask, clusters: Iterable[Cluster], lead: tuple[int, ...]) -> EvidenceError:
-    """The error, not raised, for a message or belief of a graph with loops that is zero throughout.
+    """Make the error for a message or belief, on a graph with loops, that is zero throughout.
+
+    The error is returned for the caller to raise. It names the first run in which a message or
+    belief is zero, and the cluster of the first one that is.
 
     empty: (rows, runs): a row for each of some messages or beliefs, true in the runs in which it is
         zero throughout; at least one entry is true.
     clusters: Of each row, the sender of the message, or the cluster whose belief it is.
-    lead: The lengths of the user's axes of runs.
+    lead: The lengths of the user's axes of runs, which are flattened to one in `empty`.
     """
     runs = empty.any(axis=0)
     row = int(empty[:, runs.argmax()].argmax())

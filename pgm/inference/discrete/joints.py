@@ -1,8 +1,9 @@
 """Joint tables of variables of one cluster, or of several clusters of a tree.
 
-`tables` are the calibrated beliefs of all clusters in flat storage, (entries, [runs]), where [runs]
-is an axis that a single run lacks. A *factor* is a pair: its variables, and its values, with an
-axis for each variable, (sizes..., [runs]).
+`tables` are the calibrated beliefs of all clusters in one flat array, (entries, [runs]), in which
+`storage` tells the place of each; [runs] is an axis that a single run lacks. `forest` has the
+clusters as rooted trees. A *factor* is a pair: its variables, and its values, with an axis for each
+variable, (sizes..., [runs]).
 """
 
 import math
@@ -25,7 +26,10 @@ Factor = tuple[States, Array]
 
 
 def holder(storage: Storage, wanted: States) -> int | None:
-    """The number of the smallest cluster that holds all wanted variables; None if none does."""
+    """The number of the cluster with the fewest entries that holds all wanted variables.
+
+    None if no cluster holds them all.
+    """
     members: set[Discrete] = set(wanted)
     fits = [k for k, scope in enumerate(storage.scopes) if members.issubset(scope)]
     return min(fits, key=storage.graph.sizes.__getitem__, default=None)
@@ -34,11 +38,11 @@ def holder(storage: Storage, wanted: States) -> int | None:
 def joint(storage: Storage, tables: Array, scope: States) -> Array:
     """The joint probabilities of the variables of a scope, in its order, (sizes..., [runs]).
 
-    If no single cluster holds all the variables, the graph must have no loops. Then, along the
-    smallest subtree whose clusters hold the variables, each cluster's belief, conditional on its
-    sepset with the parent, is multiplied into the parent's, and each other variable is summed out
-    once no later factor has it. The joints of several trees are multiplied. A product that would be
-    too large raises `GraphError`.
+    If one cluster holds all the variables, its belief is summed to them. If none does, the graph
+    must have no loops: then the conditionals p(cluster | sepset with the parent) are multiplied
+    from the leaves up, in a subtree whose clusters hold the variables, and variables outside the
+    scope are summed out as soon as no later factor has them. The joints of several trees are
+    multiplied. A product that would be too large raises `GraphError`.
     """
     one = holder(storage, scope)
     if one is not None:
@@ -107,7 +111,7 @@ def _combined(factors: Sequence[Factor], keep: set[Discrete]) -> Factor:
 
 
 def _given(factor: Factor, sepset: States) -> Array:
-    """The values p(cluster | sepset) of a cluster's belief `factor`, (sizes..., [runs]).
+    """The values p(cluster | sepset), with the axes of a cluster's belief `factor`.
 
     The belief is divided by its sums over all variables outside the sepset; the result is zero
     where p(sepset) is zero.
@@ -120,7 +124,7 @@ def _given(factor: Factor, sepset: States) -> Array:
 
 
 def _product(a: Factor, b: Factor) -> Factor:
-    """The product of two factors, over all variables of both.
+    """The product of two factors, over the variables of `a`, then those that `b` alone has.
 
     A product of more than a gibibyte, in all runs together, or over more variables than an array
     can have axes, raises `GraphError`.
@@ -149,7 +153,10 @@ def _arranged(factor: Factor, scope: States) -> Array:
 
 
 def _sum(factor: Factor, keep: States) -> Array:
-    """A factor's values summed over all variables not in `keep`, (sizes of `keep`..., [runs])."""
+    """A factor's values summed over all variables not in `keep`, (sizes of `keep`..., [runs]).
+
+    The axes are in the order of `keep`.
+    """
     scope, values = factor
     total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
     return _arranged((tuple(v for v in scope if v in keep), total), keep)

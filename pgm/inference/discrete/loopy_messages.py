@@ -61,7 +61,7 @@ class TableMessages:
 
     @property
     def bounded(self) -> bool:
-        """True: the change of a message is that of probabilities, so that none exceeds one.
+        """Whether changes of messages are bounded: True, for a probability changes by one at most.
 
         Therefore no run counts as diverged because the changes of its messages grow.
         """
@@ -95,11 +95,11 @@ class TableMessages:
         return change
 
     def _products(self, group: Group) -> Array:
-        """Of the clusters of a group, the potential times all messages to the cluster but one.
+        """The products of each cluster's potential and all messages to it but one, as logarithms.
 
-        The result, of logarithms, is (neighbours · entries of the group, runs): first the products
-        that leave out the message of each cluster's first neighbour, at all entries of the group's
-        tables; then those that leave out the message of the second neighbour, and so on.
+        The result is (neighbours · entries of the group, runs): first the products that leave out
+        the message of each cluster's first neighbour, at all entries of the group's tables; then
+        those that leave out the message of the second neighbour, and so on.
         """
         incoming = self.logs.take(group.incoming, 0)
         products = np.empty_like(incoming)
@@ -241,7 +241,10 @@ class LoopyBeliefs:
 
     @cached_property
     def _marginals(self) -> Array:
-        """The marginals of all variables one after the other, (states of all variables, [runs])."""
+        """The marginals of all variables one after the other, (states of all variables, [runs]).
+
+        ``storage.marginals.where[variable]`` is the slice of each one.
+        """
         return self.storage.marginals.read(self._tables)
 
     def marginal(self, variable: Discrete) -> Array:

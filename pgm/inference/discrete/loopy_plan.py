@@ -33,11 +33,11 @@ Kept = tuple[bool, ...]
 
 @dataclass(frozen=True, eq=False)
 class Outlet:
-    """The outgoing messages of equal shape from a group of clusters.
+    """Messages of equally many columns that the clusters of a group send.
 
-    index: (rows, messages · columns): indices into the first axis of the group's products. A
-        column of a message is the sum of the products in the same column of `index`; the columns of
-        one message follow those of another.
+    index: (summands, messages · columns): indices into the first axis of the group's products.
+        Each column of a message is the sum of the products that one column of `index` has. All
+        columns of the first message come first, then those of the second, and so on.
     columns: (messages, columns): the indices of the messages' columns in the array of all messages.
     order: (messages,): the place of each message in the round, from 0.
     senders: (messages,): the numbers of the clusters that send the messages.
@@ -57,7 +57,8 @@ class Group:
         storage.
     incoming: (neighbours, clusters · entries): for each entry, the column of each neighbour's
         message by which the entry is multiplied.
-    outlets: The messages that the clusters send in the round, those of equal shape together.
+    outlets: The messages that the clusters send in the round, those of equally many columns
+        together.
     """
 
     entries: Integers
@@ -87,8 +88,8 @@ class LoopyPlan:
     def everything(self, runs: int) -> list[Group]:
         """The groups of the round in which all messages are sent, for so many runs at once.
 
-        The layout is kept until another number of runs is asked for, on which the number of
-        clusters in a group depends.
+        More runs make for fewer clusters in a group. So the layout is kept only until it is asked
+        for with another number of runs.
         """
         if self._all is None or self._all[0] != runs:
             self._all = runs, self.lay_out(range(len(self.directed)), runs)
@@ -157,10 +158,10 @@ class LoopyPlan:
         )
 
     def _shape(self, cluster: int, message: int) -> tuple[Integers, Integers]:
-        """How a cluster's table entries and the columns of a message over a sepset correspond.
+        """How entries of a cluster's table correspond to columns of a message from or to it.
 
-        Returns two arrays of indices. The first, (rows, columns), has in each column the entries,
-        counted from the table's first, that sum to this column of the message. The second,
+        Returns two arrays of indices. The first, (summands, columns), has in each column the
+        entries, counted from the table's first, that sum to this column of the message. The second,
         (entries,), is for each entry the column, counted from the message's first, whose states
         agree with it. Both depend on the shape of the table and on the axes of the sepset alone,
         and are cached by these.

@@ -66,8 +66,8 @@ class MostProbable(Shown, Immutable):
     assignment : mapping of Discrete
         The name of each variable's state, also of variables with evidence. Where the evidence has
         axes of runs, the indices of the states, (*runs), whose names `states` gives. For a dynamic
-        network of T steps, the indices of each hidden variable's states by step, (*runs, T+1), or
-        (*runs, T) for a control.
+        network of steps 0 to T, the indices of each hidden variable's states by step, (*runs, T+1);
+        for a control, which has no step 0, (*runs, T).
     log_probability : ndarray
         (*runs): ln p(assignment, evidence), natural logarithms.
 
@@ -288,10 +288,10 @@ class _Search:
 
 
 def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
-    """The results of `_search` for consecutive parts of the runs, one part for each worker.
+    """Search consecutive parts of the runs, one part for each worker.
 
-    Each result is a pair: the most probable states, (variables, runs of the part), as indices, and
-    the tops, (tops, runs of the part).
+    Returns a pair for each part: the most probable states, (variables, runs of the part), as
+    indices, and the tops, (tops, runs of the part).
     """
     runs = search.runs
     edges = [runs * k // workers.count for k in range(workers.count + 1)]
@@ -379,9 +379,8 @@ def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
 def _decode(plan: TreePlan, entry: Integers) -> Integers:
     """The states of all variables, (variables, runs), in the order of ``plan.storage.homes``.
 
-    `entry`, (clusters, runs), is for each cluster the index of an entry of its table, counted in C
-    order of the scope in ``plan.storage.places``. Each variable's state is read from its
-    home's entry.
+    `entry`, (clusters, runs), is for each cluster the index of the most probable entry of its
+    table, counted row by row of the matrix. Each variable's state is read from its home's entry.
     """
     homes = plan.storage.homes
     scopes = {home: plan.storage.places[home].scope for home in homes.values()}

@@ -1,7 +1,8 @@
-"""A table's place in flat storage: its first index, and the strides of its axes.
+"""Tables in flat storage: the place of each, views of it, and its shape with axes merged.
 
 The flat storage holds the tables of all clusters, (entries, [runs]), in C order; [runs] is an axis
-that a single run lacks. Strides count entries, of a single run.
+that a single run lacks. Small tables may be interleaved; a table is *contiguous* if its entries
+stand together. Strides count entries, of a single run, if nothing else is said.
 """
 
 from __future__ import annotations
@@ -65,8 +66,8 @@ class Place:
     def positions(self, scope: States) -> Integers:
         """The positions of the table's entries, with an axis for each variable of a scope.
 
-        The positions are indices into the flat storage. Along the axis of a variable that the table
-        does not have they are constant.
+        The positions are indices into the flat storage. `scope` has all variables of the table, in
+        any order, and may have others, along whose axes the positions are constant.
         """
         return positions(self.start, self.steps, scope)
 
@@ -101,9 +102,12 @@ class Place:
 class View:
     """A view of a table in flat storage, with its axes in some order.
 
+    The offset and the strides, in bytes, are for storage of a single run; in storage of several
+    they are multiplied by the number of runs.
+
     shape: The numbers of states along the axes, in that order.
-    start: The offset of its first entry in bytes, in storage of a single run.
-    strides: The strides of the axes in bytes, in storage of a single run.
+    start: The offset of the first entry.
+    strides: The strides of the axes.
     """
 
     shape: tuple[int, ...]
@@ -120,7 +124,7 @@ class View:
 
 
 def by_state(place: Place, variable: Discrete) -> View:
-    """The view of a table with the axis of a variable first."""
+    """The view of a table with the axis of a variable first, then the others in their order."""
     return place.view((variable, *without(place.scope, (variable,))))
 
 
@@ -152,11 +156,12 @@ class Merged:
     """The shape of a contiguous table, with axes merged for sums and products over few axes.
 
     Some variables of the table are *wanted*: the table is summed to these variables, or multiplied
-    by a factor over them. Neighbouring axes are merged if their variables are all wanted, or none
-    is.
+    by an array over them. The result, or that array, has the variables in an order of its own, the
+    order *asked for*. Neighbouring axes of the table are merged if their variables are all wanted,
+    or none is.
 
     shape: The lengths of the merged axes, without that of runs.
-    others: The merged axes that are not of wanted variables.
+    others: The indices, in `shape`, of the merged axes that are not of wanted variables.
     sizes: The numbers of states of the wanted variables, in the order in which they are stored.
     order: Of each wanted variable, in the order asked for, its index in `sizes`.
     """

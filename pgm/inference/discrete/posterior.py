@@ -1,4 +1,10 @@
-"""Posteriors of discrete networks."""
+"""What the user gets from inference in a discrete network: tables given the evidence.
+
+These are marginals and joints of variables; messages, beliefs and potentials of clusters; and
+ln p(evidence). They are read from beliefs that exact inference on a tree, or a schedule of messages
+on any graph, has computed. In shapes, *runs are the user's axes of runs, and runs is one axis to
+which these are flattened.
+"""
 
 import math
 from dataclasses import dataclass
@@ -120,8 +126,9 @@ class DiscretePosterior(Posterior):
         The table has an axis for each variable of the sepset, except for variables observed in one
         state given for all runs; a variable observed by an array of states, one for each run, has
         an axis. After `Flooding`, `Sequential` or `Residual` a message sums to one. After exact
-        inference on a tree it is the sum over the sender's potential times the messages to the
-        sender from its other neighbours, in full: the values times exp(log-scale) of the table.
+        inference on a tree nothing is divided out of it: it is the sender's potential times the
+        messages to the sender from its other neighbours, summed over the variables outside the
+        sepset. Its entries are the table's values times exp(log-scale).
         """
         i, j = self.graph.index(source), self.graph.index(target)
         if j not in self.graph.neighbours(i):
@@ -172,7 +179,8 @@ class DiscretePosterior(Posterior):
         """The `Table` over a scope with given values, its leading axes the user's axes of runs.
 
         values: (size of each variable..., runs); the axis of runs may be absent for a single run.
-        log_scale: (runs,), or () for a single run: that of an unnormalised table; None if zero.
+        log_scale: (runs,), or () for a single run: the table is the values times exp(log-scale);
+            None if it is the values as they are.
         """
         lead = self._beliefs.evidence.lead
         if values.ndim > len(scope):

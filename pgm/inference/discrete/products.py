@@ -1,9 +1,10 @@
 """Messages multiplied into tables: the map of table entries to message columns.
 
-Flat storage holds the tables, (entries, [runs]), where [runs] is an axis that a single run lacks.
-An array of *columns*, (columns, [runs]), holds all messages to the roots: one column for each joint
-state of a message's sepset. A *stack* is some clusters of like shape, whose tables stand one after
-the other.
+Flat storage holds the tables, (entries, [runs]), where [runs] is an axis that a single run lacks;
+[runs or 1] is of length one for tables that are the same in all runs. An array of *columns*,
+(columns, [runs]), holds all messages to the roots: one column for each joint state of a message's
+sepset. A *stack* is some clusters of like shape, whose tables together take one slice of the
+storage. Each entry of a table is multiplied by the column of a message whose states agree with it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ SHORT, WIDE = 8, 128
 
 @dataclass(frozen=True, eq=False)
 class GatheredProduct:
-    """Messages to the tables of a stack, whose columns are looked up for each entry by an index.
+    """The product of the tables of a stack and a few messages to each of them, by an index.
+
+    In shapes, messages is the number of messages to each table, the same for all of the stack.
 
     children: (messages, clusters): for each cluster of the stack, the numbers of the senders.
     index: (messages, entries): for each entry of the stack, the column of each message by which the
@@ -64,7 +67,8 @@ class BlockProduct:
     children: (1, 1): the number of the sender.
     place: The table's place in flat storage.
     sepset: The variables of the message, in the order of its columns.
-    view: The shape of the table with neighbouring axes merged, if all or none are of the sepset.
+    view: The shape of the table with merged axes: neighbouring axes are merged if their variables
+        are all in the sepset, or none is.
     source: The slice of the message's columns in an array of all messages.
     wide: For a single run the message is repeated in memory along the axes of `view` from this one
         on, lest NumPy's loops over the last axes be short; the number of axes if that is not done.
@@ -91,7 +95,7 @@ class BlockProduct:
     def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
         """Write the product of the table and its message to `out`.
 
-        source: (entries of the table, [runs or 1]).
+        source: (entries of the table, [runs or 1]): the table.
         messages: (columns, [runs]): all messages, in the entries of the semiring.
         out: (entries of the table, [runs]); it may be `source` itself.
         """

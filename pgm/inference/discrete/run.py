@@ -1,4 +1,7 @@
-"""Running a schedule on a cluster graph of a discrete network."""
+"""Inference in a discrete network: exact on a tree, or by a schedule on any graph.
+
+A run is one set of evidence of a batch.
+"""
 
 import numpy as np
 
@@ -25,11 +28,11 @@ def run(
     memory: float | None = None,
     impossible: str = RAISE,
 ) -> DiscretePosterior:
-    """The posterior of a discrete network after a schedule of messages on its cluster graph.
+    """The posterior of a discrete network, computed by messages on its cluster graph.
 
-    Any schedule but `Flooding`, `Sequential` and `Residual`, and None too, is exact inference on a
-    graph without loops. With these three, `memory` and ``impossible="allow"`` are refused with a
-    `GraphError`.
+    The schedules `Flooding`, `Sequential` and `Residual` send messages on a graph of any shape;
+    with them `memory` and ``impossible="allow"`` are refused with a `GraphError`. Any other
+    schedule, or None, stands for exact inference on a graph without loops.
 
     memory: How many bytes the tables of all runs may take; None for 256 MiB.
     impossible: What is done with runs whose evidence has probability zero: ``"raise"`` refuses the
@@ -65,10 +68,10 @@ def of_tree(
 ) -> DiscretePosterior:
     """The exact posterior of a graph without loops.
 
-    `bound` is the evidence, checked and laid out by run. `room` limits how many table entries,
-    times runs, are computed at once, and how many are kept. Evidence of probability zero in some
-    run raises `ImpossibleEvidence`, or with `allow` gives that run beliefs of NaN; tables too large
-    for memory raise `GraphError`.
+    `bound` is the evidence, checked, in arrays by run. `room` limits how many table entries, times
+    runs, are computed at once, and how many are kept. Evidence of probability zero in some run
+    raises `ImpossibleEvidence`, or with `allow` gives that run beliefs of NaN; tables too large for
+    memory raise `GraphError`.
     """
     beliefs = beliefs_of(graph, bound, room, allow=allow)
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)

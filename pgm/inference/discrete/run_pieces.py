@@ -1,8 +1,9 @@
 """Batches of evidence: pieces that fit into memory, and the different runs, each once.
 
-A run is one set of evidence of a batch. On a tree as many runs are *calibrated at once*, in one set
-of arrays, as fit into a limit; if that would be fewer than 64 (`FEW`), they are calibrated one by
-one.
+A run is one set of evidence of a batch. Evidence gives an observed state once for all runs, or as
+an array with a state for each run, where −1 is "not observed in this run". On a tree as many runs
+are *calibrated at once*, in one set of arrays, as fit into a limit; if that would be fewer than 64
+(`FEW`), they are calibrated one by one.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[Bou
     """The evidence in consecutive parts, each of as many runs as a tree calibrates at once.
 
     `entries` is the number of entries of the tree's tables in one run, `batch` the limit on entries
-    times runs. Of a batch, a part that is a single run leaves out the variables that the run does
-    not observe.
+    times runs. A part of a batch that is one run alone has no states −1: the variables that this
+    run does not observe are left out.
     """
     for piece in pieces(evidence, at_once(entries, batch)):
         yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
@@ -87,7 +88,10 @@ class Distinct:
 
     @classmethod
     def of(cls, evidence: BoundStates) -> Distinct:
-        """Find the different runs; where soft evidence is given by run, all count as different."""
+        """Find the different runs.
+
+        If any soft evidence has weights for each run, all runs count as different.
+        """
         if evidence.runs == 1 or any(len(weights) > 1 for weights in evidence.weights.values()):
             return cls(evidence, None)
         codes = np.zeros(evidence.runs, dtype=np.int64)

@@ -39,7 +39,7 @@ class GatheredSum:
 
     @classmethod
     def of(cls, sources: Sequence[tuple[Place, States]], start: int) -> GatheredSum:
-        """The sums of some tables to wanted variables, whose results are written from `start` on.
+        """The sums of some tables to wanted variables, to be written from index `start` on.
 
         sources: Of each table, its place and the variables wanted of it. Results stand in the order
             of the tables, each in C order of its wanted variables. All tables have equally many
@@ -58,7 +58,7 @@ class GatheredSum:
     def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
         """Sum entries of the storage into the target slice of `out`, and return that slice.
 
-        `storage` is (entries, [runs]), `out` (length, [runs]).
+        `storage` is (entries, [runs]); `out`, (any length, [runs]), is where all sums are written.
         """
         into = out[self.target]
         if self.index.shape[self.axis] == 1:
@@ -71,7 +71,8 @@ class BlockSum:
     """The sum of a large table, which is contiguous, to some of its variables.
 
     entries: The slice of flat storage that has the table.
-    view: The shape of the table with neighbouring axes merged, if all or none are wanted.
+    view: The shape of the table with merged axes: neighbouring axes are merged if their variables
+        are all wanted, or none is.
     sums: The sum over the axes of `view` that are not wanted.
     target: The slice of the output array that the results are written to.
     """
@@ -83,7 +84,10 @@ class BlockSum:
 
     @classmethod
     def of(cls, place: Place, wanted: States, start: int) -> BlockSum:
-        """The sum of a large table, to be written from `start` on in C order of `wanted`."""
+        """The sum of a large table to the wanted variables.
+
+        The results are to be written from index `start` on, in C order of `wanted`.
+        """
         target = slice(start, start + math.prod(sizes(wanted)))
         view = place.merged(wanted)
         return cls(place.entries, view, AxisSums.of(view.shape, view.others), target)
@@ -91,7 +95,7 @@ class BlockSum:
     def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
         """Sum the table in the storage into the target slice of `out`, and return that slice.
 
-        `storage` is (entries, [runs]), `out` (length, [runs]).
+        `storage` is (entries, [runs]); `out`, (any length, [runs]), is where all sums are written.
         """
         tail = storage.shape[1:]
         table = storage[self.entries].reshape((*self.view.shape, *tail))
@@ -106,7 +110,7 @@ Sum = GatheredSum | BlockSum
 
 
 def summed(sources: Sequence[tuple[Place, States]], start: int) -> Sum:
-    """The sums of some tables to wanted variables, whose results are written from `start` on.
+    """The sums of some tables to wanted variables, to be written from index `start` on.
 
     sources: Of each table, its place and the variables wanted of it: one large table, or one or
         more small ones that have equally many entries for each joint state of the wanted variables.
@@ -193,12 +197,14 @@ ENTRIES, SUMS = 128, 8
 class AxisSums:
     """A sum over some axes of a table.
 
+    For plain numbers of a single run, the sum over the last axes, over as many as can be, is one
+    product with a matrix of zeros and ones, which has at most 128 rows (`ENTRIES`) and 8 columns
+    (`SUMS`). The axes before them are summed first, one by one.
+
     shape: The shape of the table, without the axis of runs.
     axes: The axes that are summed, in ascending order.
-    last: A matrix of zeros and ones, (entries of the last axes, sums), by which a table of numbers,
-        of a single run, is multiplied: this sums over those of its last axes that are in `axes`.
-        None where the matrix would have more than 128 rows (`ENTRIES`) or 8 columns (`SUMS`).
-    front: The axes that are summed one by one before that product: all, if `last` is None.
+    last: That matrix, (entries of the last axes, sums); None if it would be too large.
+    front: Those of `axes` that are summed before the product; all, if `last` is None.
     """
 
     shape: tuple[int, ...]
@@ -208,7 +214,7 @@ class AxisSums:
 
     @classmethod
     def of(cls, shape: tuple[int, ...], axes: tuple[int, ...]) -> AxisSums:
-        """The quickest way to sum a table of this shape over some axes, in ascending order."""
+        """Choose how a table of this shape is summed over `axes`, which are in ascending order."""
         for first in axes:
             block = shape[first:]
             kept = tuple(1 if k in axes else n for k, n in enumerate(block, first))

@@ -90,7 +90,8 @@ class TreeBeliefs:
     def _marginals(self) -> Array:
         """The marginals of all variables one after the other, (states of all variables, [runs]).
 
-        The runs are the different ones, each once.
+        The runs are the different ones, each once. ``plan.marginals.where[variable]`` is the slice
+        of each marginal.
         """
         given = self._read(self.plan.marginals.read) if self._given is None else self._given
         # Tables of parts of it are handed out as they are.
@@ -131,7 +132,7 @@ class TreeBeliefs:
         return self._distinct.spread(np.asarray(self._log_tops.sum(axis=0)))
 
     def log_total(self, cluster: int) -> Array:
-        """The value ln p(evidence in the tree that has a cluster), ([runs])."""
+        """The log-probability of the evidence in the tree of `cluster`, ([runs])."""
         mine = self.plan.tree_of_top == self.plan.forest.roots[cluster]
         return self._distinct.spread(np.asarray(self._log_tops[mine].sum(axis=0)))
 

@@ -15,7 +15,11 @@ from pgm.kernels.semirings import log_sum
 
 
 class TreeMessages:
-    """The messages of a graph without loops, as logarithms, (sizes of the sepset..., runs)."""
+    """The messages of a graph without loops, as logarithms, (sizes of the sepset..., runs).
+
+    storage: Where each cluster's table stands in a flat array.
+    potentials: (entries, runs): the logarithms of all ψ_i in that array.
+    """
 
     def __init__(self, storage: Storage, evidence: BoundStates) -> None:
         self.storage = storage
@@ -23,7 +27,7 @@ class TreeMessages:
         self._messages: dict[tuple[int, int], Array] = {}
 
     def message(self, source: int, target: int) -> Array:
-        """The message from one cluster to a neighbour, as logarithms.
+        """The message from one cluster to a neighbour, given by number, as logarithms.
 
         It is computed at the first call, with all messages that enter into it, and kept.
         """

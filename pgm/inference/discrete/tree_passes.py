@@ -30,7 +30,7 @@ class Entry:
     """The tables with which the pass to the roots begins.
 
     tables: (entries + columns, [runs]): the tables of the clusters, then room for the sepsets'.
-    potentials: (entries, [1]): the clusters' potentials without evidence.
+    potentials: (entries, [1]): the clusters' potentials without evidence, the same in all runs.
     entered: The set of the stacks whose `tables` hold potentials times evidence. The tables of the
         other stacks are not filled yet: no evidence enters them, and the pass to the roots takes
         their entries from `potentials`.
@@ -104,10 +104,11 @@ def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
 def distribute(plan: TreePlan, entry: Entry, done: Collected, semiring: Semiring) -> None:
     """Send the messages back: tables and sepsets become probabilities given the evidence.
 
-    ``entry.tables`` is changed in place, from the roots down. The table of a sepset is the sum of
-    the parent's table. The child's table is multiplied by the ratio of the sepset's table to the
-    message that the child sent to the parent; if the child is not active and sent none, its table
-    becomes p(cluster | sepset) times the sepset's table. ``done.messages`` are overwritten.
+    ``entry.tables`` is changed in place, from the roots down. The table of a sepset is the parent's
+    table, summed over the variables outside the sepset. The child's table is multiplied by the
+    ratio of the sepset's table to the message that the child sent to the parent; if the child is
+    not active and sent none, its table becomes p(cluster | sepset) times the sepset's table.
+    ``done.messages`` are overwritten.
     """
     tables = entry.tables
     tail = tables.shape[1:]
@@ -183,8 +184,8 @@ def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
 
     They serve as potentials, for their product is that of all CPDs. With these potentials the
     message of a cluster to its parent is one everywhere if no evidence enters the cluster or those
-    below it, and need not be sent. The table of a root has the same sum as the product of all CPDs
-    in its tree. Returns None if an entry underflows.
+    below it, and need not be sent. A root has no sepset: its table is scaled to the sum that the
+    product of all CPDs in its tree has. Returns None if an entry underflows.
     """
     try:
         with np.errstate(all="raise"):

@@ -1,6 +1,6 @@
 """The plan of the passes of messages over a tree of tables, laid out once for a graph.
 
-The clusters of a tree hang at its centre, the root. A *column* is an entry of the message from a
+Each tree is rooted at its centre. A *column* is an entry of the message from a
 cluster to its parent: a joint state of their sepset; a root has one column, of an empty sepset. A
 table is a matrix of its columns, each with a *row* for each joint state of the other variables, and
 a message is the sum of the rows. Clusters of equal depth, with equally many rows and children and
@@ -119,9 +119,9 @@ class Stack:
     bit: The one bit that stands for the stack in sets of stacks.
     entries: The slice of flat storage that has the clusters' tables.
     columns: The slice of an array of all messages that has the clusters' messages to their parents.
-    tops: The slice of an array of all scales that has those of the stack: one for each cluster's
-        message; for hubs, whose tables are rescaled as well, then one for each cluster and each
-        rescaling.
+    tops: The slice of an array of all scales that has those of the stack: first one for the message
+        of each cluster; then, if the clusters are hubs, whose tables are rescaled several times,
+        one for each cluster and rescaling.
     shape: The shape of all tables as one matrix: (rows, columns), or (columns, rows) where `axis`
         is 1.
     axis: The axis of `shape` that has the rows, over which messages sum.
@@ -245,10 +245,10 @@ class TreePlan:
 
     @cached_property
     def _ways(self) -> dict[Discrete, tuple[int, int]]:
-        """Of each variable, two sets of stacks: those that its evidence enters, and passes.
+        """Of each variable, the stack that its evidence enters, and the stacks that it passes.
 
-        Evidence enters the stack of the variable's home alone, and passes all stacks from there to
-        the root.
+        Both are sets of stacks. Evidence enters the stack of the variable's home alone, and passes
+        all stacks from there to the root, these two included.
         """
         found = [(0, 0)] * len(self.graph)
         for stack in self.stacks:
@@ -259,7 +259,7 @@ class TreePlan:
 
     @cached_property
     def tree_of_top(self) -> Integers:
-        """The root of the tree from which each scale is taken, (tops,)."""
+        """Of each scale, the number of the root of the tree in which it is taken out, (tops,)."""
         roots = self.forest.roots
         found = [np.resize(roots[s.clusters], s.tops.stop - s.tops.start) for s in self.stacks]
         return np.concatenate(found)
@@ -299,7 +299,9 @@ def plan_for(graph: ClusterGraph, runs: int, batch: int) -> TreePlan:
 
 
 def make_plan(graph: ClusterGraph, large: int) -> TreePlan:
-    """Lay out the passes over a graph without loops; `GraphError` if its tables are too large.
+    """Lay out the passes of messages over a graph without loops.
+
+    Raises `GraphError` if the graph's tables are too large for memory.
 
     large: Tables of at least so many entries are contiguous, and worked on by themselves.
     """
