@@ -90,10 +90,15 @@ class Injection(InCode, Immutable):
     def averaged(self, before: Array | None, log_density: Array, measured: Array) -> Array:
         """The logarithms of the long-term and short-term averages, (2, runs), after one more step.
 
-        before: The logarithms after the step before, (2, runs), NaN in runs without any measurement
-            so far; None before the first measurements of all runs.
-        log_density: ln p of the step's measurements given those before, (runs,).
-        measured: The number b of components measured, (runs,); where it is 0 the averages stay.
+        Parameters
+        ----------
+        before : ndarray or None
+            The logarithms after the step before, (2, runs), NaN in runs without any measurement so
+            far; None before the first measurements of all runs.
+        log_density : ndarray
+            ln p of the step's measurements given those before, (runs,).
+        measured : ndarray
+            The number b of components measured, (runs,); where it is 0 the averages stay.
         """
         runs = len(log_density)
         if before is None:
@@ -108,7 +113,10 @@ class Injection(InCode, Immutable):
     def shares(self, averages: Array) -> Array:
         """The share of particles to be replaced, (runs,): 1 − exp(short − long), from 0 to `most`.
 
-        averages: The logarithms of the long-term and short-term averages, (2, runs).
+        Parameters
+        ----------
+        averages : ndarray
+            The logarithms of the long-term and short-term averages, (2, runs).
         """
         with np.errstate(invalid="ignore"):
             found = -np.expm1(averages[1] - averages[0])
