@@ -55,19 +55,20 @@ def deviations(cov: Array) -> Array:
     return found
 
 
-def deviations_given_another(cov: Array) -> Array:
-    """The deviation of each component given the one other component that tells most about it.
+def lengths(cov: Array) -> Array:
+    """The length of each component over which a function may vary, (n, *batch), by P = `cov`.
 
-    Of covariances P (n, n, *batch) it is √(P_jj (1 − max_k ρ_jk²)), (n, *batch), with the
-    correlation ρ_jk of the components j and k ≠ j; at least a thousandth of √P_jj. This is the
-    length to take differences over where a function depends on the difference of two components
-    that is known far better than either of them.
+    `cov` is (n, n, *batch). A length is the standard deviation √P_jj, or, if less, ten times what
+    is left of it given the component that says most of it: 10 √(P_jj (1 − ρ²)), ρ being the
+    largest correlation of j with another component; at least √P_jj / 1000. A function of the
+    difference of two components, either of which is known far less than it, varies over such.
     """
     std = deviations(cov)
     unit = np.where(std > 0.0, std, 1.0)
     shared = (cov / unit / unit[:, None]) ** 2
     np.einsum("ii...->i...", shared)[...] = 0.0
-    found: Array = std * np.sqrt(np.maximum(1.0 - shared.max(axis=1, initial=0.0), 1e-6))
+    left = np.sqrt(np.maximum(1.0 - shared.max(axis=1, initial=0.0), 0.0))
+    found: Array = std * np.clip(10.0 * left, 1e-3, 1.0)
     return found
 
 

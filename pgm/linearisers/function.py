@@ -12,7 +12,7 @@ from pgm.immutable import set_writeable
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask, components_first, components_last, quiet
 from pgm.kernels.differences import jacobian as by_differences
-from pgm.kernels.gaussian import deviations_given_another
+from pgm.kernels.gaussian import lengths
 from pgm.linearisers.calls import Call
 from pgm.linearisers.template import Function, FunctionTemplate
 from pgm.tracing import Answers, Points, Program, beside
@@ -152,8 +152,8 @@ class BoundFunction(NamedTuple):
     def tangent(self, x: Array, cov: Array | None = None) -> tuple[Array, Array]:
         """The value, (..., d), and the derivative, (..., d, n), as `jacobian` takes it.
 
-        Steps of differences are set by the deviation of each component given another, since these
-        may be far less than its own (`deviations_given_another`).
+        Steps of differences are set by the lengths over which a function may vary: the deviations
+        of the components, or less where one tells much of another.
 
         Parameters
         ----------
@@ -312,7 +312,7 @@ class BoundFunction(NamedTuple):
         """The lengths (..., n) over which a function may vary, by covariances (..., n, n)."""
         if cov is None:
             return None
-        return components_last(deviations_given_another(components_first(cov, 2)), 1)
+        return components_last(lengths(components_first(cov, 2)), 1)
 
     def _differences(self, x: Array, std: Array | None) -> Array:
         spread = np.zeros_like(x) if std is None else std

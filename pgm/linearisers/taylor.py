@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.kernels.arrays import Array, components_first, components_last
-from pgm.kernels.gaussian import deviations_given_another
+from pgm.kernels.gaussian import lengths
 from pgm.linearisers.function import BoundFunction
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared
 from pgm.linearisers.template import FunctionTemplate
@@ -77,7 +77,7 @@ def _tangent(function: BoundFunction, mean: Array, cov: Array | None) -> Line:
     if isinstance(function, BoundFunction):
         value, slope = function.tangent(x, None if cov is None else components_last(cov, 2))
     else:  # one of the user's own, which stands in for it
-        std = None if cov is None else components_last(deviations_given_another(cov), 1)
+        std = None if cov is None else components_last(lengths(cov), 1)
         value, slope = function(x), function.jacobian(x, std)
     if mean.ndim > 1:
         value = np.ascontiguousarray(components_first(value, 1))

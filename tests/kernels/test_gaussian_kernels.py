@@ -453,18 +453,20 @@ def test_a_mean_far_above_its_deviation_is_not_moderate(size, batch):
 
 @batches
 @pytest.mark.parametrize("size", [1, 2, 5])
-def test_deviations_given_another(size, batch):
-    """Each pair by itself: the variance of one less what the other says of it."""
+@pytest.mark.parametrize("shared", [0.0, 1e3, 1e6])
+def test_lengths(size, batch, shared):
+    """Each pair by itself: ten times what is left of a deviation given another component."""
     rng = np.random.default_rng(7)
-    cov = np.array([random_covariance(rng, size) for _ in range(int(np.prod(batch)))])
+    cov = np.array([random_covariance(rng, size) for _ in range(int(np.prod(batch)))]) + shared
     cov = np.moveaxis(cov.reshape(*batch, size, size), (-2, -1), (0, 1))
-    due = np.einsum("ii...->i...", cov).copy()
+    own = np.einsum("ii...->i...", cov)
+    due = own.copy()
     for j in range(size):
         for k in set(range(size)) - {j}:
-            due[j] = np.minimum(due[j], cov[j, j] - cov[j, k] ** 2 / cov[k, k])
-    assert_allclose(gaussian.deviations_given_another(cov) ** 2, due, rtol=1e-9)
+            due[j] = np.minimum(due[j], 100.0 * (cov[j, j] - cov[j, k] ** 2 / cov[k, k]))
+    assert_allclose(gaussian.lengths(cov) ** 2, np.maximum(due, 1e-6 * own), rtol=1e-6)
 
 
-def test_deviations_given_another_of_singular_covariances():
+def test_lengths_of_singular_covariances():
     cov = np.array([[4.0, 4.0, 0.0], [4.0, 4.0, 0.0], [0.0, 0.0, 0.0]])
-    assert_allclose(gaussian.deviations_given_another(cov), [2e-3, 2e-3, 0.0])
+    assert_allclose(gaussian.lengths(cov), [2e-3, 2e-3, 0.0])

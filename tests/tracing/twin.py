@@ -20,7 +20,9 @@ class Moments(NamedTuple):
 
 def tangent(function: Function, mean: Array, cov: Array, finer: float = 1.0) -> tuple:
     """Value, F P Fᵀ and P Fᵀ, with F by fourth-order differences."""
-    step = finer * np.maximum(1e-2 * np.sqrt(np.diag(cov)), 1e-4)
+    std = np.sqrt(np.diag(cov))
+    left = np.sqrt(1.0 - np.max((cov / np.outer(std, std) - np.eye(len(cov))) ** 2, axis=1))
+    step = finer * np.maximum(1e-2 * std * np.clip(10.0 * left, 1e-3, 1.0), 1e-4)
     slope = np.empty((len(function(mean)), len(mean)))
     for j, h in enumerate(step):
         d = np.eye(len(mean))[j] * h

@@ -24,7 +24,7 @@ from pgm.inference.gaussian.layout import Group, Layout
 from pgm.inference.gaussian.prior import Frame, Predictive, prior_predictive
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, components_first, components_last, deviation
-from pgm.kernels.gaussian import deviations_given_another
+from pgm.kernels.gaussian import lengths
 from pgm.linearisers import Lineariser
 from pgm.tracing import Judge
 from pgm.variables import Variable
@@ -40,9 +40,8 @@ class LinearisedAt(NamedTuple):
     mean, std : ndarray
         Means and standard deviations, (CPDs, runs, n).
     lengths : ndarray
-        Lengths, of the same shape, to which `Taylor` fits the steps of its numerical differences.
-        At a belief the length of a component is its standard deviation given one other component,
-        the one that tells most about it; at the prior's moments it is the component's `std`.
+        The lengths over which a function may vary, of the same shape, by which `Taylor` takes
+        differences: deviations, or less where components tell much of one another.
     """
 
     mean: Array
@@ -58,8 +57,8 @@ class LinearisedAt(NamedTuple):
     @classmethod
     def belief(cls, mean: Array, cov: Array) -> LinearisedAt:
         """The moments of beliefs N(mean, cov), of (CPDs, runs, n) and (CPDs, runs, n, n)."""
-        lengths = components_last(deviations_given_another(components_first(cov, 2)), 1)
-        return cls(mean, deviation(cov), lengths)
+        own = components_last(lengths(components_first(cov, 2)), 1)
+        return cls(mean, deviation(cov), own)
 
 
 @dataclass(eq=False)
