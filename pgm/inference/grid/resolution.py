@@ -157,7 +157,7 @@ def _curvatures(level: Array, turns: Mask) -> Array:
         near = [_neighbour(level, place, k, step, turns[k]) for step in (1, -1)]
         if min(near) > -np.inf:
             found[k] = 2.0 * here - sum(near)
-        elif max(near) > -np.inf and place[k] in (0, level.shape[k] - 1):
+        elif not turns[k] and max(near) > -np.inf and place[k] in (0, level.shape[k] - 1):
             found[k] = 2.0 * (here - max(near))  # at an end, of which the belief goes on inside
     return found
 
