@@ -92,10 +92,13 @@ def update(
     The mean is m + G r with the gain G = P Hᵀ S⁻¹. The covariance is P − G S Gᵀ if the measurement
     is mild in all runs, else (I − G H) P (I − G H)ᵀ + G R Gᵀ, which keeps more digits. `mean` is m
     (n, runs), `cov` P (n, n, runs), `matrix` H (d, n, runs), `residual` r (d, runs) and `noise` R
-    (d, d, runs or 1). The new moments are written into `out`, if given: a mean (n, runs) and a
-    covariance (n, n, runs), other arrays than `mean` and `cov`. `sharp` is the result of
-    `sharpness(noise, least)`, computed here if None. S is singular in a run where one of its pivots
-    is at most `least` times its diagonal entry, unless the measurement is mild in all runs.
+    (d, d, runs or 1).
+
+    The new moments are written into `out`, if given: a mean (n, runs) and a covariance (n, n,
+    runs), other arrays than `mean` and `cov`. `sharp` (runs or 1,) is the bound on det S below
+    which a measurement counts as mild; it is computed from R if None. S counts as singular in a run
+    where one of its pivots is at most `least` times its diagonal entry, unless the measurement is
+    mild in all runs.
     """
     size, runs, height = len(cov), cov.shape[-1], len(residual)
     new_mean, new_cov = (np.empty((size, runs)), np.empty_like(cov)) if out is None else out
@@ -177,10 +180,10 @@ def inflation(cov: Array) -> Array:
 
 
 def least_left(before: Array, after: Array) -> float:
-    """The smallest ratio of a variance in `after` to that in `before`, at most 1, in any run.
+    """The smallest ratio of a variance in `after` to the same component's in `before`, at most 1.
 
-    Both are covariances (n, n, runs). A component with a variance of zero after, or none above zero
-    before, does not count.
+    Both are covariances (n, n, runs); the smallest is over all components and runs. A component
+    with a variance of zero after, or none above zero before, does not count.
     """
     was, left = (np.einsum("iir->ir", cov) for cov in (before, after))
     counts = (left != 0.0) & (was > 0.0)

@@ -178,8 +178,8 @@ def times_symmetric(a: Array, b: Array) -> Array:
 def _along_runs(product: str, a: Array, b: Array, width: int) -> Array:
     """A product of stacked matrices A and B by einsum, with its leading axes fastest in memory.
 
-    The result is (..., rows of A, width). `product` has the subscripts of the einsum, which say
-    whether B is transposed.
+    `width` is the number of columns of the result, which has as many rows as A. `product` has the
+    subscripts of the einsum, which say whether B is transposed.
     """
     lead, other = a.shape[:-2], b.shape[:-2]
     if lead != other:

@@ -147,8 +147,8 @@ def backward(
 
     F is `matrix` (..., d, n), b `offset` (..., d) and Σ `noise` (..., d, d); y has d components. Σ
     is never inverted and may be singular. For a semidefinite K a root R, K = R Rᵀ, is used, so that
-    nothing is subtracted from K and a vague noise after a sharp message costs no digits. An
-    indefinite K is allowed where the integral converges; else the result is NaN.
+    nothing is subtracted from K: this would cost digits where C(y; K, h, g) is far narrower than
+    the noise. An indefinite K is allowed where the integral converges; else the result is NaN.
     """
     root = roots.root(precision)
     if not roots.is_proper(root):
@@ -174,12 +174,12 @@ def backward(
 
 
 def _split(root: Array, vector: Array) -> tuple[Array, Array]:
-    """The vectors q and r, (..., n) both, with `vector` = R q + r, for `vector` (..., n).
+    """Split v = `vector` (..., n) into R q, in the range of R, and a rest r; returns q and r.
 
-    R = `root` (..., n, n) is lower triangular with a zero column for each determined component. At
-    determined components q is zero, and r is `vector` − R q, or zero where this difference is at
-    most 10⁻⁹ of |vector| + |R| |q|, which is rounding. At all other components r is zero; it is
-    zero throughout for a vector in the range of R.
+    Both are (..., n). R = `root` (..., n, n) is lower triangular with a zero column for each
+    determined component. At determined components q is zero, and r is v − R q; a difference of at
+    most 10⁻⁹ of |v| + |R| |q| is rounding, and becomes zero. At all other components r is zero. A v
+    in the range of R has no rest.
     """
     fixed = roots.determined(root)
     found = solving.solve_lower(root, _column(vector))[..., 0]

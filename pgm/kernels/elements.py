@@ -1,14 +1,19 @@
 """Elements: segments of a chain with their evidence, which compose.
 
-The parallel form of a Kalman smoother: a segment from the variables x at its left end to those y at
-its right end has the element
+This is the parallel form of a Kalman smoother (Särkkä & García-Fernández, 2021, section IV). A
+segment leads from the variables x at its left end to the variables y at its right end. Its element
+is
 
-    p(y | x, evidence) p(evidence | x) = N(y; F x + b, Σ) exp(−½ xᵀK x + hᵀx + g),
+    p(y | x, evidence) p(evidence | x) = N(y; F x + b, Σ) exp(−½ xᵀK x + hᵀx + g).
 
-so that a transition has K = 0, a likelihood of x has F = I and Σ = 0, and any Σ, singular or zero,
-will do: with Σ = L Lᵀ, (I + ΣK)⁻¹Σ = L (I + LᵀKL)⁻¹ Lᵀ (Särkkä & García-Fernández, 2021, section
-IV). An indefinite Σ gives NaN; the callers, who know the names of variables, raise. `prefixes`
-composes elements in rounds.
+A transition without evidence has K = 0 and h = 0; the likelihood of x alone has F = I and Σ = 0.
+`prefixes` composes elements in rounds.
+
+The product of a belief N(m, P) and a likelihood exp(−½ xᵀK x + hᵀx) has the covariance
+(I + PK)⁻¹P. It is computed as XᵀX from three matrices: L, the lower triangular root of P = L Lᵀ; U,
+the Cholesky factor of I + LᵀKL = U Uᵀ, lower triangular too; and X = U⁻¹Lᵀ. P is not inverted, and
+may be singular or zero. An indefinite P gives NaN; the callers, who know the names of variables,
+raise.
 """
 
 from __future__ import annotations
@@ -44,7 +49,10 @@ class Element(NamedTuple):
 
 
 class Likelihood(NamedTuple):
-    """The likelihood exp(−½ xᵀK x + hᵀx + g): K (..., n, n), h (..., n), g (...) or None."""
+    """The likelihood exp(−½ xᵀK x + hᵀx + g) of x: K (..., n, n), h (..., n) and g (...).
+
+    g is None where no log-evidence is wanted.
+    """
 
     K: Array
     h: Array
@@ -52,9 +60,9 @@ class Likelihood(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """A belief N(mean, cov), (..., n) and (..., n, n), times exp(log_weight), (...) or None.
+    """A belief N(mean, cov) times exp(log_weight): mean (..., n), covariance (..., n, n).
 
-    `log_weight` is ln p(evidence so far); None where it is not wanted.
+    `log_weight` (...) is ln p(evidence so far); None where it is not wanted.
     """
 
     mean: Array
@@ -65,11 +73,14 @@ class Belief(NamedTuple):
 def compose(first: Element, then: Element) -> Element:
     """The element of two segments as one, the second beginning where the first ends.
 
-    Subscript 1 is for `first`, 2 for `then`. With M = (I + Σ₁K₂)⁻¹ the result is F = F₂MF₁,
-    b = F₂M(b₁ + Σ₁h₂) + b₂, Σ = F₂MΣ₁F₂ᵀ + Σ₂, K = F₁ᵀK₂MF₁ + K₁ and h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁.
-    With Σ₁ = L Lᵀ, the lower triangular root U of I + LᵀK₂L = U Uᵀ, and X = U⁻¹Lᵀ, MΣ₁ is XᵀX, M is
-    I − XᵀXK₂, and K₂M is MᵀK₂M + GᵀG with G = U⁻ᵀXK₂: sums of semidefinite terms, so that sharp
-    evidence after a vague noise costs no digits. g is None if the g of either segment is.
+    Subscript 1 is for `first`, 2 for `then`; Σ is `cov`. With M = (I + Σ₁K₂)⁻¹ the result has
+    F = F₂MF₁, b = F₂M(b₁ + Σ₁h₂) + b₂, Σ = F₂MΣ₁F₂ᵀ + Σ₂, K = F₁ᵀK₂MF₁ + K₁ and
+    h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁. g is None if the g of either segment is.
+
+    M takes no inverse: with the matrices X and U of the module's docstring for P = Σ₁ and K = K₂,
+    MΣ₁ = XᵀX, M = I − XᵀXK₂ and K₂M = MᵀK₂M + GᵀG, where G = U⁻ᵀXK₂. Thus the new Σ and K are sums
+    of semidefinite terms, which cost no digits even where the evidence of the second segment is far
+    sharper than the noise of the first.
     """
     white, upper = _meet(first.cov, then.K)
     reach = multiply(multiply(white, then.K), first.F)
@@ -92,11 +103,10 @@ def compose(first: Element, then: Element) -> Element:
 
 
 def _meet(cov: Array, precision: Array) -> tuple[Array, Array]:
-    """The matrices X = U⁻¹Lᵀ and U, (..., n, n) both; U is the lower triangular root of I + LᵀKL.
+    """The module's matrices X = U⁻¹Lᵀ and U, (..., n, n) both, for P = `cov` and K = `precision`.
 
-    L is the lower triangular root of a covariance P = `cov`, and K = `precision` the information of
-    a likelihood, both (..., n, n); U Uᵀ = I + LᵀKL. The product of N(m, P) and the likelihood has
-    the covariance XᵀX = (I + PK)⁻¹P.
+    P is the covariance (..., n, n) of a belief and K the information matrix (..., n, n) of a
+    likelihood; P = L Lᵀ and I + LᵀKL = U Uᵀ.
     """
     lower = roots.root(cov)
     back = transpose(lower)
@@ -112,8 +122,8 @@ def _gram(a: Array) -> Array:
 def _log_weight(mean: Array, h: Array, rest: Array, white: Array, upper: Array) -> Array:
     """The log-integral ln ∫ N(x; m, L Lᵀ) exp(−½ xᵀK x + hᵀx) dx, (...).
 
-    m is `mean` and `rest` h − K m, (..., n) as `h`. `upper` is the lower triangular root U of
-    I + LᵀKL = U Uᵀ, (..., n, n), and `white` is X (h − K m), (..., n), with X = U⁻¹Lᵀ.
+    `mean` is m, `h` is h, `rest` is h − K m and `white` is X (h − K m), (..., n) each. `upper` is
+    the Cholesky factor U (..., n, n) of I + LᵀKL = U Uᵀ, lower triangular; X is U⁻¹Lᵀ.
     """
     level = 0.5 * (inner(h + rest, mean) + inner(white, white))
     return level - 0.5 * solving.log_determinant(upper)
@@ -132,11 +142,14 @@ def push(belief: Belief, element: Element) -> Belief:
 
 
 class Known(NamedTuple):
-    """The product of a belief N(m, P) and a likelihood with K and h: its mean, its covariance XᵀX.
+    """The product of a belief N(m, P) and a likelihood exp(−½ xᵀK x + hᵀx + g) of x.
 
-    `mean` is (..., n). With P = L Lᵀ, U is the lower triangular root of I + LᵀKL = U Uᵀ, and X =
-    U⁻¹Lᵀ, (..., n, n) both; `white` is X (h − K m), (..., n). `log_weight` (...) is the logarithm
-    of the product's integral; None if the belief has no `log_weight` or the likelihood no g.
+    mean: The mean of the product, (..., n).
+    X: The matrix U⁻¹Lᵀ, (..., n, n), P being L Lᵀ; the covariance of the product is XᵀX.
+    U: The lower triangular Cholesky factor of I + LᵀKL = U Uᵀ, (..., n, n).
+    white: The vector X (h − K m), (..., n); its product with Xᵀ is the move from m to `mean`.
+    log_weight: The logarithm of the product's integral, (...); None if the belief has no
+        `log_weight` or the likelihood no g.
     """
 
     mean: Array
@@ -157,10 +170,10 @@ class Known(NamedTuple):
 def condition(belief: Belief, likelihood: Likelihood) -> Known:
     """The product of a belief N(m, P) and a likelihood exp(−½ xᵀK x + hᵀx + g).
 
-    With P = L Lᵀ, the lower triangular root U of I + LᵀKL, and X = U⁻¹Lᵀ, the product has the
-    covariance C = XᵀX = (I + PK)⁻¹P and the mean m + C (h − K m). The result has this mean, X, U,
-    the vector X (h − K m), and the logarithm of the product's integral, None if an argument has no
-    log-scale.
+    The product has the covariance C = XᵀX = (I + PK)⁻¹P and the mean m + C (h − K m). The result
+    has this mean; the matrices X and U, defined by P = L Lᵀ, I + LᵀKL = U Uᵀ and X = U⁻¹Lᵀ; the
+    vector X (h − K m); and the logarithm of the product's integral, or None if the belief or the
+    likelihood has no log-scale.
     """
     mean, cov, weight = belief
     precision, h, g = likelihood

@@ -113,11 +113,13 @@ def eye(shape: tuple[int, ...]) -> Twofold:
 def eliminated(
     matrix: Array | Twofold, negligible: float, rounding: Array | None = None
 ) -> tuple[Twofold, Twofold]:
-    """The factors U (..., n, n) and D (..., n) of symmetric A = U diag(D) Uᵀ, U unit lower.
+    """The factors U (..., n, n) and D (..., n) of symmetric A = U diag(D) Uᵀ, A = `matrix`.
 
-    A pivot of |D_j| ≤ `negligible` · |A_jj| is rounding: D_j and the entries of U below U_jj are
-    zero. If `rounding` (..., n), bounds ρ_j of the rounding in the A_jj, is given, the limit is
-    `negligible` · ρ_j instead; the elimination of each earlier pivot k then adds U_jk² ρ_k to ρ_j.
+    U is lower triangular with ones on its diagonal; the D_j are the pivots. A pivot of
+    |D_j| ≤ `negligible` · |A_jj| is rounding: it becomes zero, and so do the entries of U below
+    U_jj. If `rounding` (..., n) is given, it has bounds ρ_j of the rounding in the entries A_jj,
+    and the limit is `negligible` · ρ_j instead. The elimination of each earlier pivot k then adds
+    U_jk² ρ_k to ρ_j.
     """
     left = _twofold(matrix).copy()
     size = left.shape[-1]

@@ -1,12 +1,12 @@
 """Gaussians in moment form, one or a batch: mean (n, *batch), covariance (n, n, *batch).
 
-Each function chooses the fastest code: for one small Gaussian, Python generated for its size
-(`unrolled`); for a larger one LAPACK; for a batch of runs `along_runs`. Where S is nearly singular,
-all go to `moments`, which tells singular covariances from rounding.
-
 A measurement of d components of a belief N(m, P) is z = H x + v, v ~ N(0, R); S = H P Hᵀ + R is the
 covariance of its residual z − H m. A component of a prediction F x + b + w, with the noise w, is
 *bare* if w is zero in it, so that the component is that of F x + b.
+
+Each function chooses the fastest code: for one small Gaussian, Python generated for its size
+(`unrolled`); for a larger one LAPACK; for a batch of runs `along_runs`. Where S is nearly singular,
+all updates are left to `moments`, which tells singular covariances from rounding.
 """
 
 from __future__ import annotations
@@ -204,15 +204,18 @@ def extend(
 
 
 class Update(NamedTuple):
-    """A belief N(mean, cov) given a measurement, and the measurement's log-density (*batch).
+    """A belief N(mean, cov) given a measurement, and the measurement's log-density.
 
-    `mean` is (n, *batch), `cov` (n, n, *batch). A measured component that the components before it
-    determine adds nothing to the density; `left` (d, *batch) has its distance from the value
-    determined, and zero for all other components; None if none is determined. `regular`: whether S
-    is not nearly singular, which is to say that each of its pivots is at least 10⁻⁶ of its diagonal
-    entry. A batch that `along_runs` has updated counts as regular too: there each pivot is more
-    than `least` (the argument of `update`) of that entry, or the measurement is mild. `mild`:
-    whether the measurement is known to shrink no variance more than a thousand times.
+    mean: (n, *batch).
+    cov: (n, n, *batch).
+    log_density: (*batch); a measured component that the components before it determine adds
+        nothing to it.
+    regular: Whether S is not nearly singular: each of its pivots is at least 10⁻⁶ of its diagonal
+        entry. A batch that `along_runs` has updated always counts as regular, although its pivots
+        may be smaller if the measurement is mild or `update` was given a smaller limit, `least`.
+    mild: Whether the measurement is known to shrink no variance more than a thousand times.
+    left: The distance of each measured component that those before it determine from the value
+        determined, and zero for all other components, (d, *batch); None if none is determined.
     """
 
     mean: Array

@@ -1,12 +1,16 @@
 """The number of draws that represents a distribution over bins, by KLD-sampling.
 
-For n draws from k bins the statistic S = 2 n KL(empirical ‖ true) has, where bins have many draws
-each, a χ² distribution of k − 1 degrees of freedom (Wilks, 1938): with n = χ²_{k−1, 1−δ} / (2 ε)
-draws the divergence is at most ε with probability 1 − δ (Fox, Adapting the sample size in particle
-filters through KLD-sampling, 2003). Where bins have a few draws each, S is larger: a Poisson count
-X about λ adds 2 (X ln(X / λ) − X + λ), whose mean and variance, 1 and 2 for large λ, are at most
-1.1605 and 2.406, at λ of 1.3 and 3. The quantile taken here is that of a gamma distribution with
-(k − 1) times these, so that the probability holds for any distribution over the bins.
+The statistic S = 2 n KL(empirical ‖ true) tells how far the shares of n draws in k bins are from
+the bins' probabilities. Let q be the quantile that S is below with probability 1 − δ: with
+n = q / (2 ε) draws the divergence is then at most ε with this probability (Fox, Adapting the sample
+size in particle filters through KLD-sampling, 2003). If each bin has many draws, S has a χ²
+distribution of k − 1 degrees of freedom (Wilks, 1938), of mean k − 1 and variance 2 (k − 1).
+
+If bins have few draws, S is larger. Let the number X of draws in a bin have a Poisson distribution
+of mean λ; the bin then adds 2 (X ln(X / λ) − X + λ) to S. This summand has the mean 1 and the
+variance 2 for large λ. Over all λ its mean is at most 1.1605, at λ = 1.3, and its variance at most
+2.406, at λ = 3. Here q is the quantile of a gamma distribution whose mean and variance are k − 1
+times these two, so that the probability holds for any distribution over the bins.
 """
 
 from __future__ import annotations

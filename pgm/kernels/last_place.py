@@ -17,12 +17,13 @@ _FLOOR = 1e-9
 
 
 def rounding(mean: Array, std: Array, largest: Array) -> Array:
-    """The largest ratio ½ u(m) / σ over the components of means m (..., n), as (...).
+    """The largest error by rounding of means m (..., n), in standard deviations σ, (...).
 
-    `std` (..., n) are the standard deviations σ, and `largest` (..., n) the largest standard
-    deviations that the components had at any stage of the inference, such as before all evidence: a
-    σ below 10⁻⁹ of the largest is replaced by 10⁻⁹ of it. The ratio of a component whose deviation
-    is zero or infinite, or whose mean is not finite, counts as zero.
+    It is the largest ratio ½ u(m) / σ over the n components. `std` (..., n) are the deviations σ,
+    and `largest` (..., n) the largest standard deviations that the components had at any stage of
+    the inference, such as before all evidence: a σ below 10⁻⁹ of the largest is replaced by 10⁻⁹ of
+    it. The ratio of a component whose deviation is zero or infinite, or whose mean is not finite,
+    counts as zero.
     """
     open_ = (std > 0.0) & (std < np.inf) & np.isfinite(mean)
     half = 0.5 * np.spacing(np.abs(np.where(open_, mean, 0.0)))

@@ -1,16 +1,18 @@
 r"""Displacements on a lattice: kernels of exact mean and variance, as matrices along an axis.
 
 Lengths are in cells of the lattice, variances in squared cells. A *kernel* is a distribution over
-displacements by whole numbers k of cells; its weights in a row are its *taps*. The kernel of a
-displacement of mean μ and variance s² has the weights
+displacements by whole numbers k of cells; its weights w_k, in a row, are its *taps*. A normal
+distribution of displacements, of mean μ and variance s², becomes the kernel
 
-    w_k ∝ exp(a k − b k (k − 1)),  Σ w_k k = μ,  Σ w_k (k − μ)² = max(s², f (1 − f)),  f = μ − ⌊μ⌋:
+    w_k ∝ exp(a k − b k (k − 1)),  Σ w_k k = μ,  Σ w_k (k − μ)² = max(s², f (1 − f)),  f = μ − ⌊μ⌋.
 
-the normal density of least distortion on a lattice. The least variance that a mean μ allows is
-f(1 − f), that of a kernel on the two points around μ. Means and variances add up exactly from step
-to step. With k counted from ⌊μ⌋ the conditions are E k = f and E k(k − 1) = max(s² − f(1 − f), 0),
-the *excess*. Newton's method solves them for a and b with the tails cut off, so that cutting them
-costs no digit of the moments.
+The parameters a and b are chosen such that its mean and variance are exact, and so add up exactly
+from step to step. The least variance that a mean μ allows on a lattice is f (1 − f), that of a
+kernel on the two points around μ.
+
+With k counted from ⌊μ⌋ the two conditions are E k = f and E k(k − 1) = max(s² − f (1 − f), 0),
+where E is the expectation under w; the latter value is the *excess*. Newton's method solves them
+for a and b after the tails were cut off, so that cutting them costs no digit of the moments.
 """
 
 from __future__ import annotations
@@ -45,7 +47,10 @@ class Kernels(NamedTuple):
 
 
 def tap_count(variance: float) -> int:
-    """The number of taps of a kernel of a variance in squared cells."""
+    """The number of taps of a kernel: enough for 8.5 standard deviations to both sides of its mean.
+
+    `variance` is in squared cells; one below 0.04 counts as 0.04.
+    """
     return 2 * (math.ceil(REACH * math.sqrt(max(variance, 0.04))) + 2)
 
 
@@ -195,9 +200,9 @@ def matrices(
     """The n kernels as matrices (n, target cells, source cells) along an axis of `cells` cells.
 
     Entry (i, j) moves mass from cell j of the span `source` to cell i of the span `target`. `first`
-    holds the displacements of the first taps, (n, 1) if they are equal from all source cells, else
-    (n, source cells); `weights` is (*first.shape, taps). Mass that leaves the target, or an axis
-    that is not periodic, is lost.
+    has the displacements, in cells, of the kernels' first taps: (n, 1) if a kernel is the same from
+    all source cells, else (n, source cells). `weights` (*first.shape, taps) are the kernels'
+    weights. Mass that leaves the target, or an axis that is not periodic, is lost.
     """
     count, own, taps = weights.shape
     low = source.first - target.first
@@ -236,12 +241,12 @@ def matrices(
 
 
 def along(matrix: Array, array: Array, axis: int, by: tuple[int, ...]) -> Array:
-    """The array with each of its lines along `axis`, of source cells, multiplied by a matrix.
+    """Multiply each line of an array along `axis` by a matrix.
 
-    `matrix` is (n, target cells, source cells). Each combination of indices along the axes `by`,
-    which are ascending and without `axis`, has a matrix of its own: n counts these combinations, in
-    C order, and is one if `by` is empty. Lines that differ only in their indices along further axes
-    share a matrix. The result has the target cells along `axis`.
+    The array has source cells along `axis`, the result target cells. `matrix` (n, target cells,
+    source cells) has n matrices: one for each combination of indices along the axes `by`, in C
+    order, and one alone if `by` is empty. The axes `by` ascend, without `axis`. Lines that differ
+    only in their indices along the remaining axes share a matrix.
     """
     rest = tuple(k for k in range(array.ndim) if k not in (axis, *by))
     last = axis == array.ndim - 1 and by + rest + (axis,) == tuple(range(array.ndim))

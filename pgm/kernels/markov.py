@@ -1,9 +1,9 @@
 """Sweeps of a hidden Markov chain over many steps, with messages that are scaled only now and then.
 
-The messages of all steps t are *rows* of an array (steps, states, [runs]). A forward row is
-proportional to p(x_t | z up to t), a backward row to p(z after t | x_t). The sum of a row over its
-states is its *mass*. The *weights* of a step are p(z_t | x_t) up to a factor, (states, [runs]).
-[runs] is an axis that a single run lacks.
+At step t the chain is in the state x_t, and z_t is measured. The messages of all steps are *rows*
+of an array (steps, states, [runs]). A forward row is proportional to p(x_t | z up to t), a backward
+row to p(z after t | x_t). The sum of a row over its states is its *mass*. The *weights* of a step
+are p(z_t | x_t) up to a factor, (states, [runs]). [runs] is an axis that a single run lacks.
 """
 
 from __future__ import annotations
@@ -35,13 +35,16 @@ def masses(rows: Array) -> Array:
 def forward(
     applies: Iterable[Apply], weights: Array, belief: Array, rows: Array, every: int = EVERY
 ) -> Masses:
-    """Fill rows with forward messages; returns their masses and those of the beliefs before them.
+    """Fill rows with forward messages; returns two arrays of masses, (steps, [runs]).
 
-    Row t is weights[t] times the transition applied to the belief before it, which is row t − 1, or
-    after every `every` steps a copy of row t − 1 scaled to mass one. Each of `applies`, one a step,
-    is a function of a belief and an array, into which it puts the belief's product by the
-    transition into the step; `weights` and `rows` are (steps, states, [runs]); `belief` (states,
-    [runs]), of mass one, is the belief before the first step. The masses are (steps, [runs]) both.
+    Row t is weights[t] times the transition applied to the belief before step t. This belief is row
+    t − 1; after every `every` steps it is a copy of row t − 1, scaled to mass one. The first array
+    returned has the masses of the rows, the second those of the beliefs before the steps.
+
+    `applies` has a function for each step, called with a belief and an array: it applies the
+    transition into the step to the belief, and puts the result into the array. `weights` and `rows`
+    are (steps, states, [runs]); `belief` (states, [runs]), of mass one, is the belief before the
+    first step.
     """
     before = np.ones((len(rows), *belief.shape[1:]))
     for k, (apply, weight, row) in enumerate(zip(applies, weights, rows, strict=False)):
@@ -59,10 +62,11 @@ def forward(
 def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int = EVERY) -> None:
     """Fill rows (steps, states, [runs]) with backward messages, from the last row, which is given.
 
-    Row t − 1 is the transposed transition into step t applied to weights × row t; after every
-    `every` steps a row is scaled to mass one. Each of `applies`, that of the last step first, is a
-    function of a message and an array, into which it puts the product by this transpose; `weights`
-    (steps − 1, states, [runs]) are of all steps but the first, in their order.
+    Row t − 1 is the transposed transition into step t, applied to row t times the weights of step
+    t; after every `every` steps a row is scaled to mass one. `applies` has, in reverse order, a
+    function for each step but the first, called with a message and an array: it applies the
+    transposed transition into the step to the message, and puts the result into the array.
+    `weights` (steps − 1, states, [runs]) are of all steps but the first, in forward order.
     """
     message = rows[-1]
     product = np.empty_like(message)
@@ -81,10 +85,11 @@ class Blocks:
 
     All blocks are swept at once. The transfer matrix of a block is the matrix product of
     p(x_t | x_{t−1}) p(z_t | x_t) over its steps: its entry (i, j) leads from state i before the
-    block to state j at its end. Each of its rows is scaled to sum one, and the logarithm of the
-    scale is stored for each row: with a common scale the row of a state that is likely before the
-    block could underflow where the measurements are far likelier from an unlikely state. `matrix`
-    (states, states) is the constant transition, parents first; `weights` is (steps, states).
+    block to state j at its end. Each row of a transfer matrix is scaled to sum one by a scale of
+    its own, whose logarithm is stored. A scale common to all rows could let a row that matters
+    underflow: that of a state which is likely before the block, but from which the block's
+    measurements are far less likely than from another one. `matrix` (states, states) is the
+    transition, the same in all steps, parents first; `weights` is (steps, states).
     """
 
     def __init__(self, matrix: Array, weights: Array) -> None:

@@ -37,9 +37,9 @@ class Update(NamedTuple):
     """The belief N(mean, cov) after a measurement, and the measurement's log-density (...).
 
     `lower` (..., d, d) is the lower triangular root L of S = L Lᵀ, NaN where S is indefinite. A
-    measured component that the components before it determine adds nothing to the density; `left`
-    (..., d) has its distance from the value determined, and zero for all other components; None if
-    none is determined.
+    measured component that the components before it determine adds nothing to the density. `left`
+    (..., d) has the distance of each such component from the value determined, and zero for all
+    other components; it is None if none is determined.
     """
 
     mean: Array
@@ -218,10 +218,10 @@ def marginal_error(mean: Array, other: Array, std: Array) -> Array:
 def moved(mean: Array, other: Array, std: Array) -> Array:
     """How far an iteration has moved means from `other` to `mean`, m′ to m, (T, ..., n) both.
 
-    The move is the largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the T steps and the n
-    components, (...), where s is the standard deviation `std`, or max(|m|, 1) where that is zero,
-    and ε the rounding unit of float64: it is zero for rounding alone. If rounding counted, means of
-    10⁸ standard deviations would never settle.
+    The result (...) is the largest (|m − m′| − 32 ε max(|m|, |m′|))₊ / s over the T steps and the n
+    components. s is the standard deviation `std` (T, ..., n), or max(|m|, 1) where that is zero. ε
+    is the rounding unit of float64; the term with ε takes rounding off the move, since otherwise
+    means of 10⁸ standard deviations would never settle.
     """
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     rounding = LAST_PLACES * np.maximum(np.abs(mean), np.abs(other))

@@ -40,9 +40,10 @@ def draw(mean: Array, lower: Array, white: Array) -> Array:
 def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
     """The whitened residuals, and their rests at determined components, (..., S, d) both.
 
-    Whitened residuals are zero at determined components. The rest at a determined component is the
-    residual less the value that the open components determine for it; at open components it is
-    zero. None is returned for the rests if all components are open.
+    `lower` is L, and `residual` (..., S, d) are vectors r, points less a mean. Whitened residuals
+    are zero at determined components. The rest at a determined component is the residual less the
+    value that the open components determine for it; at open components it is zero. None is returned
+    for the rests if all components are open.
     """
     white = transpose(solve_lower(lower, transpose(residual)))
     fixed = determined(lower)

@@ -4,7 +4,8 @@ A segment maps the value at its left end, such as a belief, to the value at its 
 neighbours *compose* to one segment. Up a balanced tree neighbours are composed; down again, on each
 level, the values at left ends are pushed through every second segment (Blelloch, 1990).
 
-Segments and values are named tuples of stacks (T, R, ...) of T steps and R runs, some of them None.
+Segments and values are named tuples of stacks (T, R, ...) of T steps and R runs; a member is None
+if it is not wanted.
 In memory the axes of components come first, so that each component is a row of steps and runs,
 along which kernels go.
 """
@@ -61,11 +62,12 @@ def take(parts: Segments, steps: slice) -> Segments:
 
 
 def in_chunks(kernel: Callable[..., Any], *stacks: Any) -> Any:
-    """The result of a kernel of named tuples of stacks, computed a chunk of steps at a time.
+    """What a kernel returns for named tuples of stacks, computed a chunk of steps at a time.
 
-    `kernel` takes as many named tuples as there are `stacks`, all of the same steps and runs, and
-    returns one. The first stack of the first named tuple must not be None: its shape gives the
-    numbers of steps and runs.
+    A chunk is so short that its arrays stay in the processor's cache. `stacks` are named tuples of
+    the same steps and runs; `kernel` takes them all, cut to a chunk, and returns one named tuple.
+    The result is such a tuple for all steps. The first member of the first of `stacks` must not be
+    None: its shape gives the numbers of steps and runs.
     """
     steps, runs = stacks[0][0].shape[:2]
     size = max(_CHUNK // max(runs, 1), 1)

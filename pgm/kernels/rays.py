@@ -123,7 +123,8 @@ def _advance(rays: Array, step: Array) -> None:
 def _between(low: Array, place: Array, edge: Array) -> Array:
     """The cell indices ⌊place⌋ (n,), clipped to `low` ≤ cell < `edge` against rounding.
 
-    `place` (n,) is a coordinate of each ray, and is overwritten.
+    `place` (n,) is where each of n rays is along an axis, in cells, and is overwritten. `low` and
+    `edge` (n,) are whole numbers, the first cell allowed for each ray and the one after the last.
     """
     cells = np.floor(place, out=place)
     np.maximum(cells, low, out=cells)

@@ -89,9 +89,9 @@ def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
 def range_inverse(lower: Array, std: Array) -> tuple[Array, Array]:
     """A generalised inverse L⁻ of a root L (..., n, n), and the matrix I − L L⁻, (..., n, n).
 
-    `std` (..., n) are the standard deviations of the components; L⁻ is pinv(D⁻¹ L) D⁻¹ with D =
-    diag(std), ones for zeros, so that it does not depend on units. I − L L⁻ is zero on the range of
-    L: it leaves what lies in directions without variance.
+    L⁻ is pinv(D⁻¹ L) D⁻¹, so that it does not depend on units. D is the diagonal matrix of the
+    standard deviations `std` (..., n) of the components, with one in place of a deviation of zero.
+    I − L L⁻ is zero on the range of L: it leaves what lies in directions without variance.
     """
     unit = np.where(std > 0.0, std, 1.0)
     inverse = np.linalg.pinv(lower / unit[..., None], rcond=1e-10) / unit[..., None, :]

@@ -66,7 +66,7 @@ def residual(weights: Array, count: int, rng: np.random.Generator) -> Integers:
 
 
 def multinomial(weights: Array, count: int, rng: np.random.Generator) -> Integers:
-    """Multinomial resampling: `count` independent draws."""
+    """Multinomial resampling: `count` independent draws, each with probabilities w / Σ w."""
     edges = _edges(weights, count)
     levels = np.sort(rng.random(count)) * count
     below = np.nextafter(float(count), 0.0)  # a product may round up to the last edge

@@ -51,12 +51,17 @@ def damped(old: Rows, new: Rows, damping: float) -> Rows:
 def change(old: Rows, new: Rows, against: Rows) -> Array:
     """The relative change of sepsets' beliefs by new messages in place of the old ones, (B, runs).
 
-    A message has the information K and h; ΔK and Δh are those of `new` less those of `old`. The new
-    message times `against`, the message the opposite way, is the sepset's belief, with means m and
-    standard deviations on the diagonal of D. The change is the largest entry of D |ΔK| D; of
-    (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, the move of the mean in standard deviations less its rounding,
-    ε being the rounding unit of float64; and of the difference of exact relations. It is infinite
-    where the belief does not exist.
+    `against` has, for each message, that in the opposite direction. The belief of a sepset is its
+    new message times this one; it has means m, and D is the diagonal matrix of its standard
+    deviations. ΔK and Δh are the changes of a message's information matrix K = AᵀA and vector
+    h = Aᵀr, new less old. ε is the rounding unit of float64. The change of a sepset's belief is the
+    largest of all entries of
+
+    - D |ΔK| D,
+    - (D |Δh − ΔK m| − 32 ε D⁻¹ |m|)₊, the move of the mean in standard deviations less rounding,
+    - the difference of the old and new exact relations, in units of the frame.
+
+    It is infinite where the belief does not exist.
     """
     belief = eliminate(product(new, against), new.matrix.shape[-1])
     std = np.sqrt(np.maximum(np.diagonal(belief.noise, axis1=-2, axis2=-1), 0.0))[..., None]
@@ -103,7 +108,7 @@ def choose(active: Mask, new: Rows, old: Rows) -> Rows:
     def matrix(a: Array, b: Array) -> Array:
         """The new matrices `a` in the runs to be changed, the old ones `b` in all other runs.
 
-        They are A or C, (V, B, rows, s). Where all runs share a matrix, it is that of `a`.
+        They are A or C, (V, B, rows, s). If all runs share a matrix, V = 1, the result is `a`.
         """
         return a if shared else np.where(each, a, b)
 

@@ -44,15 +44,19 @@ class Rows(NamedTuple):
 class Eliminated(NamedTuple):
     """A factor over (x, s) as a conditional p(x | s), times the factor over s that is left.
 
-    p(x | s) is x = gain s + offset + v, v ~ N(0, noise); for x of d variables and s of e, `gain` is
-    (..., d, e), `offset` (..., d, N), a column for each right side, and `noise` (..., d, d). `rest`
-    is the factor over s, with an upper triangular A (..., e, e); `log_scale` (..., N) is its g less
-    that of the given factor. `contradiction` (..., N) marks right sides whose exact relations
-    contradict one another; None if there are no relations. `largest` measures the digits that exact
-    relations cost: it is the largest number, over the whole stack, among the entries of the rows
-    after the relations were substituted for x, and the reciprocals of the singular values that the
-    relations were divided by; infinite where it is not certain which relations are independent, 0
-    if there are none.
+    p(x | s) is x = gain s + offset + v, v ~ N(0, noise); x has d variables and s has e.
+
+    gain: (..., d, e).
+    offset: (..., d, N), a column for each right side.
+    noise: The covariance of v, (..., d, d).
+    rest: The factor over s that is left; its A (..., e, e) is upper triangular.
+    log_scale: The log-scale g of `rest` less that of the given factor, (..., N).
+    contradiction: The mask (..., N) of right sides whose exact relations contradict one another;
+        None if there are no relations.
+    largest: The factor by which exact relations may magnify rounding. It is the largest number,
+        over the whole stack, among the entries of the rows after the relations were substituted
+        for x, and the reciprocals of the singular values that the relations were divided by. It is
+        infinite where it is not certain which relations are independent, 0 if there are none.
     """
 
     gain: Array
@@ -112,10 +116,11 @@ def largest_first(correlation: Array) -> Integers:
 def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
     """Integrate the first `count` variables x out of rows without exact relations.
 
-    A QR factorisation makes the rows [E F; 0 G; 0 0], with right sides [e; g; q]: the integral, a
-    factor over all other variables s, has the rows G with right sides g, and given s, x is E⁻¹ (e −
-    F s) + noise of covariance E⁻¹ E⁻ᵀ. The integral's log-scale is ½ count ln 2π − ln |det E| − ½
-    ‖q‖². NaN where E is singular but for rounding.
+    `matrix` is A (..., k, n) and `right` r (..., k, N); s are all other variables. A QR
+    factorisation turns the rows A into [E F; 0 G; 0 0], with a square E (count, count), and their
+    right sides into [e; t; q]. The integral, a factor over s, has the rows G with right sides t.
+    Given s, x is E⁻¹ (e − F s) + noise of covariance E⁻¹ E⁻ᵀ. The integral's log-scale is
+    ½ count ln 2π − ln |det E| − ½ ‖q‖². Results are NaN where E is singular but for rounding.
     """
     size = matrix.shape[-1]
     factor = triangular(matrix, right)
@@ -160,10 +165,12 @@ def _eliminate_exact(
 ) -> Eliminated:
     """Integrate the first `count` variables x out of rows with exact relations C_x x + C_s s = c.
 
-    With the singular value decomposition C_x = U S Vᵀ, the relations determine x by s along V₁, the
-    directions of nonzero singular values; along all other directions x is integrated out of the
-    rows by a QR factorisation. The relations that remain without any x, U₂ᵀ (C_s s − c) = 0, are
-    those of the factor over s that is left.
+    `matrix` is A (..., k, n) and `right` r (..., k, N); `exact` is [C_x C_s] (..., m, n) and
+    `exact_right` c (..., m, N). C_x has the singular value decomposition U S Vᵀ; V₁ are the columns
+    of V with a nonzero singular value, U₂ those of U without one. The relations determine x by s
+    along V₁; along all other directions x is integrated out of the rows by a QR factorisation. The
+    relations that remain without any x, U₂ᵀ (C_s s − c) = 0, are those of the factor over s that is
+    left.
     """
     sepset = matrix.shape[-1] - count
     known = np.concatenate([exact[..., count:], exact_right], axis=-1)
@@ -205,11 +212,15 @@ def _independent(
     """Exact relations C x = c as orthonormal rows, none of them implied by the remaining ones.
 
     `exact` is C (..., m, n), `right` c (..., m, N), and `size` (..., N) the size of the numbers
-    that c is computed from. Returns the new C and c, with rows of zeros for what is left out; the
-    sum of ln of the singular values of C that they were divided by, (...); the mask (..., N) of
-    right sides that miss an implied relation by more than 10⁻⁷ `size`, a contradiction; and the
-    largest of 1 and all 1 / singular value, infinite where a relation left out as implied by others
-    may be independent of them.
+    that c is computed from. A relation that others imply is left out. Returns
+
+    - the new C, (..., k, n) with k = min(m, n); rows not needed are zero;
+    - the new c, (..., k, N), zero in the same rows;
+    - the sum of the logarithms of the singular values that C and c were divided by, (...);
+    - the mask (..., N) of contradictions: right sides for which a relation that was left out is
+      wrong by more than 10⁻⁷ `size`;
+    - the largest, over the whole stack, of 1 and the reciprocals of the singular values divided by;
+      infinite if a relation left out may yet be independent of the others.
     """
     independent, solved, left, log_size, doubt = _solved(exact, right)
     far = np.abs(left).max(axis=-2, initial=0.0)
@@ -221,11 +232,16 @@ def _independent(
 def _solved(matrix: Array, right: Array) -> tuple[Array, Array, Array, Array, float]:
     """The equations A x = B, (..., m, n) and (..., m, N), solved by the decomposition A = U S Vᵀ.
 
-    They are equal to V₁ᵀ x = S₁⁻¹ U₁ᵀ B and 0 = U₂ᵀ B, with V₁, S₁, U₁ those of the singular values
-    that are not rounding, and U₂ the rest of U. Returns V₁ᵀ (..., k, n) and S₁⁻¹ U₁ᵀ B (..., k, N),
-    k = min(m, n), with zeros for rows of rounding; U₂ᵀ B (..., m, N), with zeros for the rows of
-    U₁; the sum of ln S₁, (...); and the number max(1, 1 / the least of S₁) over the stack, infinite
-    if a value left out may be more than rounding.
+    S₁ are the k = min(m, n) singular values less those that are rounding, U₁ and V₁ the columns of
+    U and V that belong to S₁, and U₂ the other columns of U. The equations are then equal to
+    V₁ᵀ x = S₁⁻¹ U₁ᵀ B and 0 = U₂ᵀ B. Returns
+
+    - V₁ᵀ, (..., k, n), with a row of zeros for each singular value that is rounding;
+    - S₁⁻¹ U₁ᵀ B, (..., k, N), zero in the same rows;
+    - U₂ᵀ B, (..., m, N), with rows of zeros in the places of U₁;
+    - the sum of the logarithms of S₁, (...);
+    - the number max(1, 1 / the least of S₁), over the whole stack; infinite if a singular value
+      taken for rounding may be more.
     """
     u, values, vt = _svd(matrix)
     count = values.shape[-1]

@@ -57,7 +57,7 @@ def after(first: Map, then: Map) -> Map:
 
 
 class Value(NamedTuple):
-    """A vector, (..., n)."""
+    """A vector, (..., n), as the only member of a named tuple, the form that `prefixes` takes."""
 
     value: Array
 

@@ -104,7 +104,10 @@ def gain(cross: Array, lower: Array, cov: Array | None = None) -> Array:
 
 
 def whiten(lower: Array, residual: Array) -> Array:
-    """The whitened residual s, (..., n), with L s = r; zero in determined components."""
+    """The whitened residual: the s (..., n) with L s = r, for r = `residual` (..., n).
+
+    It is zero in determined components.
+    """
     white = solve_lower(lower, residual[..., None])[..., 0]
     return np.where(determined(lower), 0.0, white)
 

@@ -33,8 +33,7 @@ def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
     """The same tables, as values and log-scale, with extreme largest entries divided out.
 
     A table whose largest entry is below 10⁻¹⁰⁰ or above 10¹⁰⁰ is divided by this entry, whose
-    logarithm is added to the log-scale. If there is any such table, tables of zeros get the
-    log-scale zero.
+    logarithm is added to the log-scale. A table of zeros gets the log-scale zero.
     """
     top = largest(values, axes)
     extreme = (top < SMALL) | (top > LARGE)

@@ -1,4 +1,4 @@
-"""Block tridiagonal equations, as the normal equations of a chain are, solved as a band matrix."""
+"""Block tridiagonal equations, such as the normal equations of a chain, solved as a band matrix."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from pgm.kernels.arrays import (
 
 
 class Tridiagonal(NamedTuple):
-    """The symmetric equations Aₖ₋₁ᵀ xₖ₋₁ + Dₖ xₖ + Aₖ xₖ₊₁ = rₖ, for stacks with the steps k first.
+    """The symmetric equations Aₖ₋₁ᵀ xₖ₋₁ + Dₖ xₖ + Aₖ xₖ₊₁ = rₖ of the steps k = 1 to N of a chain.
 
-    There are N steps and R runs: D = `diagonal` (N, R, n, n), A = `above` (N − 1, R, n, n) and r =
-    `right` (N, R, n). The whole matrix is to be positive definite.
+    The first step has no term before, the last none after. There are R runs: D = `diagonal`
+    (N, R, n, n), A = `above` (N − 1, R, n, n) and r = `right` (N, R, n). The whole matrix, of N n
+    rows, is to be positive definite in each run.
     """
 
     diagonal: Array

@@ -1,13 +1,14 @@
 """Motions (forward, left, turn) in the plane: composed, inverted, and divided along their arcs.
 
 A motion leads from a first pose (x, y, heading) to a second: forward and left are the place of the
-second in the frame of the first, turn, in radians, is the difference of headings. A *steady* motion
-has constant velocities forward, left and of the turn; times its whole duration they are its *twist*
-τ = (v, w, φ). After the share s of its time it has made the motion
+second in the frame of the first, turn, in radians, is the difference of headings. In a *steady*
+motion the body moves forward and to its left, and turns, at constant velocities; these times the
+duration of the whole motion are its *twist* τ = (v, w, φ). After the share s of this time it has
+made the motion
 
     [forward; left] = s sinc(s φ / 2) R(s φ / 2) [v; w],    turn = s φ,
 
-where sinc a = sin a / a and R is a rotation.
+where sinc a = sin a / a and R(a) is the rotation by the angle a.
 """
 
 from __future__ import annotations

@@ -34,9 +34,9 @@ from pgm.variables import Discrete
 def eliminate(plan: EliminationPlan, evidence: BoundStates) -> Array:
     """The joint probabilities of the variables asked for, given evidence, (sizes..., runs or 1).
 
-    The variables are in the plan's order. `evidence` is that of the plan, for all or some of its
-    runs. Runs of impossible evidence have NaN. If any number under- or overflows, all is computed
-    again with logarithms.
+    The variables are in the plan's order. `evidence` is the evidence that the plan was made for,
+    in all of its runs or cut to some of them. Runs of impossible evidence have NaN. If any number
+    under- or overflows, all is computed again with logarithms.
     """
     try:
         with np.errstate(all="raise"):
@@ -149,9 +149,9 @@ class Tables:
     def _weights(self, variable: Discrete) -> Array:
         """The weights (states, runs or 1) that the evidence gives the states of a variable.
 
-        They are the weights of its soft evidence; or, for a variable observed in some runs alone,
-        one for the state observed and zero for its other states, and all ones in runs without an
-        observation.
+        A variable with soft evidence has the weights of this. A variable that is observed in some
+        runs alone has, in these, the weight one for the state observed and zero for all others; in
+        runs without an observation all its states have the weight one.
         """
         soft = self.evidence.weights.get(variable)
         if soft is not None:
@@ -210,7 +210,7 @@ def _contradiction(plan: EliminationPlan, run: int) -> tuple[list[Discrete], Sta
 
     The elimination is done again up to the first step whose product is zero throughout. The list
     has the variables whose evidence went into this product: those with hard evidence, then those
-    with soft. The tuple is the scope of the product: all joint states of it are impossible.
+    with soft. The tuple has the variables of the product, all of whose joint states are impossible.
     """
     evidence = some_runs(plan.requisite.evidence, slice(run, run + 1))
     tables = Tables(plan, evidence, LOG_SUM_PRODUCT)

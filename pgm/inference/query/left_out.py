@@ -2,11 +2,13 @@
 
 A query leaves out the CPDs that evidence separates from the variables asked for. Summed over all
 unknown variables, the product of these CPDs is a constant given the evidence. The posterior does
-not depend on the constant unless it is zero: then the evidence is impossible. The constant can be
-zero only where tables have zeros. So only the CPDs are examined whose tables have a zero at the
-evidence, less those whose child is in no other of them and has no evidence: some state of the child
-is always possible. The CPDs that remain fall into *parts* that share no unknown variable, and the
-probability of the evidence of each part, up to a factor, is found by elimination.
+not depend on the constant unless it is zero: then the evidence is impossible.
+
+The constant can be zero only where tables have zeros. So only those CPDs are examined whose tables
+have a zero at the evidence. Of these, a CPD is dropped if its child has no evidence and is in no
+other CPD examined: some state of the child is always possible. The CPDs that remain fall into
+*parts* that share no unknown variable, and the probability of the evidence of each part, up to a
+factor, is found by elimination.
 
 A variable is *known* if it has one state alone or is observed in all runs. A *family* is a CPD with
 those of its variables that are unknown.
@@ -114,9 +116,9 @@ def _state(variable: Discrete, evidence: BoundStates) -> int | Integers:
 def _has_zero(family: Family, evidence: BoundStates) -> bool:
     """Whether a CPD's table has a zero at the known states of its variables.
 
-    All states are examined of a variable that is unknown, and of one whose known state may differ
-    from run to run. Where a CPD is stored in a shorter form, such as a sparse matrix, and its full
-    table would be above the limit of memory, the answer is False without an examination.
+    If a variable is unknown, or its known state may differ from run to run, all its states are
+    examined. Where a CPD is stored in a shorter form, such as a sparse matrix, and its full table
+    would be above the limit of memory, the answer is False without an examination.
     """
     cpd, unknown = family
     if cpd._maps and math.prod(sizes(discrete(cpd.scope))) > limits.LIMIT:
@@ -133,9 +135,10 @@ def _has_zero(family: Family, evidence: BoundStates) -> bool:
 def _restricting(constraints: Sequence[Family], evidence: BoundStates) -> list[Family]:
     """The families of `constraints` that may make the evidence impossible, in their order.
 
-    Families without unknown variables are left out, and so is a family whose child is unknown, has
-    no evidence and is in no other family: whatever the states of its parents, some state of the
-    child is possible. Leaving a family out may free the children of others in the same way.
+    `constraints` are the families whose tables have a zero at the evidence. Those without unknown
+    variables are left out, and so is a family whose child is unknown, has no evidence and is in no
+    other family: whatever the states of its parents, some state of the child is possible. Leaving
+    a family out may free the children of others in the same way.
     """
     left = {cpd.child: (cpd, unknown) for cpd, unknown in constraints if unknown}
     count = Counter(v for _, unknown in left.values() for v in unknown)

@@ -1,9 +1,10 @@
 """The order in which the variables of a query are summed out, and the products that this takes.
 
-A variable is *hidden* if it has several states and is not observed in all runs. Hidden variables
-are given by their place in the order; a *scope* is an ascending tuple of places. Tables are
-numbered: first the CPDs' tables, then the evidence weights of variables with soft evidence or
-observed in some runs alone, then the results of the plan's steps.
+A variable is *hidden* if it has several states and is not observed in all runs. The order has all
+hidden variables, those asked for last, and a hidden variable is given by its place in the order.
+The *scope* of a table is the ascending tuple of its variables' places. Tables are numbered: first
+the CPDs' tables, then the evidence weights of variables with soft evidence or observed in some runs
+alone, then the results of the plan's steps.
 """
 
 from __future__ import annotations
@@ -41,11 +42,12 @@ class Step:
 class EliminationPlan:
     """The steps by which the joint of the variables asked for is computed, each making one table.
 
-    The axes of all tables are in the order in which the variables are summed out, those asked for
-    last: no table is ever transposed, and sums are over the first axes.
+    The axes of all tables follow the plan's order: no table is ever transposed, and sums are over
+    the first axes.
 
     requisite: The CPDs and the evidence that bear on the query.
-    order: The hidden variables of `requisite`, in the order in which they are summed out.
+    order: The hidden variables of `requisite`: those that are summed out, in this order, and then
+        those asked for.
     scopes: The scopes of the CPDs' tables, then of the evidence weights of each of `weighted`.
     weighted: The hidden variables with soft evidence, or observed in some runs alone.
     steps: The products to make, in order; the last one multiplies the tables left to the joint.
@@ -129,7 +131,8 @@ class EliminationPlan:
     def peak(self) -> int:
         """The most entries, for one run, that the tables held at the same time have together.
 
-        Counted are the product of a step, and the results of earlier steps not used up before.
+        These tables are the product of one step, before its sum, and the results of earlier steps
+        that no step before has used up.
         """
         first = len(self.scopes)
         states = [v.size for v in self.order]
@@ -166,12 +169,13 @@ class EliminationPlan:
 def _steps(scopes: Sequence[tuple[int, ...]], sizes: Sequence[int], hidden: int) -> list[Step]:
     """The steps of bucket elimination, which sums the first `hidden` variables out one by one.
 
-    `hidden` counts the variables not asked for. `scopes` are those of the CPDs' tables and of the
-    evidence weights, `sizes` the numbers of states of all variables in the plan's order. Each table
-    waits in the bucket of the first of its variables; a step multiplies the tables of a bucket, and
-    its result goes to a later bucket. A result alone in its bucket is summed over one more variable
-    by the step that makes it. The last step multiplies the tables that are left, and sums over
-    nothing.
+    `hidden` is the number of variables that are summed out: all but those asked for. `scopes` are
+    the scopes of the CPDs' tables and of the evidence weights, `sizes` the numbers of states of all
+    variables in the plan's order. Each variable to be summed out has a bucket, and each table waits
+    in the bucket of its first variable. A step multiplies the tables of a bucket and sums over the
+    bucket's variable; its result goes to a later bucket. A result alone in its bucket is summed
+    over one more variable by the step that makes it. The last step multiplies the tables that are
+    left, over variables asked for alone, and sums over nothing.
     """
     buckets: list[list[int]] = [[] for _ in range(hidden + 1)]
     held = list(scopes)

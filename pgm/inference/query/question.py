@@ -154,9 +154,10 @@ def _require_possible_elsewhere(
 
 
 def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
-    """The network asked about, and the graph compiled from it or None, from what the user gave.
+    """The network asked about and its compiled graph, either of which the user gave as `network`.
 
-    Raises a GraphError for one that is dynamic or continuous, a ModelError for anything else.
+    The graph is None if the user gave a network. Raises a GraphError for a network or graph that is
+    dynamic or continuous, a ModelError for anything that is neither network nor graph.
     """
     if isinstance(network, DynamicBayesianNetwork | DynamicGraph):
         raise GraphError(
@@ -180,8 +181,9 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
 def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -> States:
     """The variables that the user asks for, as a tuple.
 
-    `known` are the network's variables. Raises an EvidenceError for none, or for one that is not
-    among these, or is observed in all runs; a ModelError for one that is asked for twice.
+    `variables` is what the user gave, one variable or several; `known` are the network's variables.
+    Raises an EvidenceError if no variable is asked for, or one that is not in the network or is
+    observed in all runs; a ModelError if one is asked for twice.
     """
     several = None if is_unordered(variables) else as_tuple(variables)
     found = (variables,) if several is None else several
@@ -208,8 +210,9 @@ def _answer(
 ) -> Array:
     """The joint of the variables `scope`, (sizes..., runs or 1), in whichever way takes less time.
 
-    The two ways are the posterior of `graph`, if that is a tree, and elimination. With `allow`,
-    runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
+    The two ways are reading it from the posterior of `graph`, if that is a tree, and elimination
+    in the part `requisite` of the network. `graph` is None if the network was not compiled. With
+    `allow`, runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
     """
     if not requisite.hidden:
         return np.ones((*sizes(scope), 1))
@@ -244,7 +247,8 @@ def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
 def _read(graph: ClusterGraph, evidence: BoundStates, scope: States, *, allow: bool) -> Array:
     """The joint of the variables `scope`, (sizes..., runs or 1), from the posterior of a tree.
 
-    With `allow`, runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
+    `evidence` is the evidence that bears on the query. With `allow`, runs of impossible evidence
+    have NaN; else they raise ImpossibleEvidence.
     """
     values = of_tree(graph, evidence, limits.Room.of(None, graph), allow=allow).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)

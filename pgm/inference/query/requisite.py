@@ -26,8 +26,8 @@ class Requisite:
     cpds: The CPDs of the part.
     open: The variables of each of these CPDs that are not known.
     hidden: All variables of the part that are not known, those asked for first.
-    evidence: The evidence on the variables of the part; its `lead` is () if it is given once for
-        all runs.
+    evidence: The evidence on the variables of the part. Its `lead`, the lengths of its axes of
+        runs, is () if all of it is given once for all runs.
     left_out: The CPDs outside the part whose child has evidence or is an ancestor of a variable
         with evidence, each with its variables that are not known: they bear on nothing but the
         probability of the evidence.
@@ -101,8 +101,9 @@ def certain(evidence: BoundStates) -> set[Discrete]:
 def evidence_of(evidence: BoundStates, members: set[Variable]) -> BoundStates:
     """The evidence of the variables `members`, without those of a single state.
 
-    States (1,), given once for all runs, become a number; if all evidence is given once for all
-    runs, `lead` of the result is ().
+    A state given once for all runs, as an array (1,), becomes a number. The `lead` of evidence is
+    the lengths of its axes of runs; that of the result is () if all of it is given once for all
+    runs.
     """
     states = {
         v: s if isinstance(s, int) or s.size > 1 else int(s[0])
