@@ -1,12 +1,16 @@
 """The backward pass in twice the digits: a smoother that inverts no covariance of states.
 
-Numbers are pairs of float64. The forward pass (`careful`) conditions the belief over a slice x, of
-mean m and covariance P, on scalar measurements z = h x + e one by one, each with a gain G, an
-innovation v = z − h m and its variance S. The backward pass begins with r = 0 and N = 0 behind the
-last step, and goes back through each scalar and through each transition A (from a slice x to the
-next, A x plus noise):
+Numbers are pairs of float64. A *slice* x (n components) holds the *states* and the hidden controls
+of a step; only the states act on the next slice. The belief over a slice has a mean m and a
+covariance P. The forward pass (`careful`) conditions it on the measurements of the step, one scalar
+z = h x + e after another, where h is a row and e is noise. Each scalar has a gain G, an innovation
+v = z − h m, and the variance S of that innovation. The next slice is A x plus noise.
 
-    r ← (1 − G h)ᵀ r + hᵀv/S,    N ← (1 − G h)ᵀ N (1 − G h) + hᵀh/S;    r ← Aᵀ r,    N ← Aᵀ N A.
+The backward pass begins with a vector r = 0 and a matrix N = 0 after the last step. It goes back
+through each scalar, and then through the transition to the step:
+
+    scalar:        r ← (1 − G h)ᵀ r + hᵀv/S,    N ← (1 − G h)ᵀ N (1 − G h) + hᵀh/S,
+    transition:    r ← Aᵀ r,                    N ← Aᵀ N A.
 
 r and N are the *message* of all measurements passed so far. A belief m, P that knows only the
 earlier measurements becomes, given the message, m + P r, P − P N P. Where this difference would
@@ -14,11 +18,11 @@ leave too few digits (an unstable motion, a wide prior), the smoothed belief is 
 slice's by Bayes' rule instead (Bryson & Frazier, 1963; de Jong, 1989; Durbin & Koopman, 2012, 4.4
 to 4.7).
 
-With a flat prior (infinite variances) the mean is an affine function m + D δ of an unknown vector δ
-(q components; see `careful`), and so is r.
+A *flat* prior has infinite variances. What it leaves unknown is then a vector δ of q components.
+Means are functions m + D δ of it, and messages r + R δ, with matrices D and R; P and N are those
+given δ.
 
-A slice (n components) holds the *states* and the hidden controls of a step; only the states act on
-the next slice. Arrays of one slice have the runs first.
+Arrays of one slice have the runs first.
 """
 
 from __future__ import annotations
@@ -136,9 +140,10 @@ class CarefulSmoothed:
 
     `slices` has for each step its belief given all measurements, or given the measurements up to a
     fixed lag after the step. `beliefs` are the moments of these beliefs in float64. `layout` says
-    where the variables stand in a slice. If `beliefs` has infinite variances at any step, `proper`
-    (T+1, runs, n, n) has finite covariances in their place, at which CPDs can be linearised: those
-    without the part that unknown directions of δ add; else it is None.
+    where the variables stand in a slice. `proper` is None, unless a flat prior has left infinite
+    variances in `beliefs` at some step. Then it has the covariances (T+1, runs, n, n) without their
+    infinite part, that of directions of δ of which nothing is known, so that CPDs can be linearised
+    at them.
     """
 
     careful: Careful
@@ -195,9 +200,9 @@ class CarefulSmoothed:
     def point(self) -> Point:
         """The smoothed moments, as a point at which CPDs can be linearised.
 
-        They are the moments of the slices and the covariances of `pairs`. The latter are None if
-        the transition is one CPD, of the whole slice given the whole slice before, since the
-        moments of the slices are enough to linearise it.
+        The point has the moments of the slices, and the covariances of the pairs (states at t − 1,
+        slice at t) for the CPDs of a transition. The latter are None if the transition is one CPD,
+        of the whole slice given the whole slice before: the moments of slices are enough for it.
         """
         pairs = None if self.layout.single else self.pairs()
         return Point(self.beliefs.mean, self.beliefs.cov, pairs, self.proper)
@@ -222,7 +227,7 @@ class CarefulSmoothed:
         """A copy of the result whose smoothed means are `mean` (T+1, runs, n).
 
         A step control (Levenberg–Marquardt) reports means of its own in place of the solution's.
-        Covariances stay as they are, and `plan` is not used.
+        Covariances stay as they are. `plan` is not used; the results of other smoothers need it.
         """
         shift = mean - self.beliefs.mean
         slices = [
@@ -345,11 +350,11 @@ def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
 def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belief, Array]:
     """The smoothed belief over a slice by Bayes' rule, from that of the slice after it.
 
-    With m, P the filtered belief `known`, A, Q and m⁻, P⁻ the transition and the prediction of the
-    step `after`, and m′, P′ the smoothed belief of `later`, it is m + G (m′ − m⁻) and
-    (1 − G A) P (1 − G A)ᵀ + G (Q + P′) Gᵀ, which subtracts nothing. Returns the gain
-    G = P Aᵀ (P⁻)⁺ (runs, n, n), the belief, and the largest share of a variance that may be
-    rounding, (runs,).
+    The filtered belief `known` has the moments m, P. The step `after` has the transition's matrix A
+    and noise covariance Q, and the predicted moments m⁻, P⁻; `later` has the smoothed ones m′, P′.
+    With the gain G = P Aᵀ (P⁻)⁺ the smoothed mean is m + G (m′ − m⁻), and the covariance
+    (1 − G A) P (1 − G A)ᵀ + G (Q + P′) Gᵀ, which subtracts nothing. Returns first G (runs, n, n),
+    then the belief, then the largest share of a variance that may be rounding, (runs,).
     """
     belief, predicted = later.belief, after.predicted
     columns, cov, own, drift, largest = known

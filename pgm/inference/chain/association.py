@@ -2,15 +2,22 @@ r"""Associating sightings of unknown identity, for Gaussian beliefs: each with a
 
 A sighting is one measurement of a sensor, of d components. It is *open* if one parent of the sensor
 is unknown: one of k candidates m_j with prior probabilities w_j, say the landmarks of a map. An
-open sighting may also be *spurious*, or of a *new* thing that is no candidate. At the belief
-N(μ, P) over the slice x of its step, the vector of n hidden components, a sighting z that is
-linearised with candidate m_j as ẑ_j + H_j (x − μ) + e, e ~ N(0, R_j), has the innovation
-ν_j = z − ẑ_j with covariance S_j = H_j P H_jᵀ + R_j. Candidates whose ν_jᵀ S_j⁻¹ ν_j exceeds the χ²
-quantile of the *candidates' gate*, a probability, are ruled out. Of the others the one of largest
-ln w_j + ln N(ν_j; 0, S_j) is chosen. The user gives a sensor's `association`: with "likelihood"
-each sighting is decided by itself, with "joint" all of a step together; "sum", a sum over the
-candidates, is refused here. The belief is conditioned on the step's sightings that are not open
-first, then on those of one sensor with open sightings after another, with the candidates chosen.
+open sighting may also be *spurious*, or of a *new* thing that is no candidate. Each of these two
+has a prior probability, too, and a uniform density over a volume of measurements; the user gives
+the probabilities and the volume.
+
+Let N(μ, P) be the belief over the slice x of a step, the vector of its n hidden components. A
+sighting is linearised with candidate m_j as z = ẑ_j + H_j (x − μ) + e, e ~ N(0, R_j). Its
+innovation ν_j = z − ẑ_j has the covariance S_j = H_j P H_jᵀ + R_j. The user may give a *candidates'
+gate*, a probability: candidates whose ν_jᵀ S_j⁻¹ ν_j exceeds its χ² quantile are ruled out.
+
+How the choice is made, the user says by a sensor's `association`. With "likelihood" each sighting
+is decided by itself: of the candidates left the one of largest ln w_j + ln N(ν_j; 0, S_j) is
+chosen, unless being spurious or new is likelier. With "joint" the sensor's sightings of a step are
+decided together: as many of them as lie within the gate together are given candidates, and none of
+these is given twice. "sum", a sum over the candidates, is refused here. The belief is conditioned
+first on the step's sightings that are not open, and then on the open ones of one sensor after
+another, with the candidates chosen.
 
 There may be a *filter's gate*, too: one probability for all sensors, or a mapping from sensors to
 theirs. A sighting whose νᵀS⁻¹ν exceeds the χ² quantile of that is not used; of an open sighting
@@ -49,9 +56,9 @@ from pgm.variables import Variable
 class Associated(NamedTuple):
     """Evidence in which all open sightings have been decided, and the record of the decisions.
 
-    In `bound` the parent that was unknown has the value of the candidate chosen for the sighting;
-    of a spurious or new sighting no component counts as measured. `found` has the probabilities of
-    all candidates, by the sensor's variable.
+    In `bound` the parent that was unknown has the value of the candidate chosen for the sighting; a
+    sighting that is spurious or new counts as not measured. `found` has the probabilities of all
+    candidates for each sighting, by the sensor's variable.
     """
 
     bound: BoundEvidence
@@ -176,12 +183,13 @@ class _Pending:
 
         `rows` are the sightings' rows in the reading, all of the sensor at `step`; `belief` is
         over that step's slice, given all measurements used so far. The probability of candidate j
-        is ∝ w_j N(ν_j; 0, S_j), and zero outside the candidates' gate; that of a spurious and of a
-        new sighting is ∝ its declared density. Where all k + 2 are zero the sighting is spurious.
-        The likeliest of the k + 2 is chosen for each sighting, or, if the sensor's `association` is
-        "joint", for all together. Spurious and new sightings do not change the belief. The lists of
-        the class grow by an entry for each row. A NumericalError refuses an S_j that is not
-        positive definite, an EvidenceError a joint choice among too many hypotheses.
+        is ∝ w_j N(ν_j; 0, S_j), and zero outside the candidates' gate; that of being spurious, and
+        that of being new, is ∝ its prior probability times its uniform density. Where all k + 2 are
+        zero the sighting is spurious. The likeliest of the k + 2 is chosen for each sighting by
+        itself, or, if the sensor's `association` is "joint", for all sightings together. Spurious
+        and new sightings do not change the belief. The lists of the class grow by an entry for each
+        row. A NumericalError refuses an S_j that is not positive definite, an EvidenceError a joint
+        choice among too many hypotheses.
         """
         runs, unknown = bound.runs, self.unknown
         pairs = _innovations(
@@ -214,8 +222,9 @@ class _Pending:
 
         The result is 0 for the choice and −∞ for all else, (sightings, runs, k + 2). `terms`, of
         the same shape, are the logarithms of unnormalised probabilities in the order of
-        `probability`, −∞ outside the candidates' gate, which there must be. `pairs` are the
-        innovations of each sighting with each candidate, and `cov` is P (runs, n, n). A sighting
+        `probability`: of the candidates, of being spurious, and of being new. They are −∞ outside
+        the candidates' gate; a joint decision always has such a gate. `pairs` are the innovations
+        of each sighting with each candidate, and `cov` is the belief's P (runs, n, n). A sighting
         to which the search gives no candidate is taken for spurious or new, whichever is likelier.
         A search of too many hypotheses is refused with an EvidenceError.
         """
@@ -242,11 +251,12 @@ class _Pending:
         return decided
 
     def _expanded(self, rows: range, runs: int) -> Reading:
-        """A reading with one run for each sighting, run and candidate, to treat all at once.
+        """The sightings at `rows` with every candidate in every run, laid out as runs of a reading.
 
-        Each of these len(rows) · runs · k runs, of which candidates vary fastest and sightings
-        slowest, has its sighting at step 0, and the candidate as the value of the unknown parent.
-        `rows` are the rows of the sightings in the reading.
+        `runs` is the number of runs of the evidence. The new reading has len(rows) · runs · k runs,
+        one for each sighting, old run and candidate; of these candidates vary fastest and sightings
+        slowest. Each new run has its sighting at step 0, and its candidate as the value of the
+        unknown parent, so that all are linearised at once.
         """
         reading, candidates = self.reading, self.unknown.candidates
         count, shape = len(candidates), (len(rows), runs, len(candidates))

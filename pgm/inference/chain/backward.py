@@ -227,7 +227,11 @@ def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
 
 
 def stepwise_is_faster(steps: int, runs: int) -> bool:
-    """Whether a smoother that goes one step after another is faster than a parallel scan."""
+    """Whether a smoother that goes one step after another is faster than a parallel scan.
+
+    It is taken to be so with 32 `runs` or more, since a scan does twice the work, and with fewer
+    than 64 `steps`, for which a scan needs nearly as many rounds.
+    """
     return runs >= _MANY_RUNS or steps < _FEW_STEPS
 
 
@@ -282,14 +286,14 @@ def sweep(forward: Ahead, reverse: Reverse) -> Beliefs:
 def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
     """Moments of every slice given the measurements up to `lag` steps later, all steps at once.
 
-    With B_k[t] the belief over slice t given the measurements up to t + k, and C_m[t] the
-    conditional of slice t given slice t + m and the measurements up to t + m − 1 (T in place of
-    later steps),
+    Let B_k[t] be the belief over slice t given the measurements up to t + k, and C_m[t] the
+    conditional of slice t given slice t + m and the measurements up to t + m − 1. Steps after T are
+    replaced by T. Then
 
-        B_{k+m}[t] = C_m[t] B_k[t + m],    C_{2m}[t] = C_m[t] C_m[t + m],
+        B_{k+m}[t] = C_m[t] B_k[t + m],    C_{2m}[t] = C_m[t] C_m[t + m].
 
-    so that beliefs are pushed once for each one in the lag's binary digits, and conditionals
-    composed once for each digit.
+    The first rule pushes beliefs through conditionals, from the filtered B_0 on, for each power m
+    of two that `lag` is a sum of; the second composes conditionals to those of the next power.
     """
     shape, own = forward.mean.shape[:2], forward.mean.shape[2:]
     mean, cov = room(shape, own), room(shape, own * 2)

@@ -1,6 +1,6 @@
-"""Messages and cluster beliefs of a balanced tree.
+"""Messages and cluster beliefs of the balanced cluster tree of a dynamic network.
 
-Its leaves are the clusters 0 to T of the chain of slices. Every other cluster stands for a
+The tree's leaves are the clusters 0 to T of the chain of slices. Every other cluster stands for a
 *segment*, the steps after a up to b, and holds the states at a, at b and at a step between
 (`BalancedGraph`). The leaf of a step t > 0 is a segment of one step, from t − 1 to t.
 """
@@ -32,7 +32,7 @@ class BalancedPosterior(ChainPosterior):
     Beliefs over variables and slices are found as on the chain of slices; messages and beliefs of
     clusters are those of the balanced tree `graph`. After smoothing they are those of a calibrated
     tree. After filtering a message down to a segment knows only the measurements up to the
-    segment's left end, and cluster 0 is sent none.
+    segment's left end, and cluster 0 is sent none. Methods take a cluster of `graph` or its index.
     """
 
     graph: BalancedGraph

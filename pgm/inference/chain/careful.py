@@ -1,18 +1,20 @@
 """The forward pass in twice the digits, where standard deviations lie too far apart for float64.
 
 Numbers are pairs of float64 (`Twofold`). The measurements of a step are decorrelated to scalars
-z = h x + e, e ~ N(0, r). The belief N(m, P) over the slice x is conditioned on them one by one:
+z = h x + e, e ~ N(0, r), of the slice x (n components), h being a row. The belief N(m, P) over the
+slice is conditioned on them one by one. Each has an innovation v, of variance S, and a gain G:
 
     S = h P hᵀ + r,   G = P hᵀ/S,   v = z − h m,
     m ← m + G v,   P ← (1 − G h) P (1 − G h)ᵀ + G r Gᵀ.
 
 A scalar whose S is no more than rounding was determined before, and is left out.
 
-The infinite variances of a *flat* prior are an unknown vector δ (q components), of which all means
-are functions m + D δ. The columns [m D] go through the pass as one mean does, each scalar has an
-innovation v + V δ, columns [v V], and δ has the information Σ VᵀV / S. A component of infinite
-prior variance is a component of δ plus a variable of unit variance, so that covariances given δ are
-those of an ordinary model (de Jong, 1991; Durbin & Koopman, 2012, 5.7 and 6.4).
+A *flat* prior has infinite variances. A component of infinite prior variance is taken for the sum
+of an unknown number and a variable of unit variance. These unknown numbers are a vector δ of q
+components. Covariances P given δ are then those of an ordinary model, and means are functions
+m + D δ, where the matrix [m D] goes through the pass as one mean does. Each scalar has an
+innovation v + V δ, kept as the row [v V], and so δ is estimated from Σ VᵀV / S and Σ Vᵀv / S, sums
+over the scalars (de Jong, 1991; Durbin & Koopman, 2012, 5.7 and 6.4).
 """
 
 from __future__ import annotations
@@ -285,12 +287,12 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         return made
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
-        """Linearise one sensor at moments of the slice, (n, *batch) and (n, n, *batch).
+        """Linearise the sensor of the reading `part` at a belief; `part` keeps the result.
 
-        `batch` is () for one run, (runs,) for several. Where variances are infinite, a
-        LinearisationError refuses a nonlinear sensor, except with `Taylor`, which does not use
-        them. Runs that are not `active` (runs,) keep their linearisation; None means that all are
-        active.
+        The belief over the slice has the moments (n, *batch) and (n, n, *batch), `batch` being ()
+        for one run and (runs,) for several. Where variances are infinite, a LinearisationError
+        refuses a nonlinear sensor, except with `Taylor`, which does not use them. Runs that are not
+        `active` (runs,) keep their linearisation; None means that all are active.
         """
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
@@ -444,10 +446,11 @@ def _conditional(links: list[Link], rows: slice, front: int, size: int) -> Move:
 
 
 def _regular(noise: Array, flat: Mask) -> Twofold:
-    """A noise covariance (..., d, d) in twice the digits, with zeros for pivots that are rounding.
+    """A noise covariance (..., d, d) in twice the digits, made exactly singular where it should be.
 
-    A covariance that is singular but for its rounding in float64 is thus singular exactly. The
-    components `flat` (d,), of infinite variance, get unit variance and no correlation.
+    That is where it is singular but for its rounding in float64: pivots of its elimination that are
+    no more than this rounding become zero. The components that the mask `flat` (d,) marks, of
+    infinite variance, get unit variance and no correlation.
     """
     if flat.any():
         noise = np.where(flat[:, None] | flat, np.eye(flat.size) * flat, noise)
@@ -460,9 +463,10 @@ def _regular(noise: Array, flat: Mask) -> Twofold:
 def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
     """The transition to a step, linearised at the belief over the slice before.
 
-    `step` counts from the plan's first, which is 0. The belief has the moments `mean` (runs, n) and
-    `cov` (runs, n, n). If entries of `cov` are infinite, a LinearisationError refuses nonlinear
-    CPDs, except with `Taylor`, whose formula does not use the covariance.
+    The plan keeps the linearisation. `step` counts from the plan's first, which is 0. The belief
+    has the moments `mean` (runs, n) and `cov` (runs, n, n). If entries of `cov` are infinite, a
+    LinearisationError refuses nonlinear CPDs, except with `Taylor`, whose formula does not use the
+    covariance.
     """
     if not all(link.family.exact for link in plan.transition):
         for link in plan.transition:

@@ -1,10 +1,10 @@
 """Beliefs in twice the digits, functions m + D δ of an unknown δ, with bounds of their rounding.
 
 δ (q components) is what a flat prior leaves open (`careful`); given δ a belief has the mean m + D δ
-and the covariance P. Two matrices (runs, n, n) go along with it. `rounding` bounds the error E of
-P, −B ≤ E ≤ B in the order of semidefinite matrices, and goes through a matrix F as F B Fᵀ. `drift`
-is the covariance of the error of m, as if that were random. "Twice the digits" are pairs of
-float64, `Twofold`.
+and the covariance P. Two matrices (runs, n, n) go along with it. `rounding`, B, bounds the rounding
+error E of P: −B ≤ E ≤ B in the order of semidefinite matrices; after F P Fᵀ it is F B Fᵀ. `drift`
+is the covariance of the rounding error of m, as if that were random. "Twice the digits" are pairs
+of float64, `Twofold`.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class Belief(NamedTuple):
     def first(cls, columns: Twofold, cov: Twofold, rounding: float, drift: float) -> Belief:
         """A belief whose variances may be off by a share `rounding`, and means by a share `drift`.
 
-        Its two bounds are diagonal: `rounding` times each variance, and the square of `drift` times
-        each mean. The `largest` variances are the belief's own.
+        The bounds that the belief keeps under these names are diagonal matrices: `rounding` times
+        each variance, and (`drift` · mean)² of each mean. Its `largest` variances are its own.
         """
         variance = variances(cov.hi)
         moved = diagonal((drift * columns.hi[..., 0]) ** 2)
@@ -76,9 +76,9 @@ class Belief(NamedTuple):
     def of(cls, mean: Array, cov: Array) -> Belief:
         """A belief in twice the digits, from moments (runs, n) and (runs, n, n) in float64.
 
-        Its bounds are those of float64, of relative rounding ε: a few ε of each variance, and for a
-        mean ε of itself and 10⁻⁸ standard deviations, for the rounding of earlier steps. The result
-        does not depend on δ (q = 0).
+        The bounds assume the relative rounding ε = 2.2·10⁻¹⁶ of float64. A variance may be off by
+        4 ε of itself. A mean may be off by ε of itself, and besides by 10⁻⁸ standard deviations,
+        which allows for the rounding of earlier steps. The result does not depend on δ (q = 0).
         """
         found = cls.first(Twofold(mean[..., None]), Twofold(cov), _LAST_DIGIT, _EPS)
         return found._replace(drift=found.drift + diagonal(_STEPS**2 * np.abs(variances(cov))))
@@ -120,8 +120,9 @@ class Belief(NamedTuple):
     def certain(self) -> Belief:
         """The belief with zero variances and covariances where a variance may be rounding alone.
 
-        A variance counts as rounding alone up to 100 times the bound of its rounding. Where it was
-        not zero before, a millionth of this threshold is added to the mean's error variance.
+        A variance counts as rounding alone up to 100 times the bound of its rounding. A millionth
+        of this threshold is added to the error variance of the component's mean, in `drift`, unless
+        the variance was zero already.
         """
         floor = CLEAR * variances(self.rounding)
         open_ = np.abs(variances(self.cov.hi)) > floor
@@ -222,8 +223,9 @@ class Move(NamedTuple):
 def predicted(belief: Belief, move: Move) -> Belief:
     """The belief over the next slice before its measurements: A (m + D δ) + b and A P Aᵀ + Q.
 
-    A, b and Q are the matrix, offset and noise covariance of `move`. The belief's bounds of
-    rounding are found too; a variance that may be rounding alone becomes zero.
+    A, b and Q are the matrix, offset and noise covariance of `move`. Its C is not used, since only
+    a prior adds to δ. The belief's bounds of rounding are found too; a variance that may be
+    rounding alone becomes zero.
     """
     matrix = move.matrix
     summed = np.abs(matrix.hi) @ np.abs(belief.columns.hi)
@@ -258,10 +260,11 @@ class Solved(NamedTuple):
 def solved(whole: Twofold) -> Solved:
     """The estimate of δ from W = Σ [v V]ᵀ[v V] / S, (runs, 1 + q, 1 + q).
 
-    [v V] are the innovations of the measurements and S their variances. With M = Σ VᵀV / S and
-    y = Σ Vᵀv / S it is δ = −M⁻¹y, of covariance M⁻¹. Where M is singular, M⁻¹ is a generalised
-    inverse, and the determinant in the log-weight ½ (yᵀM⁻¹y − ln |M|) the product of the
-    eigenvalues that are not zero: the limit of priors N(0, κ I).
+    The sum is over the scalar measurements, of innovation v + V δ and innovation variance S. W has
+    the blocks M = Σ VᵀV / S and y = Σ Vᵀv / S. The estimate is δ = −M⁻¹y, of covariance M⁻¹, and
+    the log-weight is ½ (yᵀM⁻¹y − ln |M|). Where M is singular, M⁻¹ is a generalised inverse, and
+    |M| the product of the eigenvalues that are not zero. This is the limit of priors N(0, κ I) of δ
+    as κ grows, apart from terms in ln κ.
     """
     runs, size = whole.shape[0], whole.shape[-1] - 1
     weights = Twofold(np.zeros((runs, size + 1, 1)))
@@ -333,11 +336,11 @@ def take(
     """Condition a belief on one scalar measurement z = h x + e, e ~ N(0, r), of each run.
 
     `row` is h (runs, n), `value` z and `noise` r (runs,); `seen` (runs,) marks the runs that have
-    the measurement. An h P hᵀ that may be rounding alone counts as zero; where S is then zero, the
-    belief stays as it is. Returns the updated belief; the measurement as a `Component`; the
-    predictive variances S = h P hᵀ + r (runs,); and whether S is improper in some run: h P hᵀ or S
-    is negative beyond rounding or not finite, or a negative r, which the error of a lineariser may
-    give, leaves S ≤ 0.
+    the measurement. The predictive variance is S = h P hᵀ + r. An h P hᵀ that may be rounding alone
+    counts as zero; where S is then zero, the belief stays as it is. Returns four values: first the
+    updated belief, second the measurement as a `Component`, third S (runs,). The fourth is true if
+    S is improper in some run. It is if h P hᵀ or S is negative beyond rounding or not finite, or if
+    S ≤ 0 because r is negative, as the error of a lineariser may make it.
     """
     columns, cov, rounding, drift, _ = belief
     cross = (cov @ row[..., None])[..., 0]
@@ -395,11 +398,11 @@ def take(
 def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twofold, Twofold, Mask]:
     """The measurements of a step as k scalars z = h x + e with independent errors e.
 
-    Returns the rows [h z] (runs, k, n + 1), the errors' variances (runs, k), and the mask (runs, k)
-    of the scalars that were measured; rows of the rest are zero. `parts` has the linearised
-    measurements of each sensor, and `width` is n. h is over the slice, and the CPD's offset is
-    subtracted from z. With a noise covariance R = U diag(r) Uᵀ that has correlations, U being unit
-    lower triangular, rows are multiplied by U⁻¹.
+    `parts` has the linearised measurements of each sensor, and `width` is the slice's n. Returns
+    first the rows [h z] (runs, k, n + 1), second the errors' variances (runs, k), third the mask
+    (runs, k) of the scalars that were measured; rows of the rest are zero. From z the CPD's offset
+    has been subtracted. A noise covariance with correlations is R = U diag(r) Uᵀ, with U unit lower
+    triangular; the rows have then been multiplied by U⁻¹, and the variances are r.
     """
     height = sum(len(seen.value) for seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))

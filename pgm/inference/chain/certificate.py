@@ -1,25 +1,30 @@
 """Whether float64 has digits enough for a linearised chain, or its passes need twice the digits.
 
 float64 rounds a sum to ε = 2.2·10⁻¹⁶ of its largest summand. If the sum is smaller than its
-summands by a factor κ, it keeps a relative accuracy of κ ε only. Three differences of a Kalman
-filter and smoother can cancel so, and each has its ratio κ:
+summands by a factor κ, it keeps a relative accuracy of κ ε only. A Kalman filter and smoother have
+three kinds of variances that are such differences, each with its ratio κ:
 
-- A belief's covariance P, before and after measurements. Component i, given the components before
-  it, has the variance L_ii² (P = L Lᵀ, L lower triangular), and κ = P_ii / L_ii². This is large
-  where two components are almost the same.
-- A measurement's reduction of a variance, P − G S Gᵀ with its gain G. Per component κ = P_ii
-  before the measurements of a step over P_ii after them, or after a smoother's later ones, too. A
-  variance that falls to exactly zero loses nothing.
-- An innovation's covariance S = H P Hᵀ + R where the sensor has no noise. The part that the
-  readings before it leave open is its pivot L_jj² (S = L Lᵀ), and κ = (Σ_i |h_i| σ_i)² / L_jj².
+- The variance of a slice's component i given the components before it. With the Cholesky factor L
+  of the belief's covariance P = L Lᵀ, before or after measurements, this variance is L_ii², and
+  κ = P_ii / L_ii². It is large where two components are almost the same.
+- The variance of a slice's component after the measurements of a step, or after a smoother's later
+  ones, too. κ is the variance before these measurements over the variance after them. A variance
+  that falls to exactly zero loses nothing.
+- The variance of a reading's component j given the components before it, where noise is singular.
+  A reading z = H x + noise of covariance R has an innovation of covariance S = H P Hᵀ + R. With the
+  Cholesky factor M of S = M Mᵀ this variance is M_jj². Let σ_i be the standard deviation of the
+  slice's component i; then κ = ((Σ_i |H_ji| σ_i)² + R_jj) / M_jj², whose numerator bounds the
+  summands.
 
-Every κ must stay below `MODERATE`, 2·10⁷, which leaves κ ε ≤ 4.4·10⁻⁹. The segments that a
-balanced tree composes multiply such losses, hence their limit is lower, `GENTLE`, 4·10⁶.
+Every κ must stay below `MODERATE`, 2·10⁷, which leaves κ ε ≤ 4.4·10⁻⁹. A balanced tree composes
+the conditionals of single steps to those of *segments*, of many successive steps. That multiplies
+such losses, hence the limit is lower there, `GENTLE`, 4·10⁶.
 
-Means have a test of their own. A mean is rounded to ε times the largest number that it came from,
-which may stand at another step: a start of 10⁸ m, say, for a state that is known to 1 mm later. The
-rounding ε |m| / σ, in standard deviations, is carried along the chain. It counts where it is more
-than 3·10⁻⁸ and 30 times the rounding that the mean has by its own size.
+Means have a test of their own. Let m be a component's mean and σ its standard deviation. float64
+rounds the mean by ε |m| / σ standard deviations: its *own rounding*. Other steps inherit it as so
+many standard deviations there, even where the mean is small: from a start of 10⁸ m, say, a state
+that is known to 1 mm later. An inherited rounding counts where it is more than 3·10⁻⁸, and more
+than 30 times the own rounding of the step that inherits it.
 
 A smoothed covariance is tested for the rounding of the reversed conditionals, too; see
 `reversal_rounding`.
@@ -62,8 +67,8 @@ def is_ordinary(mean: Array, cov: Array, share: float = _TOLD) -> bool:
     """Whether float64 has digits enough for beliefs of means (..., n), covariances (..., n, n).
 
     They are enough if covariances are finite, each component keeps over 1 / `MODERATE` of its
-    variance given those before it, and the rounding ε |m| of each mean is at most the part `share`
-    of its standard deviation, 10⁻⁸ unless given.
+    variance given those before it, and the rounding ε |m| of each mean m is at most `share` of its
+    standard deviation, 10⁻⁸ unless given.
     """
     if not np.isfinite(cov).all() or not roots.is_regular(cov, 1.0 / MODERATE):
         return False
@@ -95,12 +100,12 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
 
 
 def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
-    """Whether segments of a chain with these covariances compose without a loss of digits.
+    """Whether conditionals of a chain's steps compose to those of segments without loss of digits.
 
-    `predicted` and `known` are the covariances before and after measurements, (T+1, runs, n, n).
-    Segments compose if the measurements of no step leave less than 1 / `limit` of a variance, other
-    than zero, and each component keeps over 1 / `limit` of its variance, given the components
-    before it in the vector.
+    `predicted` and `known` are the slices' covariances before and after measurements,
+    (T+1, runs, n, n). Conditionals compose if the first two ratios κ stay below `limit`: at each
+    step each component keeps over 1 / `limit` of its variance given the components before it in
+    the slice, and measurements leave 1 / `limit` or more of each variance, or exactly zero.
     """
     with np.errstate(all="ignore"):
         stands = _hold(predicted, known, limit)
@@ -110,10 +115,10 @@ def composes(predicted: Array, known: Array, limit: float = GENTLE) -> bool:
 def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
     """Whether the rounding of a mean that is large at one step counts at another one.
 
-    Rounding moves a mean by ε |m| / σ standard deviations. The error is carried to later steps, and
-    by a smoother, which `both` says, to earlier ones; it is taken for as many standard deviations
-    there, which bounds it. At another step it counts where it is over 3·10⁻⁸, and over 30 times
-    the rounding of that step's own means.
+    A step's own rounding is the largest ε |m| / σ of its components; a component of no variance has
+    none. A filter's steps inherit the own rounding of earlier steps; if `both`, as after a
+    smoother, steps inherit that of later ones, too. In some run and step the inherited rounding
+    must be over 3·10⁻⁸, and over 30 times the step's own.
     """
     mean, left = swept.mean, variances(swept.cov)
     if not last_place.may_count(mean, left, _COUNTS):
@@ -151,9 +156,9 @@ def _hold(before: Array, after: Array, limit: float) -> bool:
 def _told_apart(plan: ChainPlan, swept: Forward) -> bool:
     """Whether innovations of sensors with singular noise keep enough digits of their variances.
 
-    The variance of component j given those before it, its pivot L_jj² in H P Hᵀ + R = L Lᵀ with a
-    lower triangle L, may be `MODERATE` times smaller than (Σ_i |H_ji| σ_i)² + R_jj, which bounds
-    the summands of the differences that it is found from.
+    They do if the module's third ratio κ is below `MODERATE` for each component of the readings of
+    these sensors, at all steps and runs, with the predicted covariances P of `swept`. A component
+    with H_j = 0 and R_jj = 0 passes.
     """
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:

@@ -2,25 +2,29 @@
 
 The value of a linearisation is Σ w f(x) over a rule's points x with weights w. Where weights are
 large and of both signs, as the 1/α² of ``Unscented(alpha)``, it is a difference, and the rounding
-of each f(x) and x, far from zero, grows by as much. With the slope F at a mean μ, the value y there
-and float64's relative rounding ε = 2.2·10⁻¹⁶, the value is off by
+of each f(x) and x, far from zero, grows by as much. Let y be a component of the value at a mean μ,
+and the row F its slope there. With float64's relative rounding ε = 2.2·10⁻¹⁶, y is off by
 
     e = ε c √(y² + Σ_j (F_j μ_j)²),
 
-if the errors of all values and points are independent. c, the rule's *cancellation*, is √(Σ w²) and
-a term of the slope (`Points.cancellation`).
+if the errors of all values and points are independent. c, the rule's *cancellation*, is
+√(Σ w² + Σ u²), where u are the weights with which the values f(x) enter the slope, for points of
+unit covariance.
 
 A *share* is the part of a standard deviation by which one linearisation's rounding may move a mean.
 That of a prediction of standard deviation σ is e/σ. A measurement with slope H and noise variance
 R, of a belief of covariance P, has a share of at most e/√R √(HPHᵀ/(HPHᵀ + R)), in standard
-deviations of the belief after it. Shares add up as squares, and are forgotten as a filter forgets:
+deviations of the belief after it. Squares of shares add up to a sum ν_t at step t, and are
+forgotten as a filter forgets:
 
-    ν_t = ρ_t ν_{t−1} + Σ share²,    ρ_t = max P_{t−1}/P_t⁻ · max P_t/P_t⁻,
+    ν_t = ρ_t ν_{t−1} + Σ share²,    ρ_t = max P_{t−1}/P_t⁻ · max P_t/P_t⁻.
 
-where P_t⁻ and P_t are a component's variances before and after the measurements of step t, and the
-maxima are over the components: the part of a predicted variance that is not new, and the part that
-a measurement leaves. √ν_t is the error of step t. All smoothed beliefs are sums of filtered ones
-and later measurements, and no worse in their own standard deviations.
+The last sum is over the components of the step's predictions and measurements. P_t⁻ and P_t are
+here a component's variances before and after the measurements of step t, and the maxima are over
+the components. The first factor of ρ_t is the part of a predicted variance that is not new, the
+second the part that a measurement leaves. √ν_t is the error of step t, in standard deviations. A
+smoothed mean is a sum of the filtered one and later measurements, and no worse in its own standard
+deviations.
 
 A *family* is a CPD at all its *rows*: the steps of a transition, or the measurements of a sensor; a
 prior has one row.
@@ -56,8 +60,8 @@ def error(plan: ChainPlan, swept: Forward | Filtered) -> Array | None:
     plan : ChainPlan
         As it was linearised for the pass.
     swept : Forward or Filtered
-        The forward pass. A `Filtered` has kept no predictions; they are found by a second pass,
-        its `whole`, where the answer depends on them.
+        The forward pass. A `Filtered` has kept no predictions; where the answer depends on them,
+        the pass is made again.
     """
     times = largest(families(plan))
     if not times:
@@ -92,14 +96,14 @@ def of_step(
 ) -> Array | None:
     """The `error` (runs,) after a step of an online filter, from the decimal digits left before it.
 
-    `before` and `after` are the beliefs that the step went from and to. `digits` is −log₁₀ of the
-    error before the step for each run, in an array whose shape is the user's axes of runs; None as
-    long as no digits were lost. If `plan` has a transition, the step predicts, and ρ is the first
-    of its two factors alone; else the step updates, and ρ is the second. Slopes are not at hand:
-    the share of the step is taken to be ε c |m| / σ of the component that is farthest from zero in
-    any run, and zero if no rule has weights that cancel. `place` (runs,) is a further share, that
-    of rounding the means to float64 (`last_places.of_step`); the float 0.0 if it is too small to
-    count. The result is None if the error is at most 10⁻⁹ in all runs.
+    `before` and `after` are the beliefs over the slice before and after the step. `digits` is
+    −log₁₀ of the error before the step for each run, in the shape of the user's axes of runs; None
+    as long as no digits were lost. If `plan` has a transition, the step is a prediction, and ρ is
+    the first of its two factors alone; else it is an update, and ρ is the second. Slopes are not at
+    hand. So the share of the step is taken to be ε c times the largest distance of a mean or a
+    measurement from zero in any run, in standard deviations; it is zero if no rule has weights that
+    cancel. `place` (runs,) is a further share, that of rounding the means to float64; the float 0.0
+    if it is too small to count. The result is None if the error is at most 10⁻⁹ in all runs.
     """
     times = largest(families(plan))
     if not times and digits is None and isinstance(place, float):
@@ -204,8 +208,8 @@ def _of_reading(moved: Array, family: Family, cov: Array, noise: Array) -> Array
 def carried(ahead: Forward, added: Array, old: Array | float = 1.0) -> Array:
     """The largest √ν_t of all steps, (runs,), from each step's Σ share², `added` (T+1, runs).
 
-    `old` (T, runs) is an upper bound of max P_{t−1}/P_t⁻, the part of a predicted variance that is
-    not new; 1 if no better bound is known.
+    `ahead` has the variances P. `old` (T, runs) is an upper bound of max P_{t−1}/P_t⁻, the part of
+    a predicted variance that is not new; 1 if no better bound is known.
     """
     before, left = variances(ahead.predicted_cov), variances(ahead.cov)
     stays = np.minimum(ratio(left[:-1], before[1:]), old) * ratio(left[1:], before[1:])

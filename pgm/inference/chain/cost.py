@@ -186,8 +186,8 @@ def require_cost(
     """Refuse nonlinear CPDs of singular noise, with a ModelError, if a cost controls the steps.
 
     Their cost would be infinite nearly everywhere. Schedules without Levenberg–Marquardt damping
-    pass, and so do linear CPDs. `first` says that the first linearisation is made by a filter; a
-    schedule of this single iteration controls no step, and passes.
+    pass, and so do linear CPDs. `first` is true if the first iteration linearises at a filter's
+    beliefs, and so takes no step that a cost would judge; a schedule of one such iteration passes.
     """
     once = first and schedule.iterations == 1
     if once or not isinstance(schedule.damping, LevenbergMarquardt):

@@ -3,13 +3,15 @@
 Given a flat prior a belief is the limit of N(μ, P + κ O Oᵀ) as κ grows; the columns of O are the
 directions of which nothing is known yet, the *open* ones. A measurement z = H x + e, e ~ N(0, R),
 of d components has an innovation ν = z − Hμ of covariance S + κ U Uᵀ, with S = H P Hᵀ + R and
-U = H O. With a matrix C of d − rank U rows, combinations of the components for which C U = 0,
+U = H O. Let C be a matrix of d − rank U independent rows with C U = 0: combinations of the
+components that do not depend on open directions. As κ → ∞,
 
-    νᵀ (S + κ U Uᵀ)⁻¹ ν  →  (Cν)ᵀ (C S Cᵀ)⁻¹ Cν
+    νᵀ (S + κ U Uᵀ)⁻¹ ν  →  (Cν)ᵀ (C S Cᵀ)⁻¹ Cν.
 
-as κ → ∞, of as many degrees of freedom as C has rows (Koopman, Exact initial Kalman filtering and
+The limit has as many degrees of freedom as C has rows (Koopman, Exact initial Kalman filtering and
 smoothing for nonstationary time series models, 1997; Durbin & Koopman, 2012, 5.2 and 7.2). A
-component is unknown where its row of U is not zero; of two that are, a difference may be known.
+component of z is unknown where its row of U is not zero. Of two unknown ones a difference may be
+known.
 """
 
 from __future__ import annotations
@@ -92,10 +94,10 @@ class Diffuse(NamedTuple):
         """The innovations (..., d) of measurements z = H x + e, their covariances, and rank U.
 
         `matrix` is H (..., d, n), `residual` ν = z − Hμ (..., d), `noise` R (..., d, d). Where
-        U = H O is zero the innovations are ν, and their covariances (..., d, d) are S. Else they
-        are Cν and C S Cᵀ, filled up to d components with a zero of unit variance in place of each
-        of the rank U combinations that are unknown, which adds nothing to their square νᵀS⁻¹ν. The
-        third result is rank U (...).
+        U = H O is zero, the first result is ν, and the second is S (..., d, d). Elsewhere they are
+        Cν and C S Cᵀ, filled up to d components: each of the rank U combinations that are unknown
+        is a zero of unit variance, which adds nothing to the normalised square. The third result
+        is rank U (...), the number of these.
         """
         reach = self.reach(matrix)
         lead = reach.shape[:-2]
@@ -120,14 +122,14 @@ class Diffuse(NamedTuple):
 
 
 def _combined(reach: Array, noise: Array) -> tuple[Array, Mask]:
-    """Combinations C (k, d, d) of k measurements' components, and their mask (k, d): C U = 0.
+    """Combinations C (k, d, d) of k measurements' components, and the mask (k, d) of known ones.
 
-    Row i of C is a combination of the d components; the mask is true where it depends on no unknown
-    direction. C comes from the elimination of U, `reach` (k, d, q), by rows in units of the
-    standard deviations of the components' `noise` (k, d, d). The component that depends most on an
-    unknown direction is the pivot, whose row of C is masked out; multiples of it, by factors of one
-    at the most, are subtracted from the components that are not yet masked out, so that precise
-    components are not lost among imprecise ones.
+    Row i of C is a combination of the d components. The mask is true where it depends on no open
+    direction, its row of C U being zero. C comes from a Gaussian elimination of U, `reach`
+    (k, d, q), in which components count in standard deviations of their `noise` (k, d, d). The
+    pivot is always the component that depends most on an open direction, and its row is masked out.
+    Multiples of it, by factors of one at the most, are subtracted from the rows not yet masked out:
+    so precise components are not lost among imprecise ones.
     """
     own, largest = variances(noise), np.abs(reach).max(axis=-1)
     exact = _EXACT * np.where(largest > 0.0, largest, 1.0)

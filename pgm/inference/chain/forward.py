@@ -2,6 +2,9 @@
 
 A step's belief is *predicted* before its measurements and *known* after them. Records are (T+1,
 runs, ...); a sweep works on arrays with the runs last, and without that axis if there is one run.
+A sweep may linearise the sensors of a step again and again. The *residual* of such an iteration is
+the largest distance, over all steps, of a mean from where it was linearised, in standard
+deviations, (runs,).
 """
 
 from __future__ import annotations
@@ -120,9 +123,9 @@ class Watch:
     The share tells whether float64 had digits enough (`certificate`). A step's measurements are
     *mild* if they are known to leave a thousandth of each variance or more, else *sharp*. `closest`
     is the smallest share so far that any component's variance keeps when the components before it
-    in the slice are given, or when sharp measurements are. The first kind is looked for where
-    measurements are sharp, where a variance has grown by a factor of 100, at every eighth step, and
-    at the last.
+    in the slice are given, or when sharp measurements are. To save time, what components keep given
+    those before them is looked at only where measurements are sharp, where a variance has grown by
+    a factor of 100, at every eighth step, and at the last.
     """
 
     def __init__(self) -> None:
@@ -320,9 +323,10 @@ def _swept(
     Runs that machine code gives up, and plans that it cannot sweep, are swept by NumPy. `known` has
     means, covariances and log-densities, `predicted` means and covariances, or nothing if they are
     not to be kept. Without a schedule the plan's linearisations are used; with one, `keep` says
-    whether the plan stores the new linearisations. The result tells how the sweep went: residuals
-    and convergence of its iterations by run; the smallest share of a variance that is left, be it
-    given other components or after measurements; and whether a mean may be far from zero.
+    whether the plan stores the new linearisations. The result tells how the sweep went: by run the
+    residual of each iteration and whether the iterations converged; the smallest share of a
+    variance that is left, be it given other components or after measurements; and whether a mean
+    may be 10⁸ standard deviations from zero.
     """
     rest = known, predicted
     found = compiled.forward(plan, schedule, *rest, keep=keep)
@@ -364,9 +368,10 @@ def _stepwise(
     `known` has means, covariances and log-densities, `predicted` means and covariances. All runs
     are swept together, or, if `predicted` is empty, in parts of at most 10,000 runs, whose arrays
     stay in the processor's cache. Without a schedule the plan's linearisations are used; with one,
-    `keep` says whether the plan stores the new ones. The result tells how the sweep went: residuals
-    and convergence of its iterations by run, and, if `predicted` is empty, the smallest share of a
-    variance that was left, be it given other components or after measurements; else zero.
+    `keep` says whether the plan stores the new ones. The result tells how the sweep went: by run
+    the residual of each iteration and whether the iterations converged, and the smallest share of a
+    variance that was left, be it given other components or after measurements. That share is looked
+    for if `predicted` is empty; else it is zero.
     """
     parts, closest, converged = 1, 0.0 if predicted else 1.0, np.ones(plan.runs, dtype=bool)
     if not predicted:
@@ -385,11 +390,12 @@ def _stepwise(
 
 
 def _joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
-    """The residuals `record` of all `count` runs, with those of the runs `runs` put in, `part`.
+    """The residuals of a sweep's iterations, in which some runs are replaced by those of `part`.
 
-    Both lists have an array for each iteration, of the length `count` or that of `runs`; so has the
-    result, (`count`,) each. The shorter list repeats its last array; an empty `record` counts as
-    zeros, and an empty `part` changes nothing.
+    `record` has an array (`count`,) for each iteration, over all `count` runs, and so has the
+    result; `part` has one for each iteration of the sweep of the runs `runs` alone. The shorter
+    list repeats its last array; an empty `record` counts as zeros, and an empty `part` changes
+    nothing.
     """
     longest = max(len(record), len(part))
     found = [each.copy() for each in record + (record[-1:] or [np.zeros(count)]) * longest]

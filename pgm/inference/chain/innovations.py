@@ -28,7 +28,9 @@ class Innovations(Shown, NoArray):
     """The innovations of one sensor, one row a sighting, in the order of the evidence.
 
     Where measurements z were linearised several times, the innovations are those of the last
-    linearisation F x + b, z − (F x⁻ + b), at the predicted mean x⁻; not z − h(x⁻).
+    linearisation F x + b, z − (F x⁻ + b), at the predicted mean x⁻; not z − h(x⁻). In the shapes
+    ``...`` stands for the user's axes of runs, none for one run; M is the number of sightings, and
+    T the last step.
 
     Attributes
     ----------
@@ -36,8 +38,9 @@ class Innovations(Shown, NoArray):
         (..., M, d): measurement less prediction; NaN in components that were not measured, and in
         those that depend on a direction of which nothing is known yet, given a flat prior.
     cov : ndarray
-        (..., M, d, d): the predictive covariance of `residual`, S = H P Hᵀ + noise; NaN in rows and
-        columns of the components in which `residual` is NaN.
+        (..., M, d, d): the predictive covariance of `residual`, S = F P⁻ Fᵀ + R, with the predicted
+        covariance P⁻ and that of the noise, R; NaN in rows and columns of the components in which
+        `residual` is NaN.
     step : ndarray of int
         (M,): the step of each sighting.
     nis : ndarray
@@ -180,9 +183,10 @@ def whitened(innovations: Innovations) -> Array:
 def autocorrelation(now: Array, later: Array) -> tuple[float, float]:
     """The correlation of whitened innovations with later ones, and its standard deviation if white.
 
-    `now` and `later` are (steps, runs, k, d), as `whitened` gives them. Row i of `now` is paired
-    with row i of `later`, and of these rows each sighting with the one at the same place of k. Both
-    results are NaN if there is no pair of sightings that were both measured and not rejected.
+    `now` and `later` are (steps, runs, k, d): whitened innovations of k sightings a step, zeros for
+    what is missing. The sighting at each place of `now` is paired with that at the same place of
+    `later`. The correlation is one number for all pairs, runs and components. Both results are NaN
+    if there is no pair of sightings that were both measured and not rejected.
     """
     met = inner(now, now) * inner(later, later) > 0.0
     now, later = now[met], later[met]
