@@ -116,11 +116,11 @@ class UpdateProblem(ABC, Generic[U]):
             self.move(part, mean, cov, some)
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
-        """Linearise the sightings `part` of one sensor, which keeps the result as `part.seen`.
+        """Linearise the sightings of one sensor, `part`; the result is stored as `part.seen`.
 
-        The point has the moments (n, *batch) and (n, n, *batch) of the slice. Runs that are not
-        `active` (runs,) keep their linearisations; None means all are active. Subclasses whose
-        covariances may be infinite override this method.
+        They are linearised at the belief over the slice that has the moments `mean` (n, *batch) and
+        `cov` (n, n, *batch). Runs that are not `active` (runs,) keep their linearisations; None
+        means all are active. Subclasses whose covariances may be infinite override this method.
         """
         part.linearise(mean, cov, active)
 
@@ -190,13 +190,14 @@ class UpdateProblem(ABC, Generic[U]):
         """The same belief, with `surplus` (*batch) added to the measurements' log-density."""
 
     def cost(self, at: Point) -> Array:
-        """The cost of a point's means x: −2 ln p(x, measurements) less its constants, (runs,).
+        """The cost of a point's means x: −2 ln p(x, measurements) but for constants, (runs,).
 
-        It sums (x − m)ᵀ P⁺ (x − m), for the predicted N(m, P), and rᵀ R⁺ r over the sensors, ⁺
-        being the pseudo-inverse. The residual is r = z − E[h(X)], angles wrapped, with X ~ N(x, the
-        point's covariance); R is the noise covariance as it was linearised. A sensor of robust
-        noise adds twice its losses, 2 ρ, instead. Missing components and those of infinite variance
-        in P do not count. The cost is NaN where h is not defined, and where P is indefinite.
+        The predicted belief N(m, P) costs (x − m)ᵀ P⁺ (x − m), ⁺ being the pseudo-inverse; each
+        sensor adds rᵀ R⁺ r, or twice its losses, 2 ρ, if its noise is robust. The residual is
+        r = z − E[h(X)], angles wrapped, with X ~ N(x, the point's covariance). R is the covariance
+        of the noise with the last linearisation's error. Missing components and those of infinite
+        variance in P do not count. The cost is NaN where h is not defined, and where P is
+        indefinite.
         """
         mean, cov = self._moments(at)
         total = cost.squares(at.mean - _as_point(self.mean, 1), _as_point(self.cov, 2))
@@ -226,7 +227,8 @@ class UpdateProblem(ABC, Generic[U]):
 
         There their cost is finite. The result is the mean of N(`mean`, P), with the predicted
         covariance P, conditioned on the sightings of those sensors alone whose noise is singular.
-        `found` is the solution, which other problems read; here its moments do not matter.
+        `found`, the solution as a point, is an argument of every problem for `iterate`; here its
+        values do not count.
         """
         exact = [seen for seen in self.measured if seen.sensor.exact]
         first = self._moments(found._replace(mean=mean))[0]

@@ -25,15 +25,18 @@ def joint_moments(
 ) -> tuple[Array, Array]:
     r"""Mean (runs, n) and covariance (runs, n, n) of variables at steps, in the order given.
 
-    `variables` are hidden ones, each with a step, no two the same; n counts their components.
-    `reverse` has the reversed transitions. `beliefs` are the slices' moments given all
-    measurements, or after a filter those up to their step. Only the belief at the latest step
-    wanted is read: a pass back from there carries its mean and covariance through the reversed
-    transitions, which gives those of each earlier slice. With the gain A_s of the slice x_s given
-    x_{s+1}, the pass also finds the covariance of a slice with every wanted variable x_t of a later
-    step, by one product a step:
+    `variables` are hidden ones, each with a step, no two the same; n counts their components, and
+    `layout` tells where they stand in a slice. `reverse` has the reversed transitions. `beliefs`
+    are the slices' moments given all measurements, or after a filter those up to their step.
 
-        cov(x_s, x_t) = A_s cov(x_{s+1}, x_t),    t > s.
+    Only the belief at the latest step wanted is read. A pass back from there carries its mean and
+    covariance through the reversed transitions, which gives those of each earlier slice. It also
+    finds the covariance of the slice x_s at step s with each wanted variable x_t of a later step t,
+    by one product a step:
+
+        cov(x_s, x_t) = A_s cov(x_{s+1}, x_t),    t > s,
+
+    where A_s is the gain of x_s given x_{s+1}.
     """
     steps = [variable.step for variable in variables if variable.step is not None]
     order = sorted(range(len(variables)), key=steps.__getitem__)

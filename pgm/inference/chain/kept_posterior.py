@@ -137,9 +137,9 @@ class KeptPosterior(Posterior):
 
     @property
     def lost(self) -> Lost:
-        """Where the belief was lost is not known here: raises EvidenceError.
+        """The steps at which the belief was probably wrong are not known: raises EvidenceError.
 
-        That would be found from innovations, which are not kept.
+        They are found from innovations, which are not kept.
         """
         raise EvidenceError(self._missing("innovations, which tell where a belief was lost"))
 

@@ -1,24 +1,32 @@
 """The rounding of a chain's means to their last place in float64, in standard deviations.
 
-The last place u(m) of a float64 m is the distance to the next number. A mean that was found in
-twice the digits is rounded once, by up to ½ u(m). A pass in float64 rounds three times at each step
-(prediction, residual, update), by e = 1½ u(m) at most, and a nonlinear function, which float64
-evaluates in any pass, by e = ½ u(m). Errors are counted in standard deviations σ of the mean: e/σ
-is the *share* of an error e. Shares are carried along the chain as in `close_points`,
+The last place u(m) of a float64 m is the distance from m to the next number. An error e of a mean m
+comes from three kinds of rounding:
 
-    ν_t = ρ_t ν_{t−1} + (e_t/σ_t)²,    ρ_t = max P_{t−1}/P⁻_t · max P_t/P⁻_t,
+- A mean that was found in twice the digits is rounded once, at the end: e = ½ u(m) at most.
+- A pass in float64 rounds at each step: forward three times (prediction, residual, update), which
+  makes e = 1½ u(m) at most; back, in a smoother, four times, e = 2 u(m) at most.
+- A nonlinear function is evaluated in float64 in any pass. In one of twice the digits this alone
+  is rounded at each step, e = ½ u(m).
 
-and √ν_t is the error of step t. P⁻_t and P_t are each component's variances before and after the
-measurements of step t, and the ratios' maxima are over the components. With the variance Q of the
-transition's noise, max 1 − Q/P⁻_t takes the place of max P_{t−1}/P⁻_t where it is less. A
-smoother's pass back in float64 carries shares in the other direction, with e = 2 u(m) of its own
-means and, P′ being smoothed variances,
+Errors are counted in standard deviations σ of the mean: e/σ is the *share* of e. σ is taken to be
+at least 10⁻⁹ of the largest deviation that the component had. At step t the largest share of the
+components is e_t/σ_t, and √ν_t is the error of the means in standard deviations, with all that
+other steps add to it. A pass forward adds the error of step t − 1, of which it forgets a part:
 
-    ρ′_t = (max P_t/P⁻_{t+1})² · max P′_{t+1}/P′_t.
+    ν_t = ρ_t ν_{t−1} + (e_t/σ_t)²,
+    ρ_t = min(max P_{t−1}/P⁻_t, max (1 − Q_t/P⁻_t)) · max P_t/P⁻_t.
 
-σ is taken to be at least 10⁻⁹ of the largest deviation that the component had, as in all counts of
-digits (`pgm.inference.status`). As long as no ½ u(m)/σ exceeds 10⁻⁶, last places leave enough
-digits, and the status does not mention them.
+Each "max" is over the components. P⁻_t and P_t are a component's variances before and after the
+measurements of step t, and Q_t is the variance of the transition's noise. The first factor of ρ_t
+is the part of a predicted variance that is not new, and the second is the part that measurements
+leave. A pass back adds the error of step t + 1; with the smoothed variances P′ of the components
+
+    ν_t = ρ′_t ν_{t+1} + (e_t/σ_t)²,
+    ρ′_t = min(1, (max P_t/P⁻_{t+1})² · max P′_{t+1}/P′_t).
+
+As long as no ½ u(m)/σ exceeds 10⁻⁶, last places leave enough digits, and the status of the
+inference does not mention them.
 """
 
 from __future__ import annotations
@@ -51,19 +59,22 @@ def error(
 ) -> Array | None:
     """The largest error of a chain's means by last places, in standard deviations, (runs,).
 
+    It is the largest one of all steps, with the errors that the passes carry from other steps.
+
     Parameters
     ----------
     plan : ChainPlan
+        As it was linearised for the passes.
     swept : Forward or Filtered
         The forward pass. A `Filtered` one, which lacks the predicted moments, is made again where
         these are needed.
     smoothed : Beliefs or None
-        The means and covariances of a smoother; None of a filter.
+        The means and covariances of a smoother; None after a filter.
     careful : bool
         Whether the passes were made in twice the digits, and their means rounded at the end.
     measured : bool
         Whether the status counts digits already, for another reason. The result is then always an
-        array; else it is None where no ½ u(m)/σ exceeds 10⁻⁶.
+        array; else it is None if no ½ u(m)/σ exceeds 10⁻⁶ in any run.
     """
     every = [] if smoothed is None else [(smoothed.mean, smoothed.cov)]
     if measured or swept.far:
@@ -92,10 +103,10 @@ def error(
 
 
 def of_step(moments: Moments) -> Array | float:
-    """The largest e/σ after a step of an online filter, (runs,); 0 if no ½ u(m)/σ exceeds 10⁻⁶.
+    """The largest e/σ of the means after a step of an online filter, (runs,), with e = 1½ u(m).
 
-    e is 1½ u(m), and `moments` are those of the slice, the vector of the step's hidden variables,
-    after the step's measurements.
+    The result is the number 0.0 if no ½ u(m)/σ exceeds 10⁻⁶ in any run. `moments` are those of the
+    slice, the vector of the step's hidden variables, after the step's measurements.
     """
     mean, cov = moments.mean, moments.cov
     variance = np.einsum("ii...->i...", cov)
@@ -106,7 +117,7 @@ def of_step(moments: Moments) -> Array | float:
 
 
 def of_each_step(moments: Moments) -> Array:
-    """The largest e/σ after a step of an online filter, (runs,), however small it is.
+    """The largest e/σ of the means after a step of an online filter, (runs,), however small.
 
     e is 1½ u(m), and `moments` are those of the slice, the vector of the step's hidden variables,
     after the step's measurements.
@@ -117,8 +128,8 @@ def of_each_step(moments: Moments) -> Array:
 def _may_count(mean: Array, cov: Array) -> bool:
     """Whether ½ u(m)/σ may exceed 10⁻⁶ for some component of the means m, `mean` (..., n).
 
-    That is told by a bound that takes little time: False is certain, True is not. σ² are the
-    variances in `cov` (..., n, n).
+    A bound that takes little time decides: False is certain, True is not. σ² are the variances in
+    `cov` (..., n, n).
     """
     return last_place.may_count(mean, variances(cov), 2.0 * TOLD)
 
@@ -134,8 +145,8 @@ def _counts(mean: Array, cov: Array) -> bool:
 def of_beliefs(mean: Array, cov: Array, largest: Array) -> Array:
     """The largest ½ u(m) / σ of the components of beliefs (..., n) and (..., n, n), as (...).
 
-    `largest` (..., n) are the largest variances that the components had, which bound σ from below
-    (see the module); zeros set no bound.
+    `largest` (..., n) are the largest variances that the components had: σ is taken to be at least
+    10⁻⁹ of their roots. Zeros set no such bound.
     """
     return last_place.rounding(mean, deviation(cov), np.sqrt(largest))
 
@@ -143,8 +154,9 @@ def of_beliefs(mean: Array, cov: Array, largest: Array) -> Array:
 def _old(plan: ChainPlan, ahead: Forward) -> Array:
     """The part of a predicted variance that is not new noise, max 1 − Q/P⁻_t, (T, runs).
 
-    The maximum is over the components of the slice, for t = 1..T; Q are the variances of the
-    transition's noise. `ahead` is the forward pass.
+    The maximum is over the components of the slice, the vector of a step's hidden variables, for
+    t = 1..T. Q are the variances of the transition's noise as the plan is linearised, and P⁻_t the
+    predicted variances of the forward pass `ahead`.
     """
     front, spread = plan.layout.state_size, variances(ahead.predicted_cov)[1:]
     new = np.zeros(spread.shape)
@@ -154,10 +166,10 @@ def _old(plan: ChainPlan, ahead: Forward) -> Array:
 
 
 def _back(ahead: Forward, smoothed: Beliefs, widest: Array) -> Array:
-    """The largest √ν_t of all steps of a smoother's pass back in float64, with ρ′_t, (runs,).
+    """The largest √ν_t of all steps in a smoother's pass back in float64, (runs,).
 
-    `ahead` is the forward pass, `smoothed` the smoother's beliefs, and `widest` (runs, n) are the
-    largest variances that the components had.
+    It is carried from step t + 1 to t by ρ′_t. `ahead` is the forward pass, `smoothed` has the
+    smoother's beliefs, and `widest` (runs, n) are the largest variances that the components had.
     """
     after = variances(smoothed.cov)
     stays = ratio(variances(ahead.cov)[:-1], variances(ahead.predicted_cov)[1:]) ** 2
@@ -171,7 +183,10 @@ def _back(ahead: Forward, smoothed: Beliefs, widest: Array) -> Array:
 
 
 def _widest(ahead: Forward) -> Array:
-    """The largest finite variance of each component at any step, (runs, n)."""
+    """The largest finite variance of each component at any step of a forward pass, (runs, n).
+
+    Variances before and after the measurements of a step both count.
+    """
     spread = np.maximum(variances(ahead.predicted_cov), variances(ahead.cov))
     found: Array = np.where(spread < np.inf, np.maximum(spread, 0.0), 0.0).max(axis=0, initial=0.0)
     return found

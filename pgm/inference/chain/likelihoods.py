@@ -2,11 +2,13 @@
 
 A *slice* is the vector of all hidden variables of a step, of n components. The *reference* is a
 trajectory (T+1, runs, n) near the beliefs, for T steps; slices are counted from it, x being the
-slice less the reference, so that large coordinates cost no digits. A linearised measurement
-z = H x + b + n, n ~ N(0, R), of d components is *whitened* by L⁻¹, L being the lower root of
-R = L Lᵀ: v = W x + n, n ~ N(0, I), with W = L⁻¹H. The measurements of a step together are the
-likelihood exp(−½ xᵀK x + hᵀx) with K = Σ WᵀW and h = Σ Wᵀv. Arrays of measurements have M rows,
-sorted by step.
+slice less the reference, so that large coordinates cost no digits.
+
+A linearised measurement of d components is z = H x + b + e with noise e ~ N(0, R); b is what is
+expected at the reference. It is *whitened* by L⁻¹, L being the lower root of R = L Lᵀ:
+v = L⁻¹(z − b) has the model v = W x + L⁻¹e, with W = L⁻¹H and L⁻¹e ~ N(0, I). All measurements of a
+step together are the likelihood exp(−½ xᵀK x + hᵀx) with K = Σ WᵀW and h = Σ Wᵀv. The residual of a
+measurement at a point x is r = z − H x − b. Arrays of measurements have M rows, sorted by step.
 
 A measurement with robust noise counts as a Gaussian of covariance R / w, w being its weight. Its
 *surplus* is the robust log-density less that of this Gaussian.
@@ -47,10 +49,11 @@ from pgm.kernels.segment_maps import Moments
 class Readings:
     """The plan's linearised measurements as likelihoods of x − reference, (T+1, runs, n).
 
-    The measurements of sensors of regular noise are `_whitened`, and add up to the `likelihood` of
-    each step. The `stacks` have the measurements of the other sensors: those with singular noise in
-    some row, or with correlated errors between the measurements of a step. `_robust` are the
-    sensors of robust noise.
+    The measurements of sensors of regular noise are `_whitened`, one `Whitened` a sensor, and add
+    up to the `likelihood` of each step, K (T+1, runs, n, n) and h (T+1, runs, n). The other sensors
+    have singular noise in some row, or correlated errors between the measurements of a step. Their
+    measurements are in the `stacks`: one `Stack` has those of several steps, the ones of each step
+    as one vector. `_robust` are all sensors of robust noise, however their measurements are kept.
     """
 
     reference: Array
@@ -83,11 +86,13 @@ class Readings:
         return cls(reference, likelihood, stacks(plan, rest, reference), regular, plan.robust)
 
     def held(self, anchor: Anchor | None) -> Likelihood:
-        """The likelihood times that of an anchor, x = anchor.mean + n, n ~ N(0, diag(std² / λ)).
+        """The likelihood of each step times that of an anchor; `likelihood` itself if that is None.
 
-        An anchor is a measurement of all components, by which a step control holds a solution near
-        a point; `std` (T+1, runs, n) and λ, the `weight` (runs,), are the anchor's. Components are
-        not held where `std` or λ is zero. The result is `likelihood` itself for an anchor of None.
+        An anchor is an artificial measurement of all components of the slices, by which a step
+        control holds a solution near a point. It says that a slice is the anchor's `mean`
+        (T+1, runs, n) but for an error, with the variance std² / λ in each component; `std` is
+        (T+1, runs, n), and λ is the anchor's `weight` (runs,). Components of zero `std`, and runs
+        of zero weight, are not measured.
         """
         if anchor is None:
             return self.likelihood
@@ -101,12 +106,17 @@ class Readings:
     def log_density(self, known: Array, predicted: Moments) -> Array:
         """A part of ln p of each step's measurements given earlier ones, (T+1, runs).
 
-        The other part is found with the beliefs, when they are conditioned on the whitened
-        measurements. This part is the sum of ln N(z − h(x⁺); 0, R) over these measurements z, x⁺
-        being the mean given the measurements up to their step; of the surplus of the robust ones;
-        and of the log-densities of the `stacks` under the predictions. `known` (T+1, runs, n) are
-        the x⁺, and `predicted` the moments before a step's measurements, both counted from the
-        reference. The plan has to be linearised as it was when these readings were made.
+        This part is the sum of three:
+
+        - ln N(r; 0, R) of each whitened measurement, r being its residual at the mean given the
+          measurements up to its step, and R its noise covariance;
+        - the surplus of each robust measurement;
+        - the log-density of the `stacks` under the prediction of their step.
+
+        The other part, `Known.evidence`, comes with the beliefs when they are conditioned on the
+        whitened measurements. `known` (T+1, runs, n) are the means after the measurements of each
+        step, and `predicted` the moments before them, both counted from the reference. The plan has
+        to be linearised as it was when these readings were made.
         """
         total = np.zeros(known.shape[:2])
         for each in self._whitened:
@@ -124,7 +134,8 @@ class Known(NamedTuple):
     """Moments (..., n), (..., n, n) of x − reference given the measurements of a step.
 
     `evidence` (...) is the log-density of these measurements under the belief before them, less the
-    term ln N(z − h(x⁺); 0, R) of each measurement z, x⁺ being the mean.
+    term ln N(r; 0, R) of each measurement, r being its residual at `mean` and R its noise
+    covariance.
     """
 
     mean: Array
@@ -133,12 +144,15 @@ class Known(NamedTuple):
 
 
 def know(before: Belief, likelihood: Likelihood) -> Known:
-    """Condition beliefs N(x⁻, P), (..., n) and (..., n, n), on whitened measurements v = W x + n.
+    """Condition beliefs `before` = N(m, P), (..., n) and (..., n, n), on whitened measurements.
 
-    The measurements are given by their `likelihood`, of K = WᵀW and h = Wᵀv. With x⁺ the mean given
-    them and P⁺ the pseudo-inverse of P, the log-density ln N(v; W x⁻, I + W P Wᵀ) is, but for −½ d
-    ln 2π, −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) − ½ ln |I + P WᵀW|: no term is above zero, so
-    that nothing cancels. The result's `evidence` is the sum of the last two terms.
+    The measurements v = W x + noise, d numbers in all, are given by their `likelihood`, of K = WᵀW
+    and h = Wᵀv. Let m′ be the mean given them, and P† the pseudo-inverse of P. Their log-density is
+
+        ln N(v; W m, I + W P Wᵀ) = −½ d ln 2π − ½ |v − W m′|² + evidence,
+        evidence = −½ (m′ − m)ᵀP†(m′ − m) − ½ ln |I + P WᵀW|.
+
+    No term is above zero, so that nothing cancels.
     """
     after = condition(before, likelihood)
     evidence = -0.5 * (inner(after.moved, after.moved) + solving.log_determinant(after.U))
@@ -146,7 +160,7 @@ def know(before: Belief, likelihood: Likelihood) -> Known:
 
 
 def _is_all(places: Index, size: int) -> bool:
-    """Whether an index takes all of a vector, in its order."""
+    """Whether an index takes all `size` components of a vector, in their order."""
     return isinstance(places, slice) and places == slice(0, size)
 
 
@@ -156,10 +170,12 @@ _CHUNK = 8192
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """A sensor's measurements about a reference, in units of their noise: v = W x + n, n ~ N(0, I).
+    """A sensor's measurements about a reference, in units of their noise: v = W x + noise N(0, I).
 
-    `white` (M or 1, runs or 1, d, d) is L⁻¹ and `scale` (M or 1, runs or 1) is ln N(0; 0, L Lᵀ) of
-    each noise L Lᵀ. Missing components of a measurement do not count in its scale.
+    `white` (M or 1, runs or 1, d, d) is L⁻¹ and `scale` (M or 1, runs or 1) is ln N(0; 0, R), for
+    each noise covariance R = L Lᵀ. Missing components of a measurement do not count in its scale.
+    The first axis has length one where all measurements have the same noise, the second one where
+    all runs have.
     """
 
     sensor: Sensor
@@ -195,10 +211,10 @@ class Whitened:
         """
 
         def said(rows: slice, counts: Integers) -> tuple[Array, Array]:
-            """HᵀR⁻¹H and HᵀR⁻¹ν of each step, summed over its measurements: (steps, runs, ...).
+            """K = Σ HᵀR⁻¹H and h = Σ HᵀR⁻¹r over each step's measurements, (steps, runs, ...).
 
             `rows` are the measurements of some consecutive steps, and `counts` (steps,) tells how
-            many each of these has; ν is z less its expected value at the reference.
+            many each of these has; r is the residual at the reference.
             """
             matrix = self.sensor.family.matrix[rows]
             if self.sensor.taken is not None:
@@ -217,18 +233,18 @@ class Whitened:
         return Likelihood(precision, h)
 
     def log_density(self, mean: Array) -> Array:
-        """Sums Σ ln N(z − h(x); 0, R) of each step's measurements, (T+1, runs).
+        """Sums Σ ln N(r; 0, R) over each step's measurements, (T+1, runs).
 
-        x is the slice's mean, `mean` (T+1, runs, n), not counted from the reference; missing
-        components do not count.
+        The residuals r are at the slices' means `mean` (T+1, runs, n), which are not counted from
+        the reference; missing components do not count.
         """
         taken = self.sensor.taken
 
         def density(rows: slice, counts: Integers) -> tuple[Array]:
-            """Σ ln N(z − h(x); 0, R) of each step, (steps, runs), x being the slice's mean.
+            """Σ ln N(r; 0, R) over each step's measurements, (steps, runs).
 
             `rows` are the measurements of some consecutive steps, and `counts` (steps,) tells how
-            many each of these has.
+            many each of these has; their residuals r are at the slices' means.
             """
             left = self._residual(rows, mean)
             scale = self.scale if len(self.scale) == 1 else self.scale[rows]
@@ -246,9 +262,10 @@ class Whitened:
         return self.white if len(self.white) == 1 else self.white[rows]
 
     def _residual(self, rows: slice, mean: Array) -> Array:
-        """Whitened residuals L⁻¹ (z − H x − b) of some rows, (rows, runs, d); zero where missing.
+        """Whitened residuals L⁻¹r of some rows, (rows, runs, d); zero where missing.
 
-        x is the mean of the row's slice, of `mean` (T+1, runs, n).
+        r is at the mean of the row's slice, in `mean` (T+1, runs, n), which is not counted from the
+        reference.
         """
         sensor, family = self.sensor, self.sensor.family
         at = gather(mean, family.step[rows])[..., sensor.parents]
@@ -319,7 +336,10 @@ def _added(parts: Array, counts: Integers) -> Array:
 
 
 def _one_a_step(parts: Array, steps: int) -> Array:
-    """The k rows of each step as one: (steps k, runs, d, ...) becomes (steps, runs, k d, ...)."""
+    """The k rows of each step as one: (steps · k, runs, d, ...) becomes (steps, runs, k · d, ...).
+
+    `steps` counts the steps, each of which has k rows.
+    """
     rows, runs, *shape = parts.shape
     count = rows // steps
     memory = parts.transpose(*range(2, parts.ndim), 0, 1).reshape(*shape, steps, count, runs)

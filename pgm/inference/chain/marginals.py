@@ -29,7 +29,7 @@ class Marginals(Shown, NoArray):
     """The marginals of hidden variables over all steps, by variable.
 
     They are cut out of `beliefs`, the moments of all slices, in which the variables stand as
-    `layout` says. Runs are one axis there, and the user's axes `lead` in the marginals.
+    `layout` says. `beliefs` has one axis of runs, for which a marginal has the user's axes, `lead`.
 
     Attributes
     ----------
@@ -44,9 +44,10 @@ class Marginals(Shown, NoArray):
     kind: Kind
 
     def __getitem__(self, variable: Variable) -> Gaussian:
-        """The marginal of ``x`` at all its steps, stacked; of ``x.at(3)`` at one step.
+        """The marginal of a variable: ``x`` gives it at all its steps, ``x.at(3)`` at one step.
 
-        Means are (*runs, steps, d) of ``x``, and (*runs, d) of ``x.at(3)``.
+        The mean is (*runs, steps, d) for ``x``, stacked by step, and (*runs, d) for ``x.at(3)``;
+        d counts the variable's components.
 
         Raises
         ------

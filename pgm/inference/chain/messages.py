@@ -92,9 +92,9 @@ class _Message(NamedTuple):
 
 
 def _passed(message: _Message, segment: Element) -> _Message:
-    """The message at the start of a segment, from `message`, that at its end.
+    """The message at the start of a segment; `message` is the one at the segment's end.
 
-    `segment` is the element of the segment, whose measurements the result includes.
+    `segment` is the element of the segment. The result includes the segment's measurements.
     """
     K, h, g = canonical.backward(*segment[:3], *message)
     assert segment.g is not None

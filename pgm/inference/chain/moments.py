@@ -8,9 +8,10 @@ transition. Arrays have their components first and the runs last: a belief over 
 moments (n, *batch) and (n, n, *batch), with `batch` () for one run and (runs,) for several. A
 *sighting* is one measurement by a sensor, of which a step may have several.
 
-Angles live on one unwrapped chart: where a function wraps an angle, it is moved by whole turns to
-within half a turn of the same angle a step before. The latter stands in the pair at one of the
-places `link.before`, if the child has angles that depend on themselves a step before.
+Angles live on one unwrapped chart: where a CPD's function wraps an angle of its child, the angle is
+moved by whole turns to within half a turn of the same angle a step before. `link.before` has the
+places in the pair of these earlier angles; it is empty for an affine CPD, and where the child does
+not depend on itself a step before.
 """
 
 from __future__ import annotations
@@ -39,15 +40,18 @@ class MomentChain:
 
     With a `schedule` each CPD is linearised at its incoming belief, and the sensors of a step again
     as the schedule says; new linearisations are stored in the plan if `keep` is set. The schedule's
-    gate leaves out measurements too far from their prediction. Without a schedule the
+    gate leaves out measurements too far from their prediction. With None for a schedule the
     linearisations stored in the plan are used, and `gated` has the probabilities of gates: one for
-    all sensors, a mapping from sensors to theirs, or None for no gates. An `anchor` is an
-    artificial measurement of all components at each step, which holds beliefs near a point and does
-    not count as evidence. `room(step)` gives the mean and the covariance that the update of a step
-    may write into. `check` linearises once at each step, and refuses what is not finite:
-    linearisations with LinearisationError, predictions with NumericalError. `residuals` has for
-    each relinearisation of a step's sensors the largest distance, over all steps, of a mean from
-    where it was linearised, in standard deviations, (runs,).
+    all sensors, a mapping from sensors to theirs, or None for no gates.
+
+    An `anchor` is an artificial measurement of all components at each step, which holds beliefs
+    near a point and does not count as evidence; None for none. `room(step)` gives the mean and the
+    covariance that the update of a step may write into; if `room` is None new arrays are made.
+    `check` linearises once at each step, and refuses what is not finite: linearisations with
+    LinearisationError, predictions with NumericalError.
+
+    `residuals` has one array (runs,) for each relinearisation of a step's sensors: the largest
+    distance, over all steps, of a mean from where it was linearised, in standard deviations.
     """
 
     def __init__(
@@ -255,12 +259,17 @@ class MomentChain:
     def _linearised(
         self, link: Link, at: At, before: Array, mean: Array, cov: Array
     ) -> tuple[Array, Array, Array, tuple[int, ...]]:
-        """A CPD as y = F x + b + n at a belief N(μ, P), `mean` and `cov`, over its parents.
+        """A CPD linearised as y = F x + b + noise at a belief over its parents x.
 
-        Returns F (d, m, *batch), the child's mean F μ + b (d, *batch), the covariance of n with the
-        approximation error (d, d, *batch), and the components without noise. `before` is the vector
-        with the states of the step before: an angle that the function wraps is moved to within half
-        a turn of its value there.
+        x has m components, the child y has d. The belief has the moments `mean` (m, *batch) and
+        `cov` (m, m, *batch). `before` is the vector with the states of the step before: an angle
+        that the function wraps is moved to within half a turn of its value there. Returns, in this
+        order:
+
+        - F (d, m, *batch);
+        - the child's mean, F `mean` + b, (d, *batch);
+        - the noise covariance with the approximation error, (d, d, *batch);
+        - the numbers of the child's components that have no noise.
         """
         family, bare = link.family, link.family.bare
         line = family.line(at, mean, cov)
@@ -300,12 +309,12 @@ def turns_far(link: Link, before: Array, value: Array) -> bool:
 
 
 def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
-    """The value (d, *batch) of a CPD without the whole turns by which its function wraps angles.
+    """The value of a CPD's function, `value` (d, *batch), with wrapped angles moved to the chart.
 
-    `before` is the pair, or the states of the step before alone: at the places `link.before` it has
-    the same angles a step before. The function wraps an angle if the angle's value stays the same
-    when all angles at these places are moved by a whole turn. A wrapped angle is moved to within
-    half a turn of itself a step before; others stay.
+    `at` has the function. `before` is the pair, or the states of the step before alone: at the
+    places `link.before` it has the same angles a step before. The function wraps an angle if the
+    angle's value stays the same when all angles at these places are moved by a whole turn. In the
+    result a wrapped angle is within half a turn of itself a step before; other components stay.
     """
     assert at.function is not None
     turned = value[link.angles] - before[link.before]
@@ -321,10 +330,12 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
 
 
 def largest(record: list[Array], residuals: Iterable[Array]) -> list[Array]:
-    """The larger of two steps' residuals, in a list with an array (runs,) for each relinearisation.
+    """The larger ones of two lists of residuals, entry by entry.
 
-    `record` and `residuals` are such lists. The shorter one, whose step settled earlier, is
-    continued with its last residual; an empty one does not count.
+    A step's residuals are the distances of its means from where they were linearised, an array
+    (runs,) for each relinearisation. `record` has the largest ones of the steps so far, `residuals`
+    those of one more step. The shorter list, whose steps settled earlier, is continued with its
+    last residual; an empty one does not count.
     """
     residuals = list(residuals)
     if not record or not residuals:

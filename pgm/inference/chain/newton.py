@@ -29,8 +29,8 @@ from pgm.kernels.tridiagonal import Tridiagonal
 class Means:
     """Means (T+1, runs, n), and the `variance` (T+1, runs, n) of each component given all others.
 
-    That is one over the diagonal of the information matrix, at most the marginal variance. Where
-    machine code or a smoother has found the means, it is the marginal variance. `readings` are the
+    This variance is one over the diagonal of the information matrix, at most the marginal one. It
+    is the marginal one where machine code or a smoother has found the means. `readings` are the
     measurements about the reference, None if machine code has found the means. `pair` is the number
     of components of a pair: of the states of the step before, and of the slice.
     """
@@ -77,9 +77,11 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
 def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
     """The normal equations A ξ = r of the means, as moves ξ from the reference of `readings`.
 
-    With transitions x_t = F x_{t−1} + b + n, n ~ N(0, Q), and measurements of slope H and noise
-    covariance R, the blocks on the diagonal of A are Q⁻¹ + Fᵀ Q⁻¹ F + HᵀR⁻¹H, and those to the
-    right of them −Fᵀ Q⁻¹. None where the prior's covariance or some Q is singular.
+    Let x_t = F x_{t−1} + b + noise be the transitions between slices, with noise covariances Q; the
+    measurements have slopes H and noise covariances R. A is block tridiagonal: the diagonal block
+    of a step is Q⁻¹ + HᵀR⁻¹H, with the Q of the transition to it (the prior's covariance at step
+    0), plus Fᵀ Q⁻¹ F of the transition from it; the block to its right is −Fᵀ Q⁻¹ of the latter.
+    None where the prior's covariance or some Q is singular.
     """
     layout = plan.layout
     states = layout.state_places
@@ -110,7 +112,10 @@ def _equations(plan: ChainPlan, readings: Readings) -> Tridiagonal | None:
 
 
 class _Move(NamedTuple):
-    """Linearised transitions x[t] = F x[t − 1] + b + noise: F (steps, runs, n, n), b (..., n)."""
+    """Linearised transitions between slices, x[t] = F x[t − 1] + b + noise.
+
+    `matrix` is F (steps, runs, n, n) and `offset` is b (steps, runs, n).
+    """
 
     matrix: Array
     offset: Array
@@ -123,11 +128,11 @@ class _Precision(NamedTuple):
 
 
 class _Terms(NamedTuple):
-    """The terms of transitions in the normal equations of their two slices, without W itself.
+    """What transitions x[t] = F x[t − 1] + b + noise add to the normal equations.
 
-    A transition is x[t] = F x[t − 1] + b + noise, and W the inverse covariance of its noise.
-    `before` is Fᵀ W F and `across` W F, (steps, runs, n, n); `right_before` is Fᵀ W b and
-    `right_after` W b, (steps, runs, n).
+    W is the inverse covariance of the noise. `before` is Fᵀ W F and `across` is W F, both
+    (steps, runs, n, n); `right_before` is Fᵀ W b and `right_after` is W b, both (steps, runs, n).
+    W itself, which the equations of the later slice get too, is not among them.
     """
 
     before: Array
@@ -140,8 +145,8 @@ def _terms(move: _Move, precision: _Precision) -> _Terms:
     """The products Fᵀ W F, W F, Fᵀ W b and W b of transitions x[t] = F x[t − 1] + b + noise.
 
     `move` has F (steps, runs, n, n) and b (steps, runs, n); `precision` has the inverse covariances
-    W of the noise, (steps or 1, runs or 1, n, n). The products are (steps, runs, n, n), the last
-    two (steps, runs, n).
+    W of the noise, (steps or 1, runs or 1, n, n). The first two products are (steps, runs, n, n),
+    the last two (steps, runs, n).
     """
     across = multiply(precision.matrix, move.matrix)
     after = apply(precision.matrix, move.offset)

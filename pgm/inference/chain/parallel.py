@@ -58,10 +58,14 @@ class Scanned:
     the reference.
 
     `agrees` says that composing segments has lost no digits, and will lose none in a backward pass.
-    It is true if each belief is found again, to 10⁻⁷ standard deviations, when it is predicted from
-    the one before it, and if more than 2.5·10⁻⁷ of each component's variance is left both by the
-    measurements of a step, unless they leave exactly zero, and by conditioning on the components
-    before it in the slice.
+    It is true if three tests are passed:
+
+    - Each belief is found again, to 10⁻⁷ standard deviations, when it is predicted from the one
+      before it.
+    - The measurements of a step leave more than 2.5·10⁻⁷ of each component's variance, or exactly
+      zero.
+    - Each component, given the components before it in the slice, keeps more than 2.5·10⁻⁷ of its
+      variance.
     """
 
     predicted_mean: Array
@@ -192,9 +196,9 @@ def _solve(
     `moves` are the transitions between slices (T, runs, ...), `first` is the solution of step 0.
     The beliefs before measurements are the prefixes of the elements of all steps; conditioned on
     the measurements they give the beliefs after. The result's `agrees` tells whether the beliefs
-    can be trusted: if each is found again when it is predicted from the one before, where rounding
-    in sharp elements would show, and if neither measurements nor correlations leave too little of a
-    variance.
+    can be trusted. To be so, each has to be found again when it is predicted from the one before,
+    which rounding in sharp elements would prevent, and no variance may be left too small by
+    measurements or correlations.
     """
     reference = readings.reference
     near = about(moves, reference)

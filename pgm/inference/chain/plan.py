@@ -5,9 +5,10 @@ of the states of the step before, then the slice. A *family* is a CPD at its *ro
 transition, or the measurements of a sensor, of which a step may have several. A *window* is a
 stretch of consecutive steps, with a plan of its own.
 
-A sweep goes from step to step, with a few batched kernel calls for each. Reversing a chain, and
-linearising it again, is one call for all steps, on arrays that have the time axis first and the
-runs second.
+A sweep goes from step to step, with a few batched kernel calls for each. Its arrays have their
+components first and the runs last, (n, *batch), `batch` being () for one run and (runs,) for
+several. Reversing a chain, and linearising it again, is one call for all steps, on arrays that have
+the time axis first and the runs second.
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ class ChainPlan:
 
     @cached_property
     def runs(self) -> int:
-        """Number of runs."""
+        """How many runs the evidence is of: the product of `lead`, 1 for a single run."""
         return math.prod(self.lead)
 
     @cached_property
@@ -208,9 +209,9 @@ class ChainPlan:
         The `lineariser` serves nonlinear CPDs that have none of their own. `first` is the number of
         the first step, and without `prior` the plan has none: both are for a plan of later steps.
         With `probe` each function is called once on trial, if the graph has not done so before.
-        Functions may be replaced by traces, programs recorded from a call. The values that a trace
-        gives are judged by the `judge` after the call; without a judge, each trace is compared with
-        its function at once.
+        Functions may be replaced by traces, programs recorded from a call of the function. A
+        trace's values are compared with the function's: by the `judge` when the inference is done,
+        or at once if that is None.
         """
         layout, lead = graph.layout, bound.lead
 

@@ -4,6 +4,12 @@ A `ChainPosterior` keeps the moments that the passes over a Gaussian dynamic net
 computes from them, when asked, marginals, joints, and the messages, beliefs and potentials of
 clusters. The steps are 0..T. A canonical form (K, h, g) is exp(−½ xᵀK x + hᵀx + g). A pass in
 *twice the digits* works with pairs of float64.
+
+The private fields of a posterior are what it computes from. `_planned` is the plan, the CPDs with
+their evidence and linearisations; `_swept` is the forward pass, all of it or its filtered moments
+alone. The others are None where there is no such thing: `_smoothed`, the smoothed beliefs;
+`_reverse_given`, the reversed chain, if the passes have made it; `_careful`, the forward pass in
+twice the digits; and `_windows`, the results of a fixed lag's sliding windows.
 """
 
 from __future__ import annotations
@@ -65,7 +71,7 @@ class ChainPosterior(Innovated, Posterior):
         ``unnormalised``, if a density has no finite integral.
     weights : mapping of Variable to ndarray
         By sensor, (*runs, M): the weight w of each of its M measurements, which counts as a
-        Gaussian of covariance `cov` / w.
+        Gaussian of covariance R / w, R being the covariance of its noise; 1 for Gaussian noise.
     associations : mapping of Variable to Associations
         By sensor: the candidate, such as a landmark, that each measurement was taken to be of,
         where the evidence left that open, by `unknown`.
@@ -116,7 +122,7 @@ class ChainPosterior(Innovated, Posterior):
     def _plan(self) -> ChainPlan:
         """The plan, linearised as the forward pass left it.
 
-        If the pass kept no linearisations in the plan, it is made again first.
+        If the pass kept no linearisations in the plan, the pass is made again first.
         """
         assert self._forward is not None
         return self._planned
@@ -157,7 +163,7 @@ class ChainPosterior(Innovated, Posterior):
 
     @cached_property
     def weights(self) -> Mapping[Variable, Array]:
-        """By sensor, (*runs, M): the weights of its measurements, 1 of Gaussian noise.
+        """By sensor, (*runs, M): the weights of its M measurements, 1 for Gaussian noise.
 
         NaN where nothing was measured.
         """

@@ -53,8 +53,8 @@ Room = tuple[Array, Array]
 class Moments(NamedTuple):
     """Mean (n, *batch) and covariance (n, n, *batch) of a slice.
 
-    `mild` says that the update they come from is known to shrink no variance more than a thousand
-    times.
+    `mild` says that they come from no measurement update, or from one that surely leaves a
+    thousandth or more of each variance.
     """
 
     mean: Array
@@ -63,7 +63,10 @@ class Moments(NamedTuple):
 
     @classmethod
     def of(cls, plan: ChainPlan, mean: Array, cov: Array) -> Moments:
-        """Moments from arrays with the runs first, (runs, n) and (runs, n, n)."""
+        """Moments from arrays with the runs first, (runs, n) and (runs, n, n).
+
+        The plan tells the `batch` that they get: () for one run, (runs,) for several.
+        """
         if not plan.batch:
             return cls(mean[0], cov[0])
         return cls(components_first(mean, 1), components_first(cov, 2))
@@ -131,9 +134,11 @@ def _absorb(
     """The belief given all sightings, as one vector, and their log-density (*batch); or None.
 
     `step` is the number that errors name, `belief` the predicted one, and `room` the mean and
-    covariance to write into. None is returned only if `least` is `NEARLY_SINGULAR`, 10⁻⁶, and the
-    predictive covariance S of the sightings is nearly singular: if some component, given those
-    before it, keeps less than this share of its variance in S.
+    covariance to write into, None for new ones. The predictive covariance S of the sightings is
+    nearly singular if some component, given those before it, keeps less than `NEARLY_SINGULAR`,
+    10⁻⁶, of its variance in S. The result is then None if `least` is that number. With a smaller
+    `least` it is not None: of several runs, faster formulas are then used as long as each component
+    keeps more than `least`, 0 standing for 10⁻¹³.
     """
     mean, cov, _ = belief
     sharp, first = None, parts[0]
@@ -167,7 +172,7 @@ class Reading:
     given, with a batch of length one if all runs have the same; `taken` (D, *batch) marks the
     components measured, None for all. With `fixed` the linearisation stored in the plan is used as
     it is: angles stay on their branch, and weights are not found anew. `seen` is the last
-    linearisation, `erroneous` whether one has added an approximation error to the noise, and
+    linearisation, `erroneous` whether any has added an approximation error to the noise, and
     `error` (D, D, *batch) the covariance of this error where weights are found. Once a gate has
     decided, `gate` is its probability, and `gated` has the mask of rejected sightings and their
     squares νᵀS⁻¹ν, (k, *batch) each, ν being the innovation and S its covariance; before, `gated`
@@ -293,10 +298,11 @@ class Reading:
         return moved
 
     def loss(self, left: Array, cov: Array) -> Array:
-        """Twice the sum of the losses ρ of residuals `left` (runs, D) of robust sightings, (runs,).
+        """Twice the sum of the losses ρ(s) of robust sightings, (runs,).
 
-        With a lineariser that takes expectations ρ is that of the expected square of a residual,
-        under a belief over the slice of covariance `cov` (runs, n, n).
+        s = rᵀR⁻¹r is the square of a sighting's residual r; the residuals are `left` (runs, D).
+        With a lineariser that takes expectations s is the square expected under a belief over the
+        slice, whose covariance is `cov` (runs, n, n); otherwise `cov` is not used.
         """
         weights, height = self.weights, self.sensor.height
         assert weights is not None

@@ -2,7 +2,7 @@
 
 Components stand first and runs last, (n, *batch), `batch` being () for one run and (runs,) for
 several. `step` is the number of the step to name, and `parts` are the linearised measurements of
-that step, one part a sensor.
+that step, one part a sensor. In *twice the digits* numbers are pairs of float64, `Twofold`.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
 def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
     """Raise NumericalError if the covariance `cov` (d, d, *batch) predicted by a CPD is indefinite.
 
-    `link` is the CPD of the d components. Only if its linearisation's error may have an indefinite
-    covariance is this tested. With `finite` a covariance that is not finite is refused, too.
+    `link` has the CPD of the d components. The test is left out if its linearisation's error cannot
+    have an indefinite covariance. With `finite` a covariance that is not finite is refused, too.
     """
     family, whole = link.family, bool(np.isfinite(cov).all())
     proper = family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2)))
@@ -119,10 +119,11 @@ def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
 def belief(plan: ChainPlan, step: int, *beliefs: tuple[Twofold, Twofold]) -> None:
     """Raise NumericalError if beliefs in twice the digits are not finite or indefinite.
 
-    A belief is a pair: the columns [m D] (runs, n, 1 + q) of its mean m + D δ, δ being the q
-    components that a flat prior leaves unknown (`careful_belief`), and its covariance (runs, n, n).
-    An indefinite covariance is blamed on a CPD of the plan whose approximation error may be
-    indefinite; without such a CPD only finiteness is tested.
+    Each of the `beliefs` is over the n components of the step's hidden variables. It is a pair: the
+    columns [m D] (runs, n, 1 + q) of its mean m + D δ, where δ are the q components that a flat
+    prior leaves unknown, and its covariance (runs, n, n). An indefinite covariance is blamed on a
+    CPD of the plan whose approximation error may have one; without such a CPD only finiteness is
+    tested.
     """
     for belief in beliefs:
         if not all(np.isfinite(part.hi + part.lo).all() for part in belief):

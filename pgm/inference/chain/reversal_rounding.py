@@ -1,29 +1,39 @@
 r"""A bound of the rounding in smoothed covariances, for the test whether float64 has digits enough.
 
-Bayes' rule reverses a transition y = A x + c + n, n ~ N(0, Q), from a slice x (the vector of all
-hidden variables of a step) to the next slice y, with the gain G = P Aᵀ P_y⁻¹, and the backward pass
-finds
+Let x be the slice of a step, the vector of all its hidden variables, and y the next slice; the
+steps are 0..T. The transition is y = A x + c + noise. The symbols are:
 
-    P′ = (1 − G A) P (1 − G A)ᵀ + G (Q + P_y′) Gᵀ
+- Q, the covariance of the transition's noise;
+- P, the covariance of x given the measurements up to its step, and P′ that given all measurements;
+- P_y, the covariance of y given the measurements before its step, and P_y′ that given all;
+- G = P Aᵀ P_y⁻¹, the gain, by which Bayes' rule reverses the transition;
+- σ, σ_Q and σ_y′, the vectors of standard deviations under P, Q and P_y′;
+- ε = 2.2·10⁻¹⁶, the relative rounding of float64.
 
-from the smoothed P_y′; P is the covariance of the filtered x, P_y that of the predicted y. The
-formula subtracts nothing, and its value is the least that any gain gives as long as the later
-measurements say nothing (P_y′ = P_y). An error δG of the gain still changes it by δG P_y′ Gᵀ and
-the transpose. With the standard deviations σ under P, σ_Q under Q and σ_y′ under P_y′, rounding by
-ε = 2.2·10⁻¹⁶ changes P Aᵀ by ε σ aᵀ and P_y = A P Aᵀ + Q by ε a aᵀ, a = |A| σ + σ_Q, hence G by up
-to ε g aᵀ |P_y⁻¹|, g = σ + |G| a: much, where components of y hardly vary given all others, as with
-a motion whose noise has few directions. The other ratios of that test (`certificate`) compare a
-variance with that given the components *before* it alone, and do not show this.
+Absolute values |·| and squares of vectors are taken entry by entry. The backward pass finds
 
-The error of P′ is bounded by E in the order of semidefinite matrices. Errors go back as covariances
-do: with the bound E_y for P_y′,
+    P′ = (1 − G A) P (1 − G A)ᵀ + G (Q + P_y′) Gᵀ.
 
-    E = G E_y Gᵀ + ε diag(τ g² + w²/τ + (|G| σ_y′)² + σ²),    wᵀ = aᵀ |P_y⁻¹ P_y′ Gᵀ|,
+This subtracts no covariances, but an error δG of the gain changes P′ by δG P_y′ Gᵀ and its
+transpose. How large is δG? With a = |A| σ + σ_Q, rounding changes P Aᵀ by up to ε σ aᵀ, and
+P_y = A P Aᵀ + Q by up to ε a aᵀ. Hence it changes G by up to ε g aᵀ |P_y⁻¹|, with g = σ + |G| a.
+That is much where components of y hardly vary given all others, as with a motion whose noise has
+few directions. The other tests of digits (`certificate`) compare a variance with that given the
+components *before* it alone, and do not show this.
 
-for any τ > 0, since 2 |u v| ≤ τ u² + v²/τ. With correlations C of P_y the term that a step adds is
-at most some ε (tr C⁻¹)² of P in that order, and as G P_y Gᵀ ≤ P, it never grows in units of P: the
-sum over the later steps is a bound that costs little, and where it is enough the sweep need not be
-made. The steps are 0..T.
+The error of P′ is bounded by E, and that of P_y′ by E_y, in the order of semidefinite matrices. An
+error of P_y′ goes back as P_y′ itself does, and the rounding at x is added to it:
+
+    E = G E_y Gᵀ + ε diag(τ g² + w²/τ + (|G| σ_y′)² + σ²),    wᵀ = aᵀ |P_y⁻¹ P_y′ Gᵀ|.
+
+The first two terms of the diagonal are for δG, and hold for any number τ > 0, since
+2 |u v| ≤ τ u² + v²/τ for all numbers u and v. The other two are for the rounding of the summands of
+P′ themselves.
+
+A bound that costs less is tried first. With the correlation matrix C of P_y, a step adds to E at
+most about ε (tr C⁻¹)² P, in the order of semidefinite matrices. As a share of P that does not grow
+when it is carried back, as G P_y Gᵀ ≤ P. So the sum of these shares over all later steps bounds E,
+and where it is small enough the sweep back that finds E itself need not be made.
 """
 
 from __future__ import annotations
@@ -55,6 +65,9 @@ _CHUNK = 1 << 16
 
 def keeps_digits(plan: ChainPlan, predicted: Array, known: Array, smoothed: Array) -> bool:
     """Whether the bound of rounding is at most 10⁻⁷ of every smoothed variance.
+
+    False also where correlations of a predicted slice are singular in float64, which leaves no
+    bound.
 
     Parameters
     ----------
@@ -105,12 +118,14 @@ def _swept(
 ) -> float:
     """The largest ratio of the bound E to a smoothed variance, by a sweep back over the steps.
 
-    It is infinite as soon as one exceeds 10⁻⁷. `added` (T, runs) is the bound that costs little:
-    the rounding of a step and all later ones, as a share of P. `doubtful` (T, runs) marks where it
-    comes to more than 10⁻⁷ of a smoothed variance. Only runs with such a step are swept, from the
-    last of these steps back; after that step E is the cheap bound. `moves` are the transitions
-    between slices, (T, runs, ...). `predicted`, `known` and `smoothed` (T+1, runs, n, n) are the
-    slices' covariances before the measurements of their steps, after them, and given all.
+    The result is infinite as soon as one ratio exceeds 10⁻⁷. `added` (T, runs) is the cheap bound:
+    the rounding of a step and all later ones, as a share of P. `doubtful` (T, runs) marks where
+    this bound is more than 10⁻⁷ of a smoothed variance. Only runs with a marked step are swept,
+    from the last marked step of any run back; after that step E is the cheap bound.
+
+    `moves` are the transitions between slices, (T, runs, ...). `predicted`, `known` and `smoothed`
+    (T+1, runs, n, n) are the slices' covariances before the measurements of their steps, after
+    them, and given all.
     """
     runs, size = np.flatnonzero(doubtful.any(axis=0)), predicted.shape[-1]
     end = int(np.flatnonzero(doubtful.any(axis=1))[-1]) + 1
@@ -150,11 +165,11 @@ def _some(part: Array, rows: slice, runs: Integers) -> Array:
 def injected(
     matrix: Array, noise: Array, predicted: Array, known: Array, later: Array
 ) -> tuple[Array, Array]:
-    """The gains G (..., n, n) of slices given the ones after, and what they add to E, (..., n).
+    """The gains G (..., n, n) of slices x, and the diagonals (..., n) that rounding adds to E.
 
-    The second result is the diagonal of ε diag(...) in E, with the τ at which its first two terms
-    count equally. `matrix` and `noise` are A and Q, `known` is P of the slice, and `predicted` and
-    `later` are P_y and P_y′ of the one after, all (..., n, n).
+    Such a diagonal is ε (τ g² + w²/τ + (|G| σ_y′)² + σ²), with the τ at which the first two terms
+    are of equal size. The arguments are (..., n, n): `matrix` is A and `noise` Q; `known` is P of
+    the slice x; `predicted` and `later` are P_y and P_y′ of the slice y after it.
     """
     spread, own, after = deviation(predicted), deviation(known), deviation(later)
     unit = np.where(spread > 0.0, spread, 1.0)

@@ -76,17 +76,18 @@ class Solver(ABC):
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
         """The posterior computed in float64.
 
-        `start` (T+1, runs, n) are means of the slices for the first linearisation, or None. `room`
-        is a pair of arrays (T+1, runs, ...) in which a filter may leave means and covariances; with
-        None it makes its own.
+        `start` (T+1, runs, n) are means of the slices for the first linearisation, None if the user
+        gave none. `room` is a pair of arrays (T+1, runs, ...) in which a filter may leave means and
+        covariances; with None it makes its own.
         """
 
     @abstractmethod
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
         """The posterior computed in pairs of float64.
 
-        `start` (T+1, runs, n) are means of the slices for the first linearisation, or None. Sliding
-        windows of a fixed lag choose float64 or pairs each for itself, in `solve` as here.
+        `start` (T+1, runs, n) are means of the slices for the first linearisation, None if the user
+        gave none. Sliding windows of a fixed lag choose float64 or pairs each for itself, here as
+        in `solve`.
         """
 
     def _posterior(
@@ -304,8 +305,9 @@ def _solved(
 ) -> ChainPosterior:
     """The posterior in float64, or, where that fails or loses too many digits, in pairs of float64.
 
-    `given` (T+1, runs, n) are the starting means, or None; the `judge` compares the values of
-    traces, which stand in for functions in this call, with those of the functions.
+    `given` (T+1, runs, n) are the means of the slices at which to linearise first, None if the user
+    gave none. The `judge` compares the values of traces, which stand in for functions in this call,
+    with those of the functions.
     """
     plan = ChainPlan.make(graph, bound, lineariser, judge=judge)
     gates = getattr(schedule, "gate", None)  # a plain calibration has none
@@ -393,7 +395,7 @@ SOLVERS: dict[type[Any], type[Solver]] = {
 def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
     """The solver for a schedule, or for the nearest of its base classes that has one.
 
-    A ModelError refuses a schedule without any.
+    The solver is made for the `graph`. A ModelError refuses a schedule for which there is none.
     """
     for each in type(schedule).__mro__:
         if each in SOLVERS:

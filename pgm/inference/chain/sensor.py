@@ -94,12 +94,12 @@ class GateRecord:
 
 
 class Seen(NamedTuple):
-    """Some linearised sightings z = F x + b + n of a sensor, (k, runs, ...).
+    """Some linearised sightings z = F x + b + noise of a sensor, x being its parents.
 
-    `matrix` is F (k, runs, d, m) over the m components x of the sensor's parents, `offset` b,
-    `noise` the covariance of n, and `value` z, its angles on the branch nearest the CPD's value. A
-    missing component is one of unit variance that says nothing: zero in F, b and z. `taken` (k,
-    runs or 1, d) marks the components measured, None if none is missing.
+    `matrix` is F (k, runs, d, m), the parents having m components; `offset` is b and `value` z,
+    (k, runs, d), angles of z on the branch nearest the CPD's value; `noise` (k, runs, d, d) is the
+    covariance of the noise. A missing component says nothing: it has unit variance, and zeros in
+    F, b and z. `taken` (k, runs or 1, d) marks the components measured, None if none is missing.
     """
 
     matrix: Array
@@ -184,7 +184,7 @@ class Sensor:
         return self.family.cpd.child
 
     def turning(self, height: int) -> list[int]:
-        """The places of angles among `height` components of stacked sightings."""
+        """The places of angles in a vector of stacked sightings with `height` components in all."""
         if not self._angles or height == self.height:
             return self._angles
         return [first + angle for first in range(0, height, self.height) for angle in self._angles]
@@ -195,12 +195,12 @@ class Sensor:
         return [int(k) for k in np.flatnonzero(self.variable.angle_mask)]
 
     def sharpness(self, noise: Array) -> Array | None:
-        """A bound on det S, (runs or 1,): a sighting with a smaller det S is mild, any other sharp.
+        """A bound on det S, (runs or 1,), below which a sighting counts as mild.
 
-        S = H P Hᵀ + R is the predictive covariance of a sighting, R = `noise` that of its noise, P
-        that of the belief, and H the linearised sensor's slope. An update by a mild sighting surely
-        leaves a thousandth or more of each variance. The result is None unless `noise` is the very
-        array that all measurements of the sensor have in common.
+        A mild sighting surely leaves a thousandth or more of each variance of the belief. Here
+        S = H P Hᵀ + R is the predictive covariance of a sighting, R = `noise` (d, d, *batch) that
+        of its noise, P that of the belief, and H the linearised sensor's slope. The result is None
+        unless `noise` is the very array that all measurements of the sensor have in common.
         """
         return self._sharpness if noise is self._constant else None
 

@@ -214,8 +214,8 @@ def _iterated(
 def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
     """Whether all iterations may solve normal equations for the means alone.
 
-    Points are means alone then: no lineariser, and no robust noise, may need covariances. False of
-    a single iteration, and under Levenberg–Marquardt.
+    They may if no lineariser and no robust noise needs the covariances of a point. The answer is
+    False where the schedule has a single iteration, or its step control is Levenberg–Marquardt.
     """
     several = schedule.iterations > 1 and not isinstance(schedule.damping, LevenbergMarquardt)
     if any(sensor.family.expects for sensor in plan.robust):
@@ -379,11 +379,12 @@ class Chain(Generic[Either]):
         return self.solver(self.plan, self.at, anchor)
 
     def cost(self, at: Point) -> Array:
-        """The cost of a trajectory of means (T+1, runs, n): −2 ln p less its constants, (runs,).
+        """The cost of a trajectory, the means (T+1, runs, n) of `at`, (runs,).
 
-        It sums rᵀ Q⁺ r over the residuals r of all CPDs, with noise covariances Q as linearised; of
-        robust measurements twice their losses, 2 ρ. With rules that take expectations r is that of
-        the expected function, under the point's covariances.
+        It is −2 ln p(trajectory, measurements) but for constants. Each CPD adds rᵀ Q⁺ r, with its
+        residual r, its noise covariance Q as linearised, and the pseudo-inverse Q⁺. A robust
+        measurement adds twice its loss, 2 ρ, instead. With rules that take expectations r is the
+        child's mean less the expected function, under the covariances of `at`.
         """
         return cost.trajectory(self.plan, at)
 
@@ -435,7 +436,10 @@ class _Means:
         return Means(solution.means, solution.point.std**2, Readings.of(plan, at), pair)
 
     def cost(self, at: Point) -> Array:
-        """The cost of a trajectory of means (T+1, runs, n): −2 ln p less its constants, (runs,)."""
+        """The cost of a trajectory, the means (T+1, runs, n) of `at`, (runs,).
+
+        It is −2 ln p(trajectory, measurements) but for constants.
+        """
         return self.chain.cost(at)
 
     def feasible(self, mean: Array, found: Point) -> Array:

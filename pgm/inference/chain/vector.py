@@ -22,14 +22,14 @@ from pgm.kernels.arrays import Array, Integers, Mask, apply, times
 
 
 class Measured(NamedTuple):
-    """Linearised sightings of one sensor at a step: z = value + H (x − point) + n.
+    """Linearised sightings of one sensor at a step: z = value + H (x − point) + noise.
 
-    `matrix` is H over the m components x of the sensor's parents, (D, m, *batch), `noise` the
-    covariance of n, (D, D, *batch); the batch may be of length one, for all runs. `point`
-    (m, *batch) is where the CPD's mean h was linearised, `value` (D, *batch) is E[h] there.
-    `reading` (D, *batch) is z, its angles on the branch nearest the value. `taken` (D, *batch)
-    marks the components measured, None for all; `offset` (D, *batch) is the constant b of an affine
-    CPD, else None.
+    x are the sensor's parents, of m components. `matrix` is H (D, m, *batch), `noise`
+    (D, D, *batch) a covariance; the batch may be of length one, for all runs. `point` (m, *batch)
+    is the mean at which the sensor's function h was linearised, and `value` (D, *batch) is h there,
+    or E[h] by rules that take expectations. `reading` (D, *batch) is z, its angles on the branch
+    nearest the value. `taken` (D, *batch) marks the components measured, None for all. `offset`
+    (D, *batch) is the constant b of an affine CPD z = H x + b + noise, else None.
     """
 
     sensor: Sensor

@@ -10,6 +10,9 @@ bound of the evidence (expectation–maximisation).
 
 A *graduated* loss, truncated least squares, is reached in stages μ: it begins wide, and is
 sharpened until it is the loss asked for.
+
+The sightings of a sensor at one step are also stacked to vectors of D = k d components, in arrays
+(D, *batch), `batch` being () for one run and (runs,) for several, or (1,) if all have the same.
 """
 
 from __future__ import annotations
@@ -31,11 +34,12 @@ _HALF = 0.5
 
 @dataclass(eq=False)
 class Weights:
-    """The weights w of some sightings of a sensor, (k, runs), and the squares s that they are of.
+    """The weights w of k sightings of a sensor, and the squares s at which they were found.
 
-    `white` (k or 1, runs or 1, d, d) is L⁻¹, L being the lower root of the noise covariance L Lᵀ of
-    the measured components, which `taken` (k, runs or 1, d) marks, None for all. `stage` (runs,) is
-    the μ of a graduated loss, infinite once it is the loss asked for, NaN before the first stage.
+    `weight` and `square` are (k, runs). `taken` (k, runs or 1, d) marks the measured components,
+    None for all. `white` (k or 1, runs or 1, d, d) is L⁻¹, L being the lower root of the measured
+    components' noise covariance R = L Lᵀ. `stage` (runs,) is the μ of a graduated loss: NaN before
+    the first stage, infinite once it is the loss asked for, and for all other losses.
     """
 
     noise: RobustNoise
@@ -51,7 +55,8 @@ class Weights:
     ) -> Weights:
         """Unit weights of `shape` (k, runs), for noise covariances `own` (k or 1, runs or 1, d, d).
 
-        A ModelError refuses singular covariances; a graduated loss is before its first stage.
+        `cpd` has the loss, and `taken` (k, runs or 1, d) marks the measured components, None for
+        all. A ModelError refuses singular covariances; a graduated loss is before its first stage.
         """
         assert cpd.noise is not None
         if taken is not None:
@@ -117,9 +122,9 @@ class Weights:
     def _weights(self, square: Array) -> tuple[Array, Array]:
         """The weights (k, runs) at squares s, and the stage (runs,) of the loss that they are of.
 
-        Truncated least squares goes on to its first stage, or to the one after the present; the
-        stage is infinite where the weights are those of the loss asked for already. Other noise
-        stays at its stage.
+        A graduated loss, truncated least squares, goes on to its first stage, or to the one after
+        the present. The stage is infinite where the weights are already those of the loss asked
+        for. Any other loss keeps its stage, infinity.
         """
         noise = self.noise
         hard = noise.weight(square, self.count)
@@ -190,9 +195,9 @@ class Weights:
 
 
 def by_sighting(array: npt.NDArray[Kind], height: int, own: int) -> npt.NDArray[Kind]:
-    """An array (D, *own, *batch) of k sightings, D = k d, as (k, runs or 1, d, *own).
+    """A stacked array (D, ..., *batch) of k sightings, D = k d, as (k, runs or 1, d, ...).
 
-    `height` is d, and `own` counts the axes *own.
+    `height` is d. `own` is the number of the axes "...", such as 1 for the columns of a slope H.
     """
     count = len(array) // height
     batch = array.shape[1 + own :] or (1,)
@@ -212,14 +217,17 @@ def own_blocks(noise: Array, height: int) -> Array:
 def scale(weight: Array, height: int, batch: tuple[int, ...]) -> Array:
     """The factors 1/√w of the standard deviations of stacked components, (D, *batch).
 
-    `weight` is w (k, runs), `height` is d.
+    `weight` is w (k, runs), `height` is d, and `batch` is () for one run, (runs,) for several.
     """
     found: Array = np.repeat(1.0 / np.sqrt(weight), height, axis=0)
     return found if batch else found[:, 0]
 
 
 def shown(weight: Array, taken: Mask | None) -> Array:
-    """Weights (k, runs), NaN where no component was measured."""
+    """Weights (k, runs), NaN where no component was measured.
+
+    `taken` (k, runs or 1, d) marks the measured components; None means all, so that none is NaN.
+    """
     if taken is None:
         return weight
     return np.where(taken.any(axis=-1), weight, np.nan)
