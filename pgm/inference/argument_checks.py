@@ -1,8 +1,9 @@
 """Checks of arguments: numbers, linearisers, and the CPDs that a kind of belief can take.
 
-Each check returns nothing. It raises a `ModelError`, or an `EvidenceError` about a measurement,
-that names what is wrong. Its text begins with the repr of `owner`, and calls `beliefs`, in the
-plural ("Gaussian beliefs"), the beliefs for which the CPDs have to be of some kind.
+A check returns nothing where the argument is right. Where it is wrong, the check raises a
+`ModelError`, or an `EvidenceError` about a measurement. The error's text begins with the repr of
+`owner`, if there is such an argument. An argument `beliefs` is the name, for the error's text, of
+the beliefs that take only CPDs of some kind, in the plural: "Gaussian beliefs".
 """
 
 from __future__ import annotations
@@ -87,10 +88,11 @@ def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
 
 
 def require_whole(cpd: CPD, taken: Mask, step: int) -> None:
-    """Refuse a partly missing measurement, if the density of its CPD has no marginals.
+    """Refuse a partly missing measurement, if the density of its CPD needs all components.
 
-    `taken` (d,) marks the components that were measured at `step`. A CPD that is `partial` has
-    marginals over the measured components, and is never refused. The error is an `EvidenceError`.
+    `taken` (d,) marks the components that were measured at `step`. A CPD whose `partial` is true
+    has a density of the measured components alone, and is never refused. The error is an
+    `EvidenceError`.
     """
     if not taken.all() and not cpd.partial:
         raise EvidenceError(

@@ -85,10 +85,11 @@ class Associations(Shown, Immutable):
     def judged(self, *, gated: bool) -> tuple[Mask, Mask]:
         """The masks (M, runs) of strange and of judged sightings, for the test of a lost belief.
 
-        A measured sighting is *strange* if it was taken for no candidate. The test compares the
-        number of strange sightings with that of *judged* ones. All measured sightings of a sensor
-        without a gate are judged. Of a sensor with a gate (`gated`) only the strange ones are
-        marked as judged, since the gate's own record counts all others.
+        A belief is lost if it is wrong by more than its covariance says. A measured sighting is
+        *strange* if it was taken for no candidate. The test compares the number of strange
+        sightings with that of *judged* ones. All measured sightings of a sensor without a gate are
+        judged. Of a sensor with a gate (`gated`) only the strange ones are marked as judged, since
+        the gate's own record counts all others.
         """
         measured = self.measured.reshape(-1, len(self.step)).T
         strange = measured & (self.candidate < 0).reshape(-1, len(self.step)).T

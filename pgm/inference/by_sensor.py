@@ -15,10 +15,10 @@ Value = TypeVar("Value")
 
 
 class EachSensor(Shown, Mapping[Variable, Value]):
-    """A mapping from sensors to results of one kind, such as innovations; each has a subclass.
+    """A mapping from sensors to results of one kind, such as innovations.
 
-    Its keys are the sensors that have results. Any other key raises an `EvidenceError`, in whose
-    text the results are called `_what`.
+    Each kind of results has a subclass of its own. The keys are the sensors that have results. Any
+    other key raises an `EvidenceError`, in whose text the results are called `_what`.
     """
 
     _what: ClassVar[str] = "results"

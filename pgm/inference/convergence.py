@@ -128,7 +128,10 @@ def _shrink_steadily(status: Status) -> bool:
 
 
 def _has_hubs(posterior: Posterior) -> bool:
-    """Whether a cluster of one variable alone has two or more neighbours, as in a Bethe graph."""
+    """Whether the posterior's graph has a hub, as a Bethe graph has.
+
+    A hub is a cluster of one variable alone that has two or more neighbours.
+    """
     graph = posterior.graph
     return any(
         len(cluster.scope) == 1 and len(graph.neighbours(k)) > 1
@@ -151,7 +154,10 @@ def _of_linearisations(status: Status, schedule: Filtering | FixedLag | Calibrat
 
 
 def _otherwise(schedule: Filtering | FixedLag | Calibration) -> str:
-    """Advice, as text, other than to iterate more: to damp, start nearer, or tolerate more."""
+    """The advice of a warning, apart from more iterations: to damp, start nearer, or tolerate more.
+
+    Only what the schedule can do is advised.
+    """
     ways = []
     damping = getattr(schedule, "damping", None)
     if isinstance(damping, LevenbergMarquardt):

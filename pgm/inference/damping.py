@@ -16,18 +16,25 @@ from pgm.inference.argument_checks import require_count
 class LevenbergMarquardt(InCode):
     """Steps that never raise the cost: full ones where they lower it, else held back.
 
-    A step leads from one point of linearisation to the next. A point is means x at which the CPDs
-    y = f(x) + n, n ~ N(0, R), are linearised. The cost of a point is
+    A point of linearisation is a mean of every hidden variable, and a step leads from one point to
+    the next. A CPD says that its child is f(parents) + e, with noise e ~ N(0, R). A point gives the
+    means x of the parents and y of the child; of a sensor y is the measured value. The belief's
+    covariance of the parents is P, and Q is R plus the covariance of the linearisation's error. The
+    cost of a point is
 
-        sum of rᵀ Q⁻¹ r over all CPDs,  r = y − E[f(X)],  X ~ N(x, P),
+        sum of rᵀ Q⁻¹ r over all CPDs,  r = y − E[f(X)],  X ~ N(x, P).
 
-    with the beliefs' covariances P and Q = R + (error of the linearisation) held fixed. Under
-    `Taylor` the cost is twice the negative log-density of x and the measurements, but for a
-    constant. The full step takes the means of the solution of the linearised model. If they raise
-    the cost, the model is solved again with a further measurement that holds x near the old point:
-    (the old point) = x + n, n ~ N(0, diag(P)/λ). λ grows from try to try; if no try lowers the
-    cost, the means stay. A posterior's means are those of the last point accepted, its covariances
-    those of the last linearisation, without the further measurement.
+    In a filter the CPDs are the sensors of the step, and the predicted belief is one more. P and Q
+    are held fixed where costs are compared. A CPD with robust noise adds twice its loss in place of
+    rᵀ Q⁻¹ r. Under `Taylor` the cost is twice the negative log-density of the point and the
+    measurements, but for a constant.
+
+    The full step takes the means of the solution of the linearised model. If they raise the cost,
+    the model is solved again with an added measurement of each component of each mean: its value is
+    the old point's, its noise variance the belief's variance divided by λ. The larger λ, the nearer
+    the solution is to the old point. λ grows from try to try. If no try lowers the cost, the means
+    stay. A posterior's means are those of the last point accepted. Its covariances are those of the
+    last linearisation, without the added measurement.
 
     This damping suits `Taylor`, and rules as exact as `GaussHermite`. With few sigma points the
     slope of the linearisation is only nearly the derivative of E[f(X)]. Close to a fixed point it

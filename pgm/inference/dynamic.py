@@ -4,16 +4,20 @@ The options of all functions are these, in a few words; `filter` and `infer` tel
 
 - `lineariser` is for the nonlinear CPDs that have none of their own.
 - `steps` is T, the last step, where no plain array in the evidence tells it.
-- `iterations` is the most linearisations that are made, `tolerance` how many standard deviations
-  means may still move when these end early, and `damping` the share of the old point of
-  linearisation that is kept, or a control of each step by its cost.
-- `gate` is the probability within which a measurement is taken in.
-- `start` has means at which everything is linearised first.
+- `iterations` is the most linearisations that are made. They end early once no mean moves by more
+  than `tolerance` standard deviations.
+- `damping` is the share of the old point of linearisation that is kept in the next one, or a
+  `LevenbergMarquardt`, which takes no step that raises the weighted sum of squared residuals.
+- `gate` is a probability: a measurement is left out if its innovation ν, of covariance S, has a
+  νᵀS⁻¹ν beyond the χ² quantile of that probability. It is one number for all sensors, or a mapping
+  from sensors to theirs; None leaves nothing out.
+- `start` has means, by variable, at which everything is linearised first; None for the beliefs of a
+  filter, or on a balanced tree for dead reckoning.
 - `lag` is the number of later steps whose measurements each belief knows; None for all.
-- `method` is `Balanced()` for a balanced tree in place of a chain.
+- `method` is `Balanced()` for a balanced tree; None for a chain.
 - `keep` names the variables whose marginals are kept; None for all.
-- `executor` is a pool of processes or threads that works on parts of the runs.
-- `belief` is a `Grid` or `Particles` in place of Gaussians.
+- `executor` is a pool of processes or threads that works on parts of the runs; None for none.
+- `belief` is a `Grid` or `Particles`; None for Gaussians, or for tables of discrete variables.
 - `compiled` says whether sweeps run in machine code; with None they do where they are long.
 - `progress` says whether bars show how far the work is.
 - `impossible` says what is done with runs whose evidence has probability zero, if the network is
@@ -149,12 +153,12 @@ def filter(
     steps : int, optional
         T, the last step: needed if the evidence has no plain array, whose length would tell it.
     iterations, tolerance, damping
-        The most linearisations of a step's sensors; how many standard deviations means may still
-        move when these end early; and the share of the old point of linearisation that is kept,
-        or a `LevenbergMarquardt`. See `Filtering`.
+        The most linearisations of a step's sensors; they end early once no mean moves by more than
+        ``tolerance`` standard deviations. ``damping`` is the share of the old point of
+        linearisation that is kept in the next, or a `LevenbergMarquardt`. See `Filtering`.
     gate : float or mapping of Variable to float, optional
-        The probability within which measurements are taken in, of all sensors or of some; see
-        `Filtering`.
+        A probability, of all sensors or by sensor. A measurement is left out if its innovation ν,
+        of covariance S, has a νᵀS⁻¹ν beyond the χ² quantile of this probability; see `Filtering`.
     compiled : bool or Compiled, optional
         Whether the sweep along the chain runs in machine code, by Numba. If not given, it does
         where the chain is long enough for that to be quicker; see `compile`.
@@ -305,21 +309,23 @@ def smooth(
     lag : int, optional
         The number of later steps whose measurements each belief knows; see `FixedLag`.
     iterations, tolerance, damping
-        The most linearisations; how many standard deviations smoothed means may still move when
-        these end early; and the share of the old point of linearisation that is kept, or a
-        `LevenbergMarquardt`. See `Smoothing` and `FixedLag`.
+        The most linearisations; they end early once no smoothed mean moves by more than
+        ``tolerance`` standard deviations. ``damping`` is the share of the old point of
+        linearisation that is kept in the next, or a `LevenbergMarquardt`. See `Smoothing` and
+        `FixedLag`.
     gate : float or mapping of Variable to float, optional
-        The probability within which measurements are taken in, of all sensors or of some; see
-        `Smoothing`.
+        A probability, of all sensors or by sensor. A measurement is left out if its innovation ν,
+        of covariance S, has a νᵀS⁻¹ν beyond the χ² quantile of this probability; see `Smoothing`.
     method : Balanced, optional
         `Balanced()` solves on a balanced tree, and starts from dead reckoning, which saves the
-        filter's sweep. If not given, the graph is a chain of slices, whose first linearisation is
-        the filter's. Each later linearisation is of all steps at once. It is solved for in about
-        2 log₂ T rounds, as on a balanced tree, where that is faster (from 64 steps on, if the
-        components of a slice times the runs are 200 at the most) and costs no digits (without
-        measurements that are noise-free, that are linearised jointly with others of their step,
-        or that shrink a variance more than 4·10⁶ times). Else, and always in machine code, it is
-        solved for step by step along the chain.
+        filter's sweep. If not given, the graph is a chain of slices, and the first linearisation
+        is the filter's. Each later one is of all steps at once, and the linearised model is solved
+        in one of two ways. One takes about 2 log₂ T rounds, as on a balanced tree; the other goes
+        step by step along the chain. The rounds are taken where they are faster and cost no
+        digits. They are faster from 64 steps on, if the components of a slice times the runs are
+        200 at the most. They would cost digits with measurements that are noise-free, that are
+        linearised jointly with others of their step, or that shrink a variance more than 4·10⁶
+        times. In machine code the model is always solved step by step.
     keep, executor, belief, compiled, progress, impossible
         The variables whose marginals are kept; a pool that works on parts of the runs; a `Grid` or
         `Particles` in place of Gaussians; whether sweeps run in machine code; whether bars show how

@@ -4,12 +4,14 @@ Beliefs are tables of discrete variables, or Gaussians of continuous ones. Of a 
 continuous variables they may also be *point masses*: the cells of a grid, or particles. The
 arguments of all functions are these, in a few words; `infer` tells more:
 
-- `schedule` says which messages are sent in which order, and how often CPDs are linearised.
+- `schedule` says which messages are sent in which order, and how often CPDs are linearised; None
+  for both passes, forward and back, over a chain or tree.
 - `lineariser` is for the nonlinear CPDs that have none of their own.
-- `start` has means at which everything is linearised first.
+- `start` has means, by variable, at which everything is linearised first; None for the beliefs at
+  hand.
 - `keep` names the variables of a dynamic network whose marginals are kept; None for all.
-- `executor` is a pool of processes or threads that works on parts of the runs.
-- `memory` is the number of bytes that the tables of all runs may take.
+- `executor` is a pool of processes or threads that works on parts of the runs; None for none.
+- `memory` is the number of bytes that the tables of all runs may take; None for 256 MiB.
 - `belief` is a `Grid` or `Particles`, for point masses; None for tables or Gaussians.
 - `progress` says whether bars show how far the work is.
 - `impossible` says what is done with runs whose evidence has probability zero, if the network is

@@ -6,17 +6,18 @@ to one vector x, is
 
     y = F x + b + e,   e ~ N(0, Q),   Q = R + Ω,
 
-R being the CPD's own noise covariance and Ω that of the linearisation's error. An affine CPD is
-such from the start, with Ω = 0. d are the components of y, n those of x. Arrays over rows and runs
+R being the CPD's own noise covariance and Ω the covariance of the linearisation's error. An affine
+CPD is such from the start, with Ω = 0. y has d components, and x has n. Arrays over rows and runs
 are (rows, runs, ...). An `At` (module `rows`) has a few consecutive rows, stacked to one vector; in
 its arrays components come first and the *batch* last: no axis for one run, else that of runs. A
-`Line` is a linearisation at a mean: F, the value at the mean, and the error's covariance Ω.
+`Line` is a linearisation at a mean: F, the value at the mean, and Ω, or None for zero.
 
 A nonlinear CPD has a function of its parents. Its `template` (`FunctionTemplate`) is that function
 with the derivatives that the user gave, and its parents, hidden and observed. A *trace* is a user's
 function recorded as a graph of scalar operations (`pgm.tracing`), which gives values and slopes,
-the trace's *answers*. The *judge* of a call compares these with the function once the call is done;
-a judge that is not *trusting* allows no traces.
+the trace's *answers*. A *call* is one of the user's, as of `smooth`. The *judge* of a call compares
+the answers with the function once the call is done; a judge that is not *trusting* allows no
+traces.
 """
 
 from __future__ import annotations
@@ -73,9 +74,10 @@ class Family(Rows):
     """A CPD at its rows, and its linearisation F, b and Q there.
 
     `noise` is Q, (rows, runs, d, d): a read-only view of `own_noise`, R, until some row has an
-    error Ω, then (`approximate`) an array of its own. `judge` is the call's judge of traces, None
-    without one. `compiled` records the answers of the trace that machine code uses, which is of the
-    function together with the derivatives that the user gave; None without machine code.
+    error Ω, then (`approximate`) an array of its own. `judge` is the call's judge of traces;
+    without one (None) each answer of a trace is compared at once. `compiled` records the answers of
+    the trace that machine code uses, which is of the function together with the derivatives that
+    the user gave; None without machine code.
     """
 
     noise: Array = field(init=False, repr=False)
@@ -101,10 +103,10 @@ class Family(Rows):
 
         `hidden` are the parents without evidence; `step` (rows,) is the step of each row, `inputs`
         are the other parents' values (rows, runs or 1, d) and `lead` the shape of the user's axes
-        of runs. Errors count runs from `first_run`. `timed` is False of a network without time. For
-        a nonlinear CPD a `template` is made if none is given, and the CPD's own lineariser, if it
-        has one, takes the place of `lineariser`. A CPD that is neither affine nor nonlinear
-        Gaussian is a `ModelError`.
+        of runs. The texts of exceptions number the runs from `first_run` on. `timed` is False of a
+        network without time. For a nonlinear CPD a `template` is made if none is given, and the
+        CPD's own lineariser, if it has one, takes the place of `lineariser`. A CPD that is neither
+        affine nor nonlinear Gaussian is a `ModelError`.
         """
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
@@ -444,7 +446,11 @@ class Family(Rows):
         return BoundFunction(self.template, known, lead, step, source=self.source)
 
     def value(self, rows: Some, mean: Array) -> Array:
-        """The predicted value F mean + b of some rows, (..., d), at means (..., n)."""
+        """The predicted value F mean + b of some rows at means of the hidden parents.
+
+        `rows` is the number of a row, then the means are (runs, n) and the values (runs, d); or a
+        slice of rows, then they are (rows, runs, n) and (rows, runs, d).
+        """
         return apply(self.matrix[rows], mean) + self.offset[rows]
 
     def to_chart(self, parents: Array, child: Array) -> None:
@@ -462,11 +468,11 @@ class Family(Rows):
     def probe(self, means: Mapping[Variable, Array]) -> None:
         """Call the function and its Jacobian on trial, to refuse wrong shapes before inference.
 
-        The value of a hidden parent is its mean (d,) from `means`, which has variables without a
-        step as keys, or zeros if it has none; that of another parent is its first evidence. All are
-        repeated along two leading axes whose lengths no vector of components has: a function that
-        takes an axis of runs for one of components then returns a wrong shape, which raises a
-        `ModelError`.
+        A hidden parent gets its mean (d,) from `means`, which has variables without a step as
+        keys, or zeros where it has none there; any other parent gets its first evidence. These
+        values are repeated along two leading axes. The axes' lengths differ from the numbers of
+        components of the child and of all parents, so that a function that takes such an axis for
+        components returns a wrong shape, which raises a `ModelError`.
         """
         if self.template is None or not self.step.size:
             return

@@ -1,10 +1,15 @@
-"""Relinearising chains and trees: linearise, solve, choose the next point, until it stays.
+"""Relinearising chains and trees: linearise, solve, choose the next point, until it moves no more.
 
 A *point* is where CPDs are linearised: means, and covariances for rules that use them. A run is
-*active* until it has converged. The *control* of a step chooses between the present point and the
-solution of the model linearised there: it takes the solution, or a mixture of both, or, by
-Levenberg and Marquardt, means of a lower cost (`LevenbergMarquardt` defines it). These are found
-with an *anchor*, a measurement of all means at the point, added to the model.
+*active* until it has converged. The *control* of a step chooses the next point, given the present
+one and the solution of the model linearised there: it takes the solution, or a mixture of both, or,
+by Levenberg and Marquardt, means of a lower cost. The *cost* of means sums, over all CPDs, the
+squared residual of the child, weighted with the inverse of the CPD's noise covariance
+(`LevenbergMarquardt` defines it in full). Means of a lower cost are found with an *anchor*, an
+added measurement of every component, whose value is that of the present point.
+
+Arrays over a chain are (steps, runs, n, ...), n being the number of hidden components of a step's
+slice.
 """
 
 from __future__ import annotations
@@ -59,10 +64,11 @@ class Point(NamedTuple):
         return self.mean[:1][..., states], block(self.cov[:1], states, states)
 
     def pairs(self, states: Index, places: Index) -> tuple[Array, Array]:
-        """Means and covariances of some components of each pair, (steps − 1, runs, ...).
+        """Means (steps − 1, runs, k) and covariances (steps − 1, runs, k, k) of parts of all pairs.
 
-        `states` are the places of the states' components in the slice; `places` are those of the
-        wanted components in the pair. `joint` must not be None if a place is of the later slice.
+        A part is k components, at the same `places` in each pair. `states` are the places of the
+        states' components in a slice. `joint` must not be None if one of the `places` is in the
+        later slice.
         """
         before, cov = self.mean[:-1][..., states], self.cov[:-1]
         front = before.shape[-1]
@@ -84,8 +90,9 @@ class Point(NamedTuple):
 class Anchor(NamedTuple):
     """A measurement of all components, (steps, runs, n), that holds a solution near a point.
 
-    It is `mean` = x + e, e ~ N(0, std²/λ) in each component, with λ = `weight` (runs,). Components
-    of zero `std` and runs of zero weight are not measured.
+    It says that `mean` is x + e, where x are the hidden components and e ~ N(0, std²/λ) in each of
+    them, with λ = `weight` (runs,). Components of zero `std` and runs of zero weight are not
+    measured.
     """
 
     mean: Array
@@ -98,7 +105,10 @@ class Anchor(NamedTuple):
         return Anchor(self.mean[one], self.std[one], self.weight)
 
     def hold(self, step: int, mean: Array, cov: Array) -> tuple[Array, Array]:
-        """Condition beliefs at a step, (runs, n) and (runs, n, n), on the anchor's measurement."""
+        """The mean (runs, n) and covariance (runs, n, n) of beliefs at a step, given the anchor.
+
+        `mean` and `cov` are those of the beliefs before they are conditioned on its measurement.
+        """
         held = (self.std[step] > 0.0) & (self.weight > 0.0)[:, None]
         eye = np.eye(mean.shape[-1])
         variance = self.std[step] ** 2 / np.where(self.weight > 0.0, self.weight, 1.0)[:, None]
@@ -124,8 +134,8 @@ class Solution(Protocol):
     def point(self) -> Any:
         """The solution's moments as a `Point`, at which the model can be linearised next.
 
-        Only the diagonals of its covariances need be right where nothing else of them is used:
-        neither by linearisations nor by the control of steps. Trees have a point of another class.
+        Trees have a point of another class. Covariances need only have the right diagonals if
+        neither the linearisations nor the control of steps uses their other entries.
         """
 
 
@@ -161,21 +171,22 @@ class Controlled(Problem[Found], Protocol[Found]):
         """The cost of a point's means, (runs,); its covariances and the noises are held fixed."""
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means (steps, runs, n) moved to where the cost is finite.
+        """The means `mean` (steps, runs, n), moved to where the cost is finite.
 
-        It is finite where linear CPDs of singular noise hold exactly. `mean` are the means to be
-        moved, `found` is the solution of the model linearised at them.
+        The cost is finite where the linear CPDs of singular noise hold exactly. `found` is the
+        solution of the model linearised at `mean`; its standard deviations may serve as units of
+        the distance by which means are moved.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class Iterated(Generic[S]):
-    """The result of an iteration.
+    """The result of linearising and solving until the runs converged, or iterations were used up.
 
-    `solution` is that of the last linearisation; `mean` (steps, runs, n) its means, or those that
-    the step control kept. `residuals` has (runs,) of each relinearisation: the largest distance of
-    a mean from the point where it was linearised, in standard deviations. `converged` (runs,) marks
-    the runs that have converged.
+    `solution` is that of the last linearisation. `mean` (steps, runs, n) are the means to report:
+    the solution's, or those that the control of steps kept in their place. `residuals` has, for
+    each relinearisation, (runs,): the largest distance of a mean from the point where it was
+    linearised, in standard deviations. `converged` (runs,) marks the runs that have converged.
     """
 
     solution: S
@@ -274,12 +285,12 @@ class _Control:
     ) -> Array:
         """Means (steps, runs, n) whose cost is no higher than that of the present `point`.
 
-        They are the point's own in runs that are not active. Those of `found` are tried first, the
-        solution of the model linearised at the point. In runs whose cost they raise, the model is
-        solved again with an anchor at the point, its weight λ multiplied by `rule.factor` at each
-        failure (Levenberg, 1944; Marquardt, 1963). Where no try succeeds, the point's own means
-        stay. A success divides the λ of the next step by the factor; λ is kept between `rule.start`
-        and 10¹².
+        In runs that are not `active` they are the point's own. In the others the means of `found`,
+        the solution of the model linearised at the point, are tried first. In runs whose cost they
+        raise, the model is solved again with an anchor at the point, whose weight λ is multiplied
+        by `rule.factor` at each failure (Levenberg, 1944; Marquardt, 1963). Where none of
+        `rule.tries` tries succeeds, the point's own means stay. A success divides the λ of the next
+        step by the factor. λ is kept between `rule.start` and 10¹².
         """
         cost = self.problem.cost(point)
         # A point outside a function's domain, where it has no cost, is worse than any other.

@@ -39,9 +39,9 @@ LISTED = 8
 class Room:
     """Limits of memory for the tables of many runs, in table entries summed over the runs.
 
-    Tables of at most `batch` entries are computed at once, for some of the runs if need be. A
-    posterior keeps its tables if they have at most `kept` entries, and else computes them again
-    when they are asked for.
+    At most `batch` entries are computed at once: if the tables of all runs have more, the runs are
+    worked through in parts. A posterior keeps its tables if they have at most `kept` entries, and
+    else computes them again when they are asked for.
     """
 
     batch: int

@@ -2,8 +2,8 @@
 
 Arguments `rows` are the CPD with its evidence, at all its steps or measurements; `function` is its
 function with the evidence of some of these bound, and `mean` (n, *batch) the mean of its hidden
-parents, of n components, where it was linearised. The batch has no axis, or that of runs as its
-last.
+parents, of n components, where it was linearised. The batch is () for one run, (runs,), or (rows,
+runs) where several steps or measurements are linearised in one call.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ def failure(rows: Rows, function: BoundFunction, mean: Array, error: Exception) 
     """The error to raise in place of one that a lineariser has raised, with CPD, step and run.
 
     A `Misfit`, which reports a result of a wrong shape or type, becomes a `LinearisationError`. A
-    `PgmError` is returned itself, with the CPD, variable and step that it lacks, if it names its
-    CPD or the lineariser is an `ArrayLineariser`, as those of this package are. Any other error
-    becomes a `ModelError`.
+    `PgmError` is returned itself if it has the attribute `cpd` set, or if the lineariser is an
+    `ArrayLineariser`, as those of this package are; those of its attributes `cpd`, `variable` and
+    `step` that are not set are filled in. Any other error becomes a `ModelError`.
     """
     if isinstance(error, Misfit):
         return _fault(rows, function, mean, *error.args)

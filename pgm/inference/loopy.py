@@ -1,12 +1,13 @@
 """Schedules on graphs of any shape: messages are sent until none changes.
 
-Message 2e goes along edge e of the graph's sepsets, from the lower cluster to the higher, 2e + 1
-back. A family of messages, tables or square roots of Gaussians, computes and keeps them. The
-*change* of a message is in standard deviations of the belief that it makes, or in probability. A
-run is *lost* when its messages diverge, and *active* until it is lost or has converged. A *round*
-sends as many messages as there are. A `Step` is a function that sends a round: it takes the masks
-of the active and of the lost runs, (runs,), and returns the changes of the messages, (messages,
-runs).
+Edge e is the e-th of the graph's sepsets. Message 2e goes along it from the cluster of the lower
+number to the other, message 2e + 1 back. A family of messages, tables or square roots of Gaussians,
+computes and keeps them. The *change* of a message is one number: of a table the largest change of a
+probability; of a Gaussian, in essence, how far a mean of the belief over the sepset moves, in
+standard deviations. A run is *lost* when its messages diverge, and *active* until it is lost or has
+converged. A *round* of a schedule sends as many messages as there are. A `Step` is a function that
+sends one: it takes the masks of the active and of the lost runs, (runs,), and returns the changes
+of the messages, (messages, runs).
 """
 
 from __future__ import annotations
@@ -73,7 +74,11 @@ class Directed:
 
 
 class Messages(Protocol[Round]):
-    """A family of messages: how they are computed, kept and compared."""
+    """A family of messages: how they are computed, kept and compared.
+
+    `round` prepares a group of messages, which may be any of them. `propose` computes the group's
+    messages anew, and `accept` puts these in the place of those that were kept.
+    """
 
     @property
     def directed(self) -> Directed:
@@ -81,34 +86,35 @@ class Messages(Protocol[Round]):
 
     @property
     def runs(self) -> int:
-        """Number of runs."""
+        """How many runs the messages are of; 1 for a single run."""
 
     @property
     def bounded(self) -> bool:
-        """Whether no change can exceed one, as of probabilities.
+        """Whether changes are of probabilities, so that none can exceed one.
 
-        Growing changes then are no sign of divergence.
+        Changes that grow are then no sign of divergence.
         """
 
     def round(self, messages: Sequence[int]) -> Round:
-        """Prepare what computing some messages, given by number, needs each time.
+        """Prepare a group of messages, given by their numbers, to be computed again and again.
 
-        The result is handed to `propose` and `accept`. Messages of equal shape are computed
-        together.
+        The result is handed to `propose` and `accept`. It has the layout by which messages of equal
+        shape are computed together.
         """
 
     def propose(self, round: Round) -> Array:
-        """Compute a round's messages from the messages that are kept, and return their changes.
+        """Compute a group's messages from the messages that are kept, and return their changes.
 
-        The changes are (messages, runs), in the order in which `round` was given the messages.
+        The argument is what the method `round` has returned for the group. The changes are
+        (messages, runs), in the order in which that method was given the messages.
         """
 
     def accept(self, round: Round, active: Mask, lost: Mask) -> None:
-        """Replace the messages kept, in the active runs, (runs,), by those of the last `propose`.
+        """Replace the kept messages of a group by those that `propose` has just computed for it.
 
-        If there is damping, the new messages are mixed with the old ones. Runs that are `lost`,
-        (runs,), keep their messages. Converged runs keep theirs, too, unless they share arrays with
-        active runs.
+        That is done in the `active` runs, (runs,). If there is damping, the new messages are mixed
+        with the old ones. Runs that are `lost`, (runs,), keep their messages. Converged runs keep
+        theirs, too, unless they share arrays with active runs.
         """
 
     def relinearise(self, active: Mask) -> Array | None:

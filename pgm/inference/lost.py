@@ -1,25 +1,28 @@
 """Whether a belief is lost: a sequential test of innovations and of gate rejections.
 
-A belief is *lost* when it is wrong by more than its covariance says. Two tests sum up
-log-likelihood ratios of a lost against a consistent belief, step by step. Innovations of a lost
-belief are taken to have κ = 2 times their variance: a step adds, in nats,
+A belief is *lost* when it is wrong by more than its covariance says, and *consistent* when it is
+not. Two tests sum up log-likelihood ratios of a lost against a consistent belief, step by step.
 
-    a = ½ (1 − 1/κ) NIS − ½ d ln κ,
+The first test is of innovations. Let ν be the innovation of the d measured components of a step, S
+its covariance, and NIS = νᵀS⁻¹ν, the normalised innovation squared. For a consistent belief NIS is
+χ² with d degrees of freedom. Innovations of a lost belief are taken to have the covariance κ S with
+κ = 2. A step therefore adds to the first sum, in nats,
 
-NIS being νᵀS⁻¹ν, the normalised innovation squared of the step's d measured components, with
-innovation ν of covariance S; of a consistent belief it is χ² with d degrees of freedom. If a gate
-has judged n *sightings* (single measurements of a sensor) and rejected r of them, they add
+    a = ½ (1 − 1/κ) NIS − ½ d ln κ.
 
-    b = r ln(q₁/q₀) + (n − r) ln((1 − q₁)/(1 − q₀)),
+The second test is of rejections. Let a gate have judged n *sightings* (single measurements of a
+sensor) of a step and rejected r of them. Let q₁ = ½ be the share of rejections of a lost belief,
+and q₀, a tenth, that of a consistent one. The step then adds to the second sum
 
-q₁ being the share of rejections of a lost belief, ½, and q₀ that of a consistent one, a tenth. A
-*strange* sighting, of unknown identity and taken for none of its candidates, counts as rejected; q₀
-is then at least the share of sightings that was declared spurious or new, and q₁ as far between ½
-and 1 as q₀ is between a tenth and 1.
+    b = r ln(q₁/q₀) + (n − r) ln((1 − q₁)/(1 − q₀)).
 
-The sums of a and of b are Page's tests: a sum is kept between zero and h = ln 10⁶. The belief is
-lost from where one of them reaches h until both have fallen to h − ln 100 or less; both then begin
-again at zero.
+A sighting of unknown identity is *strange* if it was taken for none of its candidates. Strange
+sightings count as rejected, with a q₀ of their own: the prior share of sightings that was declared
+spurious or new, but at least a tenth. Their q₁ then lies as far between ½ and 1 as q₀ does between
+a tenth and 1.
+
+Both are Page's tests: a sum is kept between zero and h = ln 10⁶. The belief is lost from where one
+sum reaches h until both have fallen to h − ln 100 or less; both then begin again at zero.
 """
 
 from __future__ import annotations
@@ -47,8 +50,8 @@ _WHY = ("innovations", "rejections")
 def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
     """The log-likelihood ratio b of r = `rejected` sightings out of n = `judged`.
 
-    It has the shape of these two arrays. q₀ is a tenth or, if larger, `outliers`, the share of
-    sightings that was declared to be spurious or new; q₁ follows from q₀.
+    It has the shape of these two arrays. q₀ is a tenth or, if larger, `outliers`, the prior share
+    of sightings that was declared spurious or new; q₁ follows from q₀.
     """
     own = min(max(outliers, OUTLIERS), 1.0 - 1e-6)
     share = LOST_SHARE + (1.0 - LOST_SHARE) * (own - OUTLIERS) / (1.0 - OUTLIERS)
@@ -110,7 +113,7 @@ class PageTest(NamedTuple):
     it has been above zero. `lost` (runs,) says whether the belief is lost. Of the latest stretch of
     being lost, (runs,) each: the step where it probably began (`first`), where it was noticed
     (`declared`), and the index of the test that did so, 0 of innovations and 1 of rejections
-    (`why`).
+    (`why`); all are zero before there is one.
     """
 
     level: Array
@@ -190,18 +193,22 @@ class Lost(Shown, Immutable):
 
     Notes
     -----
-    Page's test, for each step's NIS with d components and each gate's r rejections of n sightings,
+    There are two of Page's tests. Each keeps a sum C, to which a step adds a figure x, at most h/3:
 
     .. math:: C \leftarrow \min(h, \max(0, C + x)), \quad
         x = \tfrac14 \mathrm{NIS} - \tfrac d2 \ln 2
-        \ \text{ and } \ x = r \ln 5 - (n - r) \ln 1.8:
+        \ \text{ or } \ x = r \ln 5 - (n - r) \ln 1.8
 
-    innovations of twice their variance; half of all sightings rejected, where a tenth may be
-    outliers. Lost is where a C reaches h = ln 10⁶, in a consistent filter once in 10⁶ steps on
-    average at the most often; recovered where both have fallen by ln 100. One step counts for h/3
-    at the most. A sighting that is taken for none of its candidates, `pgm.unknown`, or that
-    truncated least squares leave out, is rejected too; more of the former are expected where more
-    are declared spurious or new.
+    The x of the first test is of NIS, the normalised innovation squared of the step's d measured
+    components: it asks whether innovations have twice their variance. The x of the second is of the
+    r sightings that gates have rejected out of n: it asks whether half of all are rejected, where a
+    tenth may be outliers. The belief is lost from where one C reaches h = ln 10⁶. In a consistent
+    filter that happens at most once in 10⁶ steps on average. It has recovered where both have
+    fallen to h − ln 100.
+
+    A sighting counts as rejected, too, if it is taken for none of its candidates (`pgm.unknown`),
+    or if truncated least squares leave it out. Where sightings are declared spurious or new more
+    often than one in ten, more that are taken for no candidate are expected.
 
     Page, Continuous inspection schemes, 1954; Lorden, Procedures for reacting to a change in
     distribution, 1971.

@@ -4,8 +4,8 @@ A *row* is a step of a transition, or a sighting of a sensor: a measurement at s
 there may be several. *Runs* are the simulations or robots that are worked on together; all of them
 have the same rows. In the arrays of `At` component axes come first, then the *batch*: no axis for
 one run, else that of runs, of length one where all runs are alike. An *input* is the value of a
-parent with evidence. d are the components of the CPD's child y, of an input its own; n those of the
-hidden parents, stacked to one vector x.
+parent with evidence. The CPD's child y has d components (in the shape of an input d is the number
+of the input's own), and its hidden parents, stacked to one vector x, have n.
 """
 
 from __future__ import annotations
@@ -31,10 +31,12 @@ from pgm.variables import Variable
 class At(NamedTuple):
     """Some rows of a CPD, stacked to be linearised as one, with their evidence bound.
 
-    `function` is to be linearised. It is None of an affine CPD, and of one that was linearised
-    before: then `matrix` is F (d, n, *batch) and `offset` b (d, *batch) of y = F x + b. `noise` (d,
-    d, *batch) is the CPD's own, plus the error of the linearisation where there was one. Of k rows
-    d is k times the components of the child. The rows are `first` up to, not including, `last`.
+    The rows are `first` up to, not including, `last`. The children of these k rows are stacked to
+    one vector y: here d is k times the number of a child's components. `function` is to be
+    linearised. It is None of an affine CPD, and of one that was linearised before: then `matrix` is
+    F (d, n, *batch) and `offset` b (d, *batch) of y = F x + b, which else are None. `noise` (d, d,
+    *batch) is the CPD's own noise covariance, plus that of the linearisation's error where the CPD
+    was linearised before.
     """
 
     function: BoundFunction | None
@@ -65,9 +67,10 @@ class Rows:
     zeros where there is no time (not `timed`); `inputs` (rows, runs or 1, d) the values of the
     other parents. `template` has the function, None of an affine CPD, whose F (d, n) and b (rows or
     1, runs or 1, d) are `affine`. `own_noise` (rows or 1, runs or 1, d, d) is the CPD's own noise
-    covariance. `batch` is (runs,), or () for one run; errors count runs from `first_run`.
-    `answers` records the values and slopes that the function's trace (`pgm.tracing`) gives in this
-    call, where a judge compares them with the function.
+    covariance. `batch` is (runs,), or () for one run; the texts of errors number the runs from
+    `first_run` on. A *trace* is a function recorded as a graph of scalar operations
+    (`pgm.tracing`). `answers` records the values and slopes that the function's trace gives in this
+    call, for a comparison with the function afterwards; None without that.
     """
 
     cpd: ConditionalGaussian
@@ -103,7 +106,7 @@ class Rows:
 
     @cached_property
     def bare(self) -> tuple[int, ...]:
-        """The components of the child whose own noise has no variance, at some row and run."""
+        """The indices of the child's components whose own noise is zero at some row and run."""
         variances = np.diagonal(self.own_noise, axis1=-2, axis2=-1)
         return tuple(int(k) for k in np.flatnonzero((variances == 0.0).any(axis=(0, 1))))
 
@@ -295,8 +298,8 @@ def own_noise(
     """The CPD's own noise covariance at its rows, (rows or 1, runs or 1, d, d).
 
     It has one row if it does not depend on `inputs` (rows, runs or 1, d). `step` (rows,) is None
-    without time; `lead` is the shape of the user's axes of runs; errors count runs from
-    `first_run`.
+    without time; `lead` is the shape of the user's axes of runs; the texts of errors number the
+    runs from `first_run` on.
     """
     size = cpd.child.dimension
     if not isinstance(cpd.cov, Noise):

@@ -56,11 +56,11 @@ class Status(Shown, Immutable):
         number of its iterations, which is less than the maximum also where messages diverged;
         `converged` is then False.
     residuals : ndarray
-        The convergence record. Of a tree, (iterations − 1, *runs): the largest move of a mean at
-        each relinearisation, in standard deviations (on a balanced tree, with `Taylor`, given
-        Jacobians and regular noise, in those of a component given all others). Of other graphs,
-        (iterations, *runs): the largest change of a message in each iteration, or move of a mean
-        where CPDs were linearised anew.
+        The convergence record. Of a tree or chain, (iterations − 1, *runs): the largest move of a
+        mean at each relinearisation, in standard deviations. (On a balanced tree, with `Taylor`,
+        Jacobians that are given and regular noise, these are the deviations of a component given
+        all other components.) Of other graphs, (iterations, *runs): the largest change of a message
+        in each iteration, or move of a mean where CPDs were linearised anew.
     converged : ndarray of bool
         (*runs): whether the last residual was within the tolerance, or nothing was to iterate. Of
         nonlinear CPDs that were linearised once it is False.
@@ -74,10 +74,10 @@ class Status(Shown, Immutable):
         others, and where it would take more than 8 MiB.
     digits : ndarray or None
         (*runs): how many decimal digits rounding leaves of the mean that it harms most. Digits are
-        counted from the mean's standard deviation, so that 6 are an error of 10⁻⁶ deviations; a
-        deviation below 10⁻⁹ of the largest one that the component had is taken as that. The
-        rounding of the mean to its last place in float64 is included. None where digits were not
-        measured, and half a last place of each mean is at most 10⁻⁶ of its standard deviation.
+        counted from the mean's standard deviation, so that 6 are an error of 10⁻⁶ deviations. If
+        the deviation is below 10⁻⁹ of the largest one that the component had, they are counted from
+        10⁻⁹ of that one. The rounding of the mean to its last place in float64 is included. None if
+        digits were not measured and that last rounding is at most 10⁻⁶ deviations for each mean.
         Fewer than six give a `PrecisionWarning`.
     compilation : str
         An account of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not
@@ -129,19 +129,21 @@ class Status(Shown, Immutable):
 
     @classmethod
     def of(cls, residuals: list[Array], converged: Mask, lead: tuple[int, ...]) -> Status:
-        """The status of CPDs linearised once, and again once for each of `residuals`.
+        """The status after a first linearisation of the CPDs and some relinearisations.
 
-        A residual (runs,) is the largest move of a mean, in standard deviations; `converged` is
-        (runs,). `lead` is the shape of the user's axes of runs, to which that of runs is reshaped.
+        `residuals` has one array (runs,) for each relinearisation: the largest move of a mean, in
+        standard deviations. `converged` (runs,) marks the runs that have converged. `lead` is the
+        shape of the user's axes of runs, into which the axis of runs is reshaped.
         """
         count = len(residuals)
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
         return cls(count + 1, record, converged.reshape(lead))
 
     def with_digits(self, digits: Array, cause: str = FAR_APART) -> Status:
-        """The same status with measured digits (*runs); fewer than six raise a `PrecisionWarning`.
+        """The same status with measured digits (*runs); fewer than six give a `PrecisionWarning`.
 
-        `cause` says in the warning why digits are few, and what helps.
+        `cause` are the words of the warning on why digits are few, and what helps. By default they
+        say that standard deviations of the model lie too far apart for float64.
         """
         found = self._measured(digits, cause)
         found._warn()
@@ -157,9 +159,10 @@ class Status(Shown, Immutable):
     def _losing(self, error: Array, cause: str) -> Status:
         """The same status with fewer digits, since means have a further error by rounding.
 
-        The error (runs,), in standard deviations, is added to the one that the present digits stand
-        for. Of `cause`, the words on this error, and the cause recorded before, the one of the
-        larger error is kept. No warning is given here: `_warn` gives it, once a call.
+        The further error (runs,), in standard deviations, is added to the one that the present
+        digits stand for. The words `cause` say why it arises. They are recorded for a warning,
+        unless the error before is as large or larger: then the words recorded before stay. No
+        warning is given here: `_warn` gives it, once a call.
         """
         past = np.zeros(error.shape)
         if self.digits is not None:

@@ -116,8 +116,8 @@ def by_variable(
     """A listing of beliefs, with a row for each component; a discrete variable has one row.
 
     Of more than twelve variables only the first and the last are shown. The columns are the first
-    two runs; without variables or runs the result is empty. If rows are cut off, a line with the
-    number of variables follows.
+    two runs. If there are no variables, or an axis of runs has length zero, the result is empty. If
+    rows are cut off, a line with the number of variables follows.
     """
     picked = [place for place in places(runs, RUNS) if place is not None][:RUNS]
     rows: list[Sequence[str] | None] = []

@@ -31,7 +31,7 @@ class Onwards(Protocol[B]):
 
 
 class Record(Protocol[C]):
-    """What a forward sweep tells of each step, so that its beliefs are kept."""
+    """The keeper of a forward sweep's beliefs: the sweep calls `keep` once for each step."""
 
     def keep(self, step: int, predicted: C, known: C, log_density: Array | float) -> None:
         """Keep a step: its beliefs, and the log-density of its measurements, (*runs).
@@ -68,8 +68,8 @@ def forward(family: Onwards[B], steps: int, record: Record[B]) -> None:
 def backward(family: Backwards[B], steps: int, last: B) -> Iterator[tuple[int, B]]:
     """Pairs of a step and what flows back to it, from step T = `steps` down to 0.
 
-    That is its belief given all evidence, of tables the message from later evidence; `last` is the
-    one at T.
+    For moments the belief given all evidence flows back; for tables it is the message that later
+    evidence sends. `last` is that belief, or message, at step T.
     """
     belief = last
     yield steps, belief

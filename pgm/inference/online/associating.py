@@ -64,6 +64,9 @@ def associated(
 
 
 def _by_run(rows: Any, lead: tuple[int, ...]) -> Any:
-    """Values (M, runs or 1, d) of M sightings with the user's axes of runs first, (*lead, M, d)."""
+    """The values `rows` of M sightings with the user's axes of runs first, (*lead, M, d).
+
+    `rows` is (M, runs or 1, d). `lead` is the shape of the user's axes of runs.
+    """
     wide = np.broadcast_to(rows, (len(rows), int(np.prod(lead)), rows.shape[-1])).swapaxes(0, 1)
     return wide.reshape(*lead, *wide.shape[1:])

@@ -9,9 +9,12 @@ tuple, the *core*, from which the attributes of a belief are made when one is as
 A belief is over the *slice*, the hidden variables of a step, which `layout` stacks to a vector of n
 components. `mean` and `cov` are (*lead, n) and (*lead, n, n), where `lead` is the shape of the
 user's axes of runs. With a lag a belief has in `behind` the earlier steps that the filter keeps: a
-`Trail` of transitions, or a `Sliding` window. Its `watch` is the test whether the belief is lost,
-that is, wrong by more than its covariance says, and `_gated` has the decisions of gates at its last
-update. A *plan* (`ChainPlan`) lays out the CPDs and evidence of a few steps.
+`Trail` of transitions, or a `Sliding` window; without a lag it has None. Its `watch` is the test
+whether the belief is lost, that is, wrong by more than its covariance says; None if the filter was
+made without. `_gated` has the decisions of gates at its last update: of each a sensor, the
+decisions, and the order of the sightings. A *plan* (`ChainPlan`) lays out the CPDs and evidence of
+a few steps, for some runs. In arrays of moments with a *batch* that is the last axis, of runs; one
+run has no such axis.
 """
 
 from __future__ import annotations
@@ -61,9 +64,10 @@ Core = tuple["Steps", int, Array, float, Kind, Status]
 
 
 class Steps(Protocol):
-    """The compiled steps that a core comes from.
+    """The part of a filter's compiled steps that a belief reads from its core.
 
-    `layout` is that of the slices, and `only` the slice's hidden variable if there is just one.
+    `layout` is that of the slices, and `only` the slice's hidden variable if there is just one,
+    else None.
     """
 
     layout: SliceLayout
@@ -116,8 +120,8 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
     log_evidence : ndarray
         (...): ln p of all measurements so far.
     status : Status
-        How the linearisations of the last update went; with the digits of the means, where
-        standard deviations lie too far apart for float64 and steps are made in twice the digits.
+        How the linearisations of the last update went. Its `digits` tell the decimal digits of the
+        means where rounding matters, as where steps are made in twice the digits.
     kind : Kind
         Which measurements it knows: filtered after an update, predicted before.
     associations : mapping of Variable to Associations
@@ -247,7 +251,9 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
 
     @property
     def lost(self) -> Mask:
-        """Whether the belief is probably wrong, (*runs), by a filter made with ``watch=True``.
+        """Whether the belief is probably wrong, (*runs): the verdict of a filter's watch.
+
+        The filter has to be made with ``watch=True``.
 
         Raises
         ------
@@ -336,9 +342,9 @@ def belief_of(
 ) -> OnlineBelief:
     """A belief from moments `found`: mean (n, *batch) and covariance (n, n, *batch).
 
-    The batch is no axis for one run, else that of runs. The belief's own arrays have the user's
-    axes of runs first, as `log_evidence`, (*runs), has them already. `careful` are the moments in
-    twice the digits, if there are any.
+    `plan`, that of the step, tells the layout of the slice and the user's axes of runs. The
+    belief's own arrays have these axes first, as `log_evidence`, (*lead), has them already.
+    `careful` are the moments in twice the digits, None if the step was made in float64 alone.
     """
     lead, (mean, cov, _) = plan.lead, found
     if lead:
@@ -358,8 +364,9 @@ def careful_belief(
 ) -> OnlineBelief:
     """A belief from moments in twice the digits, whose status tells how many digits means have.
 
-    `log_evidence` is (*runs); `status` is that of the step, to which the digits are added. Moments
-    or a log-evidence that are not finite in float64 raise a `NumericalError`.
+    `found` has the moments, and `plan`, that of the step, tells the layout of the slice and the
+    axes of runs. `log_evidence` is (*lead); `status` is that of the step, to which the digits are
+    added. Moments or a log-evidence that are not finite in float64 raise a `NumericalError`.
     """
     mean, cov = found.moments
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
@@ -405,10 +412,10 @@ def is_plain(belief: OnlineBelief) -> bool:
 def is_moderate(found: Moments, before: Moments) -> bool:
     """Whether float64 has digits enough for the moments `found`, made by a step from `before`.
 
-    Each variance has to be at least 5·10⁻⁸ of the earlier one, and its part that is left given the
-    components before it at least 5·10⁻⁸ of the variance; each mean has to be within 4.5·10¹⁰
-    standard deviations of zero. A component without a variance does not count if it had none
-    before.
+    Three things are asked of each component. Its variance has to be at least 5·10⁻⁸ of its variance
+    before the step. Its variance given the components that stand before it in the slice has to be
+    at least 5·10⁻⁸ of its variance. Its mean has to be within 4.5·10¹⁰ standard deviations of zero.
+    A component of variance zero passes if its variance was zero before.
     """
     return gaussian.is_moderate(found.mean, found.cov, before.cov, _REGULAR, certificate.FAR)
 
@@ -450,7 +457,8 @@ def refuse(step: int) -> NoReturn:
 def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
     """A belief's array (*lead, ...) repeated for the runs of a plan, (runs, ...).
 
-    `own` is the number of its last axes, which are those of components.
+    `own` is how many axes of components the array has, its last ones: 1 of a mean, 2 of a
+    covariance.
     """
     rest = array.shape[-own:]
     return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)

@@ -46,8 +46,9 @@ _FAR = "numbers are too far apart, or a reading is too sharp"
 class CompiledSteps:
     """Machine code for the steps of an online filter of one run, without gates or windows.
 
-    `ahead` and `seen` make the plan of a prediction and of an update from a belief and the values
-    given; `moved` and `taken` make the steps in the general way. `done` is the status after
+    It is made from functions of the filter, each of a belief and the values given. `ahead` and
+    `seen` make the plan of a prediction and of an update, which lays out the step's CPDs and
+    evidence; `moved` and `taken` make these steps in the general way. `done` is the status after
     predictions and updates by linear sensors, `linearised` after others. `left` counts the steps
     made in the general way, by reason: the belief is of many runs or of another filter, or float64
     has too few digits for it; a value is neither an array of numbers nor sightings without steps;
@@ -219,9 +220,9 @@ class CompiledSteps:
 def _tried(kind: Layout, found: Array, due: OnlineBelief) -> bool:
     """Whether machine code and NumPy give the same belief, to 10⁻⁶ standard deviations.
 
-    `found` (n + 1, n) is the mean and below it the covariance by machine code, `due` the belief by
-    NumPy. The first few steps of a `kind` are such trials, of which one is used up. If the two
-    differ, steps of the kind are made by NumPy from now on.
+    `found` (n + 1, n) is the result of machine code, the mean in its first row and the covariance
+    below; `due` is the belief by NumPy. The first few steps of a `kind` are such trials, of which
+    one is used up. If the two differ, steps of the kind are made by NumPy from now on.
     """
     std = np.sqrt(np.maximum(due.cov.diagonal(), 0.0))
     close = np.abs(found[0] - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)

@@ -85,10 +85,11 @@ class OnlineFilter(InCode, Immutable):
     lineariser : Lineariser, optional
         For every CPD that has none of its own; `Taylor()` without.
     schedule : Filtering or FixedLag, optional
-        How often measurements are linearised; once without. With a `FixedLag`, ``belief.lagged`` is
-        the belief at the step a lag before, given everything so far. Without iterations it is found
-        when it is asked for; with them each update settles the window of its step, taking all
-        measurements of the step together, as `infer` does on recorded ones.
+        How often measurements are linearised; once if not given. With a `FixedLag`,
+        ``belief.lagged`` is the belief at the step a lag before, given everything so far. If the
+        `FixedLag` has one iteration, that belief is found when it is asked for. If it has more,
+        each update linearises the last steps, its own included, until they settle, and takes all
+        measurements of its step together, as `infer` does on recorded ones.
     lag : int, optional
         In place of a schedule, as ``schedule=FixedLag(lag)``.
     gate : float or mapping of Variable to float, optional
@@ -325,7 +326,7 @@ class OnlineFilter(InCode, Immutable):
         ----------
         belief : OnlineBelief
         inputs : mapping of Variable to array_like
-            Values (..., d) of the transition's inputs.
+            Values (..., d) of the transition's inputs; may be left out if it has none.
 
         Returns
         -------
@@ -378,9 +379,11 @@ class OnlineFilter(InCode, Immutable):
     def _predicted(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
-        """Predict in float64, m ← F m + b, P ← F P Fᵀ + Q; None where that would lose digits.
+        """Predict in float64; None where that would lose too many digits.
 
-        A prediction that is not finite raises a `LinearisationError` or `NumericalError`.
+        The mean m becomes F m + b and the covariance P becomes F P Fᵀ + Q, with the slope F,
+        offset b and noise covariance Q of the linearised transition. A prediction that is not
+        finite raises a `LinearisationError` or `NumericalError`.
         """
         step, behind = belief.step + 1, belief.behind
         laid = None if belief.lead else self._motions.motion(belief, inputs)
@@ -476,7 +479,7 @@ class OnlineFilter(InCode, Immutable):
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
-        """Update in float64 with a step's readings; None where that would lose digits.
+        """Update in float64 with a step's readings; None where that would lose too many digits.
 
         The log-evidence grows by ln p(readings | earlier measurements), in nats.
         """
@@ -516,10 +519,10 @@ class OnlineFilter(InCode, Immutable):
         return plan
 
     def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
-        """The plan of a window with the evidence `bound`, whose first step is number `first`.
+        """The plan of a window, the steps within the lag, with the evidence `bound`.
 
-        `prior` says whether the window begins with the model's prior, as at step 0, or with a
-        belief.
+        Its first step is number `first`. `prior` says whether the window begins with the model's
+        prior, as at step 0, or with a belief.
         """
         plan = self._plan(bound, first, prior=prior)
         assert isinstance(self.schedule, FixedLag)

@@ -1,8 +1,10 @@
 """Judged sightings of an update of an online filter: decisions of gates, and the watch after them.
 
 A sighting is one measurement of a sensor. A *judged* sighting is one about which a gate, or robust
-noise that leaves outliers out, has decided. A `Watch` is the test whether the belief is lost, which
-counts these decisions and the innovations.
+noise that leaves outliers out, has decided. A `Decided` is a sensor, the record of its gate's
+decisions, and the order of its sightings in the evidence. A `Watch` is the test whether the belief
+is lost, that is, wrong by more than its covariance says; it counts these decisions and sums up the
+innovations. None in its place means that the filter does not watch.
 """
 
 from __future__ import annotations
@@ -102,9 +104,10 @@ def _read(nis: Array, dof: Integers, each: Sequence[tuple[Mask, Mask] | None]) -
 
 
 def _decided(part: Reading) -> Decided:
-    """A sensor, its gate's decisions (M, runs) at an update, and the order of its sightings.
+    """The decisions of a gate about the M sightings of one sensor, the measurements `part`.
 
-    Row k of the decisions is sighting ``order[k]`` of the evidence.
+    The result is the sensor, the decisions (M, runs), and the `order` of the sightings: row k of
+    the decisions is sighting ``order[k]`` of the evidence.
     """
     assert part.gated is not None
     rejected, square = (each.reshape(len(each), -1) for each in part.gated)

@@ -1,9 +1,11 @@
 """A step of an online filter as a table of integers, by which machine code knows its arrays.
 
-A *layout* is a plan of one step whose values stand in arrays of fixed shapes. The *table* has the
-addresses and shapes of these arrays, as described in `pgm.kernels.compiled.online`; at each step of
-the same *kind*, with the same variables given in arrays of the same shapes, machine code copies
-what is given into them. The *general way* to make a step is NumPy's, without machine code.
+A *plan* lays out the CPDs and the evidence of a step. A *layout* is such a plan whose values stand
+in arrays of fixed shapes. The *table* has the addresses and shapes of these arrays, as described in
+`pgm.kernels.compiled.online`; at each step of the same *kind*, with the same variables given in
+arrays of the same shapes, machine code copies what is given into them. The *general way* to make a
+step is NumPy's, without machine code. A *trace* is a user's function recorded as a graph of scalar
+operations, which machine code evaluates.
 """
 
 from __future__ import annotations
@@ -33,13 +35,13 @@ TRIALS = 5
 class Layout:
     """A plan of one step, its values in arrays of fixed shapes that later steps fill anew.
 
-    `values` are those given at the first step of the kind, and `shapes` those of their arrays.
-    `step` is the table, valid while the layout is kept; None where machine code cannot make the
-    step, for the reason `why`. `first` and `second` are the variables whose arrays a kernel takes
-    as they come: an input alone, or a sensor and the parent given with its sightings; None where
-    all values come in one row, one after another. `status` is that of a belief after the step. The
-    `judge` compares the functions' traces with the functions; `trials` is how many more steps are
-    made in the general way, too, before machine code is trusted.
+    It is made from the `plan` and `values` of the first step of the kind, and from the `shapes` of
+    the values' arrays. `step` is the table, valid while the layout is kept; None where machine code
+    cannot make the step, for the reason `why`. `first` and `second` are the variables whose arrays
+    a kernel takes as they come: an input alone, or a sensor and the parent given with its
+    sightings; None where all values come in one row, one after another. `status` is that of a
+    belief after the step. The `judge` compares the functions' traces with the functions; `trials`
+    is how many more steps are made in the general way, too, before machine code is trusted.
     """
 
     step: Integers64 | None = None

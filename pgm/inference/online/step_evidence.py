@@ -76,7 +76,8 @@ def inputs(
 ) -> BoundEvidence:
     """The inputs of a prediction as bound evidence of one transition.
 
-    A variable that is no input of the transition raises an `EvidenceError`.
+    `values` has the inputs by variable, and `belief` is the one to predict from. A variable that is
+    no input of the transition raises an `EvidenceError`.
     """
     needed = {v for cpd in model.transition for v in cpd.parents}
     for variable in values:
@@ -94,7 +95,11 @@ def inputs(
 def readings(
     model: DynamicBayesianNetwork, belief: Place, values: Mapping[Variable, Any]
 ) -> BoundEvidence:
-    """The measurements of an update, and inputs of its sensors, as bound evidence of step 0."""
+    """The measurements of an update, and inputs of its sensors, as bound evidence.
+
+    `values` has both by variable, and `belief` is the one to update. The evidence is that of a
+    chain of this one step, which is therefore its step 0.
+    """
     evidence = {v: _reading(model, v, value) for v, value in values.items()}
     parts = model.transition, model.observation, evidence, 0, belief.lead
     return _same_runs(belief, bind(*parts, transition_inputs=False, identities=True))
@@ -313,10 +318,10 @@ class Layouts:
         self._known: dict[Key, _Layout] = {}
 
     def motion(self, belief: OnlineBelief, inputs: Values) -> tuple[MomentChain, list[At]] | None:
-        """The chain of a prediction, and its transition CPDs bound to the inputs.
+        """What makes a prediction: its `MomentChain`, and its transition CPDs bound to the inputs.
 
-        None where the general way is to be taken: values have no kind, or a noise that depends on
-        inputs is singular.
+        The chain belongs to the kept plan of the inputs' kind. None where the general way is to be
+        taken: values have no kind, or a noise that depends on inputs is singular.
         """
         given = ordinary(inputs)
         if given is None:
@@ -331,10 +336,10 @@ class Layouts:
     def sensors(
         self, belief: OnlineBelief, readings: Values
     ) -> tuple[MomentChain, list[Reading]] | None:
-        """The chain of an update, and its measurements: sensors' CPDs bound to the readings.
+        """What makes an update: its `MomentChain`, and sensors' CPDs bound to their readings.
 
-        None where the general way is to be taken: values have no kind, or a noise that depends on
-        inputs is singular.
+        The chain belongs to the kept plan of the readings' kind. None where the general way is to
+        be taken: values have no kind, or a noise that depends on inputs is singular.
         """
         given = ordinary(readings)
         if given is None:
@@ -360,7 +365,7 @@ class Layouts:
         return chain, parts
 
     def _add(self, key: Key, belief: OnlineBelief, values: Values) -> _Layout:
-        """Make a layout from the first values of a kind, and keep it."""
+        """Make a layout from the first values of a kind, and keep it under the kind's `key`."""
         plan, where = self._make(belief, values), places(values)
         locals_ = [_local(link.family, None, 1, where) for link in plan.transition]
         if plan.sensors:
@@ -381,7 +386,7 @@ def _local(
     count: int,
     where: Mapping[tuple[Variable | None, Variable], int],
 ) -> _Local:
-    """A CPD, `family`, with the places of its inputs.
+    """The CPD `family` as a `_Local`, which knows the places of its inputs and measurements.
 
     `sensor` is the CPD's child and `count` its number of sightings; None and 1 for a transition. An
     input that was given by itself, not with the sensor's sightings, is shared by all of them.

@@ -94,7 +94,8 @@ class Sliding:
     def read(self, make: Make, readings: tuple[Reading, ...], lead: tuple[int, ...]) -> Sliding:
         """The window settled again with further measurements of its newest step.
 
-        `lead` is the shape of the axes of runs from then on.
+        `readings` has the measurements of an update, one element for each sensor; `lead` is the
+        shape of the axes of runs from then on.
         """
         *others, last = self.entries
         last = last._replace(readings=(*last.readings, *readings))
@@ -230,8 +231,10 @@ class _Ends(NamedTuple):
 class Passed:
     """A past transition, made in float64, with its reverse, by which lagged beliefs are smoothed.
 
-    The plan is of this one step; `before` are the moments before it, `after` those predicted. The
-    reverse is found when it is asked for, since most beliefs are never lagged.
+    The *reverse* is the distribution of the slice before the transition given the slice after it.
+    It is found when it is asked for, since most beliefs are never lagged. The object is made from
+    the `plan` of this one step, the moments `before` it, and the predicted moments `after` it.
+    Arrays are (*lead, ...), *lead being the user's axes of runs; a slice has n components.
     """
 
     def __init__(self, plan: ChainPlan, before: Moments, after: Moments) -> None:
