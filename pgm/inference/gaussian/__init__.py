@@ -1,7 +1,9 @@
 """Inference in static Gaussian networks, on cluster graphs that are trees or have loops.
 
-`run` sends the messages of a schedule and returns the posterior. A factor is kept as the *rows* A
-and r of exp(−½ ‖A ξ − r‖²), of which A is a root of the information matrix AᵀA.
+`run` sends the messages of a schedule and returns the posterior. A factor is kept in
+square-root form, exp(−½ ‖A ξ − r‖²), over coordinates ξ of the hidden variables: their distances
+from the prior's means, in the prior's standard deviations. The matrix A is a root of the factor's
+information matrix, AᵀA. The rows of A and r together are the factor's *rows*.
 """
 
 from pgm.inference.gaussian.run import run

@@ -1,15 +1,17 @@
 """Beliefs of the clusters of a Gaussian network: means and covariances in a frame's coordinates.
 
-A frame has coordinates ξ with x = mean + scale ξ (`Frame`). The components of all hidden variables
-make one vector, (size,), and the *place* of a component is its index there; its *column* is its
-index in the scope of a cluster. Where all runs share their covariances these are kept once, V = 1,
-and the means of the N runs are N columns beside one another; else V = runs, and N = 1. The means of
-all clusters stand one after another along one axis, and so do the entries of their covariances, row
-by row.
+The components of all hidden variables make one vector x, (size,). A *frame* has coordinates ξ of
+it, x = mean + scale ξ (`Frame`). The *place* of a component is its index in x; its *column* is its
+index in the scope of a cluster.
 
-A *group* is made of copies of one CPD that have evidence for the same of their variables; a *stack*
-is a batch of B factors, or of B clusters, of equal shape. A factor exp(−½ ‖A ξ − r‖²) over n
-components is kept as k *rows*: its matrix A (k, n) and its right sides r (k, N).
+V is the number of covariances that are kept, and N the number of columns of means that go with each
+of them: V = 1 and N = runs where all runs share their covariances, else V = runs and N = 1. The
+means of all clusters stand one after another along one axis, and so do the entries of their
+covariances, row by row; an index along such an axis is a *flat index*.
+
+A *group* is made of copies of one CPD in which the same variables have evidence. A *stack* is a
+batch of B factors, or of B clusters, of equal shape. A factor exp(−½ ‖A ξ − r‖²) over n components
+is kept as k *rows*: its matrix A (k, n) and its right sides r (k, N).
 """
 
 from __future__ import annotations
@@ -28,7 +30,10 @@ from pgm.kernels.arrays import Array, Integers, Mask
 
 
 def by_run(array: Array, *, shared: bool) -> Array:
-    """Vectors (..., runs, d) as (V, ..., d, N), V = 1 if `shared`, N = 1 if not."""
+    """Vectors (..., runs, d) as (V, ..., d, N).
+
+    V is 1 and N the number of runs if `shared`, else V is the number of runs and N is 1.
+    """
     if shared:
         return np.moveaxis(array, -2, -1)[None]
     return np.moveaxis(array, -2, 0)[..., None]
@@ -67,11 +72,11 @@ class Places:
         return np.cumsum([0, *(size * size for size in self.sizes)])
 
     def means(self, clusters: Integers, columns: Integers) -> Integers:
-        """Flat indices (B, n) of the means at columns (B, n) of clusters (B,)."""
+        """Flat indices (B, n) of means: row b has those at columns[b], (n,), in clusters[b]."""
         return self.starts[clusters][:, None] + columns
 
     def covs(self, clusters: Integers, columns: Integers) -> Integers:
-        """Flat indices (B, n, n) of the covariances between columns (B, n) of clusters (B,)."""
+        """Flat indices (B, n, n) of covariances: those of columns[b], (n,), in clusters[b]."""
         size = np.array(self.sizes, dtype=np.intp)[clusters][:, None, None]
         start = self.block_starts[clusters][:, None, None]
         return start + columns[:, :, None] * size + columns[:, None, :]
@@ -87,9 +92,10 @@ class Places:
 
     @cached_property
     def homes(self) -> tuple[Integers, Integers]:
-        """The smallest cluster that holds each component, and its column there, (size,) both.
+        """The smallest cluster that holds each component, and the component's column in it.
 
-        The smallest cluster is the one of fewest components, and of equals the first.
+        Both are (size,), by place. The smallest cluster is the one of fewest components, and of
+        equals the first.
         """
         cluster, column = np.empty((2, self.layout.size), dtype=np.intp)
         # Of clusters of one size the first is written last, and stays.
@@ -182,8 +188,9 @@ class TreePoint(NamedTuple):
 class Calibrated:
     """The result of sending all messages: the clusters' beliefs and ln p(evidence), (V, N).
 
-    `digits` (runs,) are the correct decimal digits of the means, counted from their standard
-    deviations; None where they are not measured.
+    `digits` (runs,) are the correct decimal digits of each run: k if rounding moves no mean by more
+    than about 10⁻ᵏ of its standard deviation, and ln p(evidence) by no more than about 10⁻ᵏ. It is
+    None for a solution in float64, whose digits are counted elsewhere.
     """
 
     beliefs: Beliefs
@@ -192,20 +199,24 @@ class Calibrated:
 
     @property
     def means(self) -> Array:
-        """The means of all hidden components in the user's units, (1, runs, size)."""
+        """The means of all hidden components in the user's units, (1, runs, size).
+
+        The first axis is that of time steps, of which a network without time has one.
+        """
         return self.point.mean
 
     @cached_property
     def point(self) -> TreePoint:
-        """The beliefs as a point of linearisation."""
+        """The beliefs with their means and standard deviations, to linearise nonlinear CPDs at."""
         mean, std = self.beliefs.components()
         return TreePoint(mean[None], std[None], self.beliefs)
 
 
 def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
-    """Linearise every nonlinear CPD of a model anew, in place, at its cluster's belief.
+    """Linearise every nonlinear CPD of a model anew, in place, at the belief of its hidden parents.
 
-    The mask `active` (runs,) tells in which runs.
+    This is the belief of the cluster that the CPD is assigned to. The mask `active` (runs,) marks
+    the runs in which the CPDs are linearised; in the others they stay as they are.
     """
 
     def moments(g: int) -> tuple[Array, Array]:
@@ -244,9 +255,10 @@ class Flat(NamedTuple):
         )
 
     def at(self, entries: Integers, rows: Integers) -> tuple[Array, Array]:
-        """Gather matrices and right sides at flat indices of `entries` and `rows`.
+        """Gather the matrices and the right sides of B factors, by their flat indices.
 
-        Entries (B, k, n) and rows (B, k) give (V, B, k, n) and (V, B, k, N).
+        The matrices, at `entries` (B, k, n), are (V, B, k, n); the right sides, at `rows` (B, k),
+        are (V, B, k, N).
         """
         return self.matrix[:, entries], self.right[:, rows]
 
@@ -257,8 +269,9 @@ class Flat(NamedTuple):
         matrix: Array | float = 0.0,
         right: Array | float = 0.0,
     ) -> None:
-        """Store `matrix` at flat indices `entries` and `right` at flat indices `rows`.
+        """Store `matrix` at the flat indices `entries`, and `right` at the flat indices `rows`.
 
-        Where `matrix` or `right` is left out, zeros are stored.
+        For indices (...) `matrix` is (V, ...) and `right` (V, ..., N). Where one of them is left
+        out, zeros are stored.
         """
         self.matrix[:, entries], self.right[:, rows] = matrix, right

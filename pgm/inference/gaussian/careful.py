@@ -1,19 +1,23 @@
 """Inference on a small network in as many decimals as it needs, where float64 loses them.
 
-The linearised CPDs y = F p + b + n, of d components of the child y and with the hidden parents p
-and the noise n, are taken as exact decimals, and a dense joint Gaussian is made of them (`dense`).
-Then only one error is left: the linearised value F μ + b at the parents' mean μ was calculated in
-float64, and is wrong by the last places of its summands. To first order this error is carried on to
-the posterior means and to ln p(evidence), and tells how many of their digits are correct.
+A linearised CPD is y = F p + b + v: the child y has d components, p are its hidden parents, and v
+is Gaussian noise. The numbers F and b and the noise's covariance are taken as exact decimals, and a
+dense joint Gaussian of all hidden components is made of the CPDs (`dense`).
 
-V is 1 where all runs share their matrices, with N = runs columns of means; else V = runs and N = 1.
-A component's *place* is its index in the vector of all hidden components, (size,). A *group* is
-made of copies of one CPD, whose linearisations are the rows of a `Family`.
+Then only one error is left: the linearised value F μ + b, at the parents' mean μ, was calculated in
+float64, and is wrong by about the last places of its summands. To first order this error is carried
+on to the posterior means and to ln p(evidence), and tells how many of their digits are correct.
+
+V is the number of joint covariances, and N the number of columns of means that go with each: V = 1
+and N = runs where all runs share their matrices, else V = runs and N = 1. A component's *place* is
+its index in the vector of all hidden components, (size,). A *group* is made of copies of one CPD,
+whose linearisations are the rows of a `Family`. A *frame* has a mean and a unit for each hidden
+component: the mean of the prior or of a start, and the prior's standard deviation (`Frame`).
 
 The joint's means are (V, components, columns): N columns of means, then an *error column* for each
-child component of a nonlinear CPD. It begins as the rounding error of that component's linearised
-value and goes through the same operations as the means: at the end it has the shifts of all
-posterior means by that error.
+child component of a nonlinear CPD. An error column begins as the rounding error of that component's
+linearised value, with zeros for all others, and goes through the same operations as the means. At
+the end it has the shift of each posterior mean by that error.
 """
 
 from __future__ import annotations
@@ -101,10 +105,10 @@ def predictive(
 ) -> Frame:
     """The frame of the prior predictive moments, calculated in decimals and rounded at the end.
 
-    A frame has the means of all hidden components, and their standard deviations as units.
-    `families` has a `Family` for each group: nonlinear CPDs are linearised on the way, at their
-    parents' moments in float64. `shared` says whether V is 1. `start` is ignored: the function has
-    the signature of `prior_predictive`, which it replaces where float64 loses digits.
+    It has the means of all hidden components, and their standard deviations as units. `families`
+    has a `Family` for each group; nonlinear CPDs are linearised on the way, at their parents'
+    moments in float64. `shared` says whether V is 1. `start` is ignored: it is an argument because
+    this function stands in for `prior_predictive`, which has it, where float64 loses digits.
     """
     conditionals = Conditionals(layout, families, runs, shared)
     with decimals.precision(MANY):
@@ -145,12 +149,12 @@ def solve(plan: TreePlan, model: Model) -> Solution:
 
 
 def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: Decimal) -> Solution:
-    """The beliefs, in as many decimals as the present context of `decimal` has.
+    """The beliefs and ln p(evidence), in as many decimals as the present context of `decimal` has.
 
-    The children of `conditionals` join a dense joint one after another, parents first, and the
-    joint is conditioned on the reading of each observed child. A covariance below `nothing` times
-    both components' standard deviations (upper bounds of the prior's) is rounding, and counts as
-    zero.
+    The CPDs of `conditionals` are taken in turn, parents first. Each child joins a dense joint; for
+    an observed child the joint is conditioned on its reading, and the child leaves again. The
+    covariance of two components counts as zero, being mere rounding, if it is below `nothing` times
+    the product of their standard deviations (upper bounds of the prior's).
     """
     layout = plan.layout
     sides = model.runs if model.shared else 1
@@ -196,11 +200,13 @@ def _read(
 ) -> tuple[Array, Array]:
     """Condition the joint on the measurement z of an observed child, component after component.
 
-    `conditional` is the child's CPD. With its noise Σ = L D Lᵀ the components are those of L⁻¹ z,
-    whose noise is independent, of variances D. `offset` (V, d, columns) is b for the means, and the
-    rounding errors of b for the error columns. Returns ln p(z) given the measurements before,
-    (V, N), and the largest shift of a component's ln p by rounding, (V,). If the model determines a
-    component, and z has another value there, that is a NumericalError.
+    `conditional` is the child's CPD, whose noise has the covariance Σ = L D Lᵀ. L⁻¹ z is read in
+    place of z, since its components have independent noise, of variances D. `offset` (V, d,
+    columns) has b in the columns of means, and the rounding errors of F μ + b in error columns.
+
+    Returns ln p(z) given the measurements read before, (V, N), and the largest shift that rounding
+    makes in ln p of a component, (V,). If the model determines a component, and z has another value
+    there, that is a NumericalError.
     """
     group, row, g = conditional.group, conditional.row, conditional.g
     reading, taken = model.moved[g], model.taken[g]
@@ -247,15 +253,18 @@ def _read(
 
 
 def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
-    """Correct decimal digits of each run's means and ln p, (runs,): −log₁₀ of their largest shift.
+    """The correct decimal digits of each run's means and ln p, (runs,).
 
-    The first `sides` columns of `joint.mean` are means, the others error columns. Without error
-    columns all digits of float64 are correct. The largest shift of a run is the larger of `moved`
-    (V,), that of ln p, and of the largest shift of a component's mean, in posterior standard
-    deviations. If the CPDs are still linearised at the prior's means or a start (`Model.first`),
-    rounding of slopes counts the more, the further the posterior is from there: the shift is then
-    multiplied by the largest distance of a component's posterior mean from its mean there, in
-    standard deviations of the prior, if this is more than one.
+    They are −log₁₀ of the run's largest shift by rounding, at most the digits of float64. The
+    largest shift is the larger of two numbers: the largest shift of a component's mean, in
+    posterior standard deviations, and that of ln p, `moved` (V,). The shift of a mean is the sum of
+    the sizes in its error columns, which follow the first `sides` columns of `joint.mean`. Without
+    error columns all digits of float64 are correct.
+
+    Before the CPDs are linearised for a second time (`model.first`), the rounding of slopes counts
+    the more, the further the posterior means are from the frame's means, where the CPDs were
+    linearised. The shift is then multiplied by the largest of these distances, in standard
+    deviations of the prior, if it is more than one.
     """
     size = model.layout.size
     lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))

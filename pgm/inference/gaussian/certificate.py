@@ -1,18 +1,22 @@
 """An estimate of the decimal digits that float64 leaves of a tree's beliefs.
 
-A CPD is kept as *rows* A ξ − r, whitened by its noise; the variables ξ are in the units of a
-*frame*, the prior's standard deviations. So the size a of an entry of A is the prior's standard
-deviation over the noise's: by how much a CPD or measurement is sharper than the prior. With ε ≈
-10⁻¹⁶ the rounding of float64,
+A CPD is kept as *rows* A ξ − r, which are divided by the standard deviations of its noise. The
+variables ξ are the coordinates of a *frame*: distances from the prior's means, in standard
+deviations of the prior. So an entry of A of size a means that the CPD, or measurement, is a times
+as sharp as the prior. Let a be the largest entry of all rows, and ε ≈ 10⁻¹⁶ the rounding of
+float64. These errors are estimated:
 
-- a factorisation moves each row by about ε a, and a mean by as many of its own standard
-  deviations, times its distance from the frame's mean in standard deviations of the prior;
-- a covariance that is pushed down the tree is wrong by about ε times the prior's covariance, which
-  is up to a² times as large as the covariance itself: its relative error is ε a²;
-- relations without noise are solved for variables, which are replaced in the rows: the entries that
-  result count as other entries do, and so do the reciprocals of the numbers divided by. Where it is
-  not certain how many relations are independent, no digit counts as correct;
-- the rounding of linearised values, where it is large, shifts means too (`linearised_rounding`).
+- Means: a factorisation is wrong by about ε a in each row. This error shifts a mean by about ε a c
+  of its own standard deviations, if c is its distance from the frame's mean in standard deviations
+  of the prior.
+- Covariances: one that is pushed down the tree is wrong by about ε times the prior's covariance. As
+  this may be a² times as large as the covariance itself, the relative error is up to ε a².
+- Relations without noise are solved for some of their variables, which are then replaced in the
+  rows. The entries of the new rows count as entries a, and so do the reciprocals of the numbers
+  divided by. Where it is not certain how many relations are independent, no digit is correct.
+- Residuals: the right sides r are small differences of larger numbers, and are wrong by the
+  rounding of these, in standard deviations of the noise.
+- Linearised values: their rounding, where it is large, shifts means too (`linearised_rounding`).
 """
 
 from __future__ import annotations
@@ -37,9 +41,10 @@ _RANGE = 1e-140, 1e140
 def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
     """The decimal digits that sending all messages in float64 keeps, for the worst run.
 
-    Digits of means and of covariances are counted from standard deviations, and the fewer of both
-    are returned; zero if some number is not finite, or if the square of a variable's unit is out of
-    float64's range. `buffer` has the rows from which `beliefs` and `log_evidence` were computed.
+    Means have k digits if their errors are about 10⁻ᵏ of their standard deviations, covariances if
+    their relative errors are about 10⁻ᵏ; the smaller of the two numbers is returned. It is zero if
+    some number is not finite, or if the square of a variable's unit is out of float64's range.
+    `buffer` has the rows from which `beliefs` and `log_evidence` were computed.
     """
     frame = buffer.model.frame
     total = beliefs.cov.sum() + log_evidence.sum() + frame.mean.sum()
@@ -55,10 +60,10 @@ def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
 
 
 def cause(model: Model) -> str:
-    """The text of the warning that digits are few: `CLOSE_POINTS` or `FAR_APART`, by the cause.
+    """A text for the warning that digits are few: it names the cause, and what helps.
 
     The cause is that sigma points lie too close together, if their rounding alone takes too many
-    digits; else that standard deviations of the model are too far apart.
+    digits; else it is that standard deviations of the model are too far apart.
     """
     few = _OF_SUMS - np.log10(max(shift(model), 1.0)) < SAFE_DIGITS
     return CLOSE_POINTS if few else FAR_APART

@@ -1,9 +1,10 @@
-"""The linearised CPDs of a network in decimals: y = F p + b + n, n ~ N(0, Q), with nothing rounded.
+"""The linearised CPDs of a network in decimals, y = F p + b + v, with nothing rounded.
 
-p are a CPD's hidden parents, (n,), and y is its child, (d,). V is 1 where all runs share their
-matrices, with N = runs columns of offsets; else V = runs and N = 1. A *group* is made of copies of
-one CPD, as at the steps of an unrolled chain; a *row* is the index of a copy in its group. The
-linearisations of a group's copies in float64 are the rows of a `Family`.
+y is a CPD's child, (d,), p are its hidden parents, (n,), and v is Gaussian noise of covariance Q. V
+is the number of matrices F that are kept of a CPD, and N the number of offsets b that go with each:
+V = 1 and N = runs where all runs share their matrices, else V = runs and N = 1. A *group* is made
+of copies of one CPD, as at the steps of an unrolled chain; a *row* is the index of a copy in its
+group. The linearisations of a group's copies in float64 are the rows of a `Family`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ from pgm.kernels.decimals import Decimals
 
 @dataclass(frozen=True, eq=False)
 class Conditional:
-    """A linearised CPD, row `row` of group `g`: F (V, d, n), b (V, d, N) and Q (V, d, d)."""
+    """A linearised CPD: copy number `row` of `group`, which is group number `g` of the layout.
+
+    `matrix` is F (V, d, n), `offset` b (V, d, N) and `noise` Q (V, d, d).
+    """
 
     g: int
     group: Group
@@ -83,9 +87,9 @@ class Conditionals:
         return runs_first(decimals.floats(values))
 
     def root(self, noise: Array, family: Family) -> Root:
-        """The factors L, D of a noise covariance (d, d), L D Lᵀ in decimals, cached by its value.
+        """The factors L and D of a noise covariance L D Lᵀ, (d, d), in decimals, kept in a cache.
 
-        An indefinite one is the NumericalError `indefinite_noise`, which names the family's CPD.
+        If it is indefinite, that is a NumericalError, which names the family's CPD.
         """
         key = noise.tobytes()
         if key not in self._roots:
@@ -96,12 +100,12 @@ class Conditionals:
         return self._roots[key]
 
     def span(self) -> int:
-        """The decades (powers of ten) between the numbers that matter in a solution, at least one.
+        """How many powers of ten the numbers of a solution may span, at least one.
 
-        They are the decades between the largest and the smallest standard deviation, of noises and
-        of the prior, plus the decades between the largest and the smallest slope |F_ij|; both
-        ranges include 1 and leave out zeros. The prior's standard deviations are bounds from above:
-        summands of F p are taken as positive, so that nothing cancels.
+        It is a sum of two: the powers of ten between the smallest and the largest standard
+        deviation, of noises and of the prior, and those between the smallest and the largest slope
+        |F_ij|. Both ranges include the number 1, and leave zeros out. The prior's standard
+        deviations are upper bounds: the summands of F p count as positive, so that none cancel.
         """
         edge = decimals.zeros(self.stacked, self.layout.size)
         least, most = Decimal(1), Decimal(1)
@@ -124,8 +128,8 @@ class Conditionals:
 def _offset(family: Family, row: int, runs: int) -> Decimals:
     """The offset b of one copy of a CPD, row `row` of its family, (runs, d), in decimals.
 
-    An affine CPD with observed parents has their terms in its offset, whose sum the family has
-    rounded to float64: it is summed up anew, without rounding.
+    The offset of an affine CPD includes the terms F_k z_k of its observed parents z_k. In the
+    family the sum of these terms is rounded to float64; here it is formed anew, without rounding.
     """
     cpd = family.cpd
     known = [p for p in cpd.given if p not in family.hidden]

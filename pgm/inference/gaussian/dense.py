@@ -1,18 +1,21 @@
 """The dense joint Gaussian of a network's components, made of linearised CPDs in decimals.
 
-Nothing is rounded but the last decimal. A child y = F p + b + n, n ~ N(0, Σ), joins the components
-before it, whose covariance is P; p are some of these. The child's covariance is F P_pp Fᵀ + Σ, and
-its covariance with the components before it F P_p·. An observed child joins, the joint is
-conditioned on one of its components k after another,
+Nothing is rounded but the last decimal. The joint has a mean m and a covariance P. A child is y =
+F p + b + v: its parents p are components of the joint, and v is noise of covariance Σ. Let P_p be
+the rows of P at the parents, and P_pp the columns of P_p at the parents. When the child joins, its
+covariance is F P_pp Fᵀ + Σ, and its covariance with the components before it is F P_p.
 
-    G = P eₖ / s,   m ← m + G (z − mₖ),   P ← P − G eₖᵀ P,   s = eₖᵀ P eₖ,
+An observed child joins too. Then the joint is conditioned on one of the child's components after
+another: on component k of the joint having the value z. With the unit vector eₖ,
 
-for the component's value z and the joint's mean m, and the child leaves again. A component with
-s = 0 is determined by the values read before: its own value agrees with them, or contradicts the
-model.
+    s = eₖᵀ P eₖ,   G = P eₖ / s,   m ← m + G (z − mₖ),   P ← P − G eₖᵀ P.
 
-V is the number of joint covariances: 1 where all runs share them, else the number of runs. N is the
-number of columns of means, and of errors of means, that go with each covariance.
+At the end the child leaves the joint. A component with s = 0 is determined by the values read
+before: its own value agrees with them, or contradicts the model.
+
+V is the number of joint covariances: 1 where all runs share them, else the number of runs. The
+means that go with them are (V, size, columns). The first N of the columns are means: of N = runs if
+V is 1, else N = 1. The columns after them are errors of means.
 """
 
 from __future__ import annotations
@@ -33,12 +36,11 @@ ROUNDED = Decimal(2) ** -51
 
 
 class Read(NamedTuple):
-    """The result of conditioning a joint on the values z of one component, (V, N').
+    """The result of conditioning a joint on the values z of one component, (V, N).
 
-    `log_density` (V, N') is ln p(z) given the values read before; it is zero where these determine
-    the component, and there `contradiction` (V, N') tells whether z misses the determined value.
-    The first N' columns of `Joint.mean` are means, the others errors: `moved` (V,) is about how
-    much these errors together may shift ln p(z).
+    `log_density` (V, N) is ln p(z) given the values read before. Where these determine the
+    component `log_density` is zero, and the mask `contradiction` (V, N) marks values z that miss
+    the determined one. `moved` (V,) is about how much all errors of means together shift ln p(z).
     """
 
     log_density: Array
@@ -48,11 +50,12 @@ class Read(NamedTuple):
 
 @dataclass(eq=False)
 class Joint:
-    """The joint of the components so far: V covariances (V, size, size), and means (V, size, N).
+    """The joint of the components so far: `mean` (V, size, columns) and `cov` (V, size, size).
 
-    Each column of `mean` goes through the operations that a mean goes through. `edge` (V, size) are
-    upper bounds on the components' prior standard deviations: in them the summands of F p count as
-    positive, so that nothing cancels. The covariance of two components counts as zero if it is
+    `size` is the number of places for components; those of absent components are zero. Each column
+    of `mean`, of errors too, goes through the operations that a mean goes through. `edge` (V, size)
+    are upper bounds on the components' prior standard deviations: in them the summands of F p count
+    as positive, so that nothing cancels. The covariance of two components counts as zero if it is
     below `nothing` times the product of their bounds: it is then rounding of the decimals.
     """
 
@@ -63,9 +66,10 @@ class Joint:
 
     @classmethod
     def empty(cls, stacked: int, size: int, columns: int, nothing: Decimal) -> Joint:
-        """A joint without components yet, for V = `stacked` and N = `columns`: its arrays are zero.
+        """A joint without components yet, for V = `stacked`: its arrays are zero.
 
-        `size` is the most components that it can have at a time, `nothing` the field of the class.
+        `size` is the most components that it can have at a time, `columns` counts the means and the
+        errors of means together, and `nothing` is the field of the class.
         """
         zeros = decimals.zeros
         return cls(
@@ -83,10 +87,11 @@ class Joint:
         offset: Decimals,
         noise: Decimals,
     ) -> None:
-        """Add a child y = F p + b + n at `places` (d,) of the joint, p being at `parents` (n,).
+        """Add a child y = F p + b + v at `places` (d,) of the joint, p being at `parents` (n,).
 
-        `matrix` is F (V, d, n), `offset` b (V, d, N), and `noise` the covariance Σ (V, d, d). A
-        component of F p whose variance is no more than rounding of its summands counts as constant.
+        `matrix` is F (V, d, n), `offset` b (V, d, columns), and `noise` the covariance Σ (V, d, d)
+        of v. A component of F p counts as constant if its variance is no more than the rounding of
+        its summands.
         """
         self.mean[:, places] = decimals.product(matrix, self.mean[:, parents]) + offset
         cross = decimals.product(matrix, self.cov[:, parents])
@@ -107,11 +112,11 @@ class Joint:
         self.edge[:, places] = decimals.sqrt(prior * prior + variance)
 
     def read(self, place: int, value: Decimals, allowed: Decimals) -> Read:
-        """Condition the joint on the component at `place` having the values z = `value`, (V, N').
+        """Condition the joint on the component at `place` having the values z = `value`, (V, N).
 
-        These are its values in the first N' columns of `mean`; in the other columns, which hold
-        errors, its value is zero. Where the component is determined already, z contradicts the
-        model if it misses the determined value by more than `allowed` (V, N').
+        In the columns of errors its value is zero. Where the values read before determine the
+        component, z contradicts the model if it misses the determined value by more than `allowed`
+        (V, N).
         """
         count = value.shape[1]
         variance, edge = self.cov[:, place, place], self.edge[:, place]

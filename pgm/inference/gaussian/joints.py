@@ -18,9 +18,10 @@ from pgm.kernels.solving import regression
 def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[Array, Array]:
     """Mean (runs, n) and covariance (V, n, n) of components, which any clusters may hold.
 
-    `wanted` (n,) are the components' places. The results are in the user's units. The covariance
-    is collected from the top of the tree down. Given its sepset s with its parent, a cluster's
-    other components f are independent of the components a above it, so that their covariance is
+    `wanted` (n,) are the components' places. The results are in the user's units. The covariance P
+    is collected from the top of the tree down. Given the components s of its sepset with its
+    parent, a cluster's other components f are independent of the components a above it in the tree.
+    So their covariance with these is
 
         P_fa = P_fs P_ss⁺ P_sa,
 
@@ -56,8 +57,9 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
 def _walk(plan: TreePlan, wanted: Integers) -> list[int]:
     """The clusters that connect the components at places `wanted` (n,), parents before children.
 
-    They are the smallest subtree that contains the smallest cluster of each component,
-    `Places.homes`; where these clusters are in several trees, the paths from them to the roots.
+    For each component a cluster is taken that holds it: the one of fewest components. The result is
+    the smallest subtree that connects these clusters; where they are in several trees, it is the
+    paths from them to the roots.
     """
     home, _ = plan.places.homes
     parent, depth = plan.forest.parent, plan.forest.depth
@@ -82,13 +84,13 @@ def _gain(
     shared: list[int],
     fresh: list[int],
 ) -> Array:
-    """The regression P_fs P_ss⁺ (V, f, s) of a cluster's components on the sepset with its parent.
+    """The regression P_fs P_ss⁺ of a cluster's components on the sepset with its parent, (V, f, s).
 
-    s are the components of the sepset, at the places `shared`, and f the cluster's other ones, at
-    the places `fresh`. `inside` is the cluster's covariance, (V, s + f, s + f), the sepset first.
-    `TreeBeliefs` have kept this matrix from the upward pass: it is returned with zeros in the rows
-    of components without variance. From other beliefs, and for an empty sepset, it is computed by
-    a pseudo-inverse.
+    s counts the components of the sepset, at the places `shared`, and f the cluster's others, at
+    the places `fresh`. `cluster` is the cluster's number, and `inside` its covariance, (V, s + f,
+    s + f), the sepset first. If `beliefs` are `TreeBeliefs`, they have kept this matrix from the
+    upward pass; it is returned with zeros in the rows of components without variance. With other
+    beliefs, or an empty sepset, it is computed from `inside`, by a pseudo-inverse.
     """
     if not isinstance(beliefs, TreeBeliefs) or not shared:
         count = len(shared)

@@ -34,13 +34,12 @@ def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
 
 
 def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
-    """The variables to leave out, because a CPD lacks evidence that it needs.
+    """The variables to leave out of inference, because a CPD lacks evidence that it needs.
 
-    A CPD needs evidence of its parents that are inputs, and of those that its noise depends on
-    (`known_parents`). If one of these has none, the child is left out, provided that it is not
-    observed, and so are those parents without evidence that are inputs. A variable stays if an
-    observed variable, or another variable that stays, depends on it. `evidence` are the variables
-    with evidence.
+    A CPD needs evidence of those parents that are inputs, or that its noise depends on. If such a
+    parent has none, the CPD's child is left out, unless it is observed; the parent is left out too
+    if it is an input. But a variable stays if an observed variable, or another variable that stays,
+    depends on it. `evidence` are the variables with evidence.
     """
     inputs = set(network.inputs)
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}
@@ -57,12 +56,13 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Copies of one CPD, each a row of arrays, with the same parents hidden, linearised together.
+    """Copies of one CPD in which the same parents are hidden; they are linearised together.
 
-    `hidden` are the hidden parents of the first copy; `observed` says whether the children have
-    evidence. `child` (rows, d) and `parents` (rows, n) are the places of the components of each
-    copy's child, (rows, 0) if it is observed, and of its hidden parents; `clusters` (rows,) are the
-    indices of the clusters that the CPDs are assigned to.
+    Each copy is a row of the arrays. `cpds` are the copies, `hidden` the hidden parents of the
+    first copy; `observed` says whether the children have evidence. `child` (rows, d) has the places
+    of the d components of each copy's child, and is (rows, 0) if the children are observed.
+    `parents` (rows, n) has the places of the n components of each copy's hidden parents, `clusters`
+    (rows,) the number of the cluster that each copy is assigned to.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -79,7 +79,10 @@ class Group:
 
     @property
     def width(self) -> int:
-        """The number of columns of the matrix A of each CPD: its hidden components."""
+        """The number of columns of the matrix A of each CPD.
+
+        They are the components of its hidden parents, and of its child if that is hidden.
+        """
         return int(self.child.shape[1] + self.parents.shape[1])
 
     def shape(self) -> tuple[bool, int, int]:
@@ -92,8 +95,8 @@ class Layout:
     """The layout of a cluster graph's hidden components: their places, columns, and CPD groups.
 
     Variables that are `observed`, and those that are `absent` because `barren` leaves them out,
-    have no places. A layout is made once for each set of observed variables; see
-    `ClusterGraph.derived`.
+    have no places. A layout is made once for each set of observed variables, and kept with the
+    graph.
     """
 
     graph: ClusterGraph
@@ -107,7 +110,7 @@ class Layout:
 
     @cached_property
     def places(self) -> dict[Variable, Integers]:
-        """The places of each hidden variable's components."""
+        """For each hidden variable the places of its components, (d,)."""
         starts = np.cumsum([0, *(v.dimension for v in self.hidden)])
         return {v: np.arange(a, a + v.dimension) for v, a in zip(self.hidden, starts, strict=False)}
 
@@ -194,7 +197,7 @@ class Layout:
 
     @cached_property
     def order(self) -> list[tuple[int, int]]:
-        """All CPDs as (group, row), parents before children.
+        """All CPDs, parents before children: pairs of a group's number and a copy's row in it.
 
         They are in the order of a depth-first search from the observed and the childless variables:
         a parent comes just before the child that needs it first, so that few components are needed

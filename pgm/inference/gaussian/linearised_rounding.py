@@ -1,9 +1,11 @@
 """The rounding of linearised CPDs of a network, and by how much it shifts its variables.
 
-The linearised mean of a CPD is F x + b, (d,), x being its hidden parents, whose mean is μ. It is a
-difference of numbers as large as F μ. With sigma points it is made of weighted values of the
-function; where the points lie close together the weights are large, and of both signs
-(`Points.cancellation`). A *group* is made of copies of one CPD, which are linearised together.
+A linearised CPD has the mean F x + b, (d,), given its hidden parents x. Where it was linearised the
+parents have the means μ and the standard deviations σ. Its value there, F μ + b, may be a small
+difference of large numbers, and is rounded as these are. With sigma points F and b are sums of the
+function's values at the points, times weights. Where the points lie close together the weights are
+large, and of both signs, so that rounding grows. A *group* is made of copies of one CPD, which are
+linearised together.
 """
 
 from __future__ import annotations
@@ -24,12 +26,16 @@ ROUNDING = 2.0**-52
 def rounding(model: Model, g: int) -> Array:
     """A bound on the rounding of F x + b of the nonlinear CPDs of group g, (CPDs, runs, d).
 
-    The CPDs were linearised where the parents have the means μ and the standard deviations σ. With
-    sigma points the bound is 2⁻⁵² w (|F| (|μ| + σ) + |b|), w being the sum of their absolute
-    weights in the mean and in the slope. With other rules it is 2⁻⁵² (k (|F| |μ| + |b|) + |F| σ):
-    k is 1, plus for each numerical derivative of `Taylor` the ratio of σ to the step of the
-    difference. The term |F| σ is absent if `Taylor` needs no numerical derivative. Where no parent
-    is hidden the bound is 2⁻⁵² |b|.
+    |F| has the absolute values of the entries of F. In units of 2⁻⁵² the bound is
+
+    - with sigma points: w (|F| (|μ| + σ) + |b|), w being the sum of the points' absolute weights in
+      the mean and in the slope;
+    - with `Taylor` and numerical derivatives: k (|F| |μ| + |b|) + |F| σ, k being 1 plus the ratio
+      of σ to the step of the difference, summed over the components that are differentiated
+      numerically;
+    - with `Taylor` and no numerical derivatives: |F| |μ| + |b|;
+    - with other linearisers: |F| |μ| + |b| + |F| σ;
+    - where no parent is hidden: |b|.
     """
     family = model.families[g]
     rule, template = family.lineariser, family.template
@@ -54,11 +60,12 @@ def rounding(model: Model, g: int) -> Array:
 
 
 def shift(model: Model) -> float:
-    """The largest shift of a linearised value F x + b by its rounding, of all components and runs.
+    """The largest rounding of a component of F x + b, beside its standard deviation, in any run.
 
-    It is in units of 2⁻⁵² standard deviations of the component's noise, or, where it has none, of
-    F x. Only CPDs count whose sigma points lie so close together that rounding grows more than
-    tenfold: without any the shift is zero.
+    The rounding, as `rounding` bounds it, is counted in units of 2⁻⁵² standard deviations of the
+    component's noise; where there is no noise, of the component of F x (|F| σ, a bound on them).
+    Only CPDs count whose sigma points lie so close together that rounding grows more than tenfold;
+    if there are none, the result is zero.
     """
     most = 0.0
     for g, family in enumerate(model.families):

@@ -1,13 +1,16 @@
 """Messages between clusters as rows: sent by rounds, damped, compared, and taken into beliefs.
 
-A message is the factor exp(g − ½ ‖A ξ − r‖²) over the s components of a sepset, in the coordinates
-ξ of a frame (units of the prior's standard deviations), with the *rows* A (V, s, s) and r (V, s, N)
-and the log-scale g (V, N): V = 1 where N runs share matrices, else V runs and N = 1. Messages are
-numbered as in `Directed`: message m and message m ^ 1 go along the same edge in opposite
-directions. A *stack* is a batch of eliminations of equal shape, which gather the rows of clusters'
-CPDs and of messages to them. Relations among a sepset's components that hold without noise are
-*exact relations*; a message keeps them beside its rows. A run is *lost* when its messages diverge,
-and *active* until it is lost or has converged.
+A message is a factor exp(g − ½ ‖A ξ − r‖²) over the s components of a sepset. ξ are the components'
+coordinates in a *frame*: distances from the prior's means (or those of a start), in the prior's
+standard deviations. The *rows* of a message are A (V, s, s) and r (V, s, N), and g (V, N) is its
+log-scale: V = 1 and N = runs where all runs share their matrices, else V = runs and N = 1.
+Relations among a sepset's components that hold without noise are *exact relations*; a message keeps
+them beside its rows.
+
+Messages are numbered: m and m ^ 1 are the two messages along one edge, in opposite directions. A
+*stack* is a batch of eliminations of equal shape, which gather the rows of clusters' CPDs and of
+messages to them. A run is *lost* when its messages diverge, and *active* until it is lost or has
+converged.
 """
 
 from __future__ import annotations
@@ -71,12 +74,12 @@ class RowMessages:
 
     @property
     def runs(self) -> int:
-        """Number of runs."""
+        """How many runs the messages are of: 1 if the user gave no axes of runs."""
         return self.buffer.model.runs
 
     @property
     def bounded(self) -> bool:
-        """Whether changes of messages have an upper bound: no, they are in standard deviations."""
+        """Whether a change has an upper bound: False, since it is in standard deviations."""
         return False
 
     def round(self, messages: Sequence[int]) -> RowRound:
@@ -106,9 +109,9 @@ class RowMessages:
     def accept(self, round: RowRound, active: Mask, lost: Mask) -> None:
         """Store the messages that `propose` computed last, damped, in the `active` runs, (runs,).
 
-        If runs share matrices (V = 1) all go on together, converged ones too, since the right sides
-        of each run have to fit the shared matrices, which still change; then only runs that are
-        `lost`, (runs,), keep their messages. `round` is that of `propose`.
+        Where runs share their matrices (V = 1), new messages are stored in converged runs, too, for
+        their right sides have to fit the shared matrices, which still change; then only the `lost`
+        runs, (runs,), keep their old messages. `round` is that of `propose`.
         """
         for stack, new in self._proposed:
             old = self.buffer.messages(stack.members, stack.kept)
@@ -150,14 +153,14 @@ class RowMessages:
                 self.buffer.store(stack, done.rest, log_scale)
 
     def kept(self, message: int) -> tuple[Rows, Array]:
-        """A stored message, by number: rows A (V, s, s) and r (V, s, N), and log-scale (V, N)."""
+        """The stored message of a number: its rows A (V, s, s) and r (V, s, N); its log-scale g."""
         size = int(self.buffer.rounds.sizes[message])
         one = self.buffer.messages(np.array([message]), size)
         log_scale = self.buffer.log_scale[:, len(self.places.sizes) + message]
         return row_messages.first(one), log_scale
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
-        """The product of a cluster's CPDs and all messages to it, as rows; its log-scale (V, N).
+        """The product of a cluster's CPDs and all messages to it: its rows and log-scale (V, N).
 
         The matrix is (V, k, n), the right side (V, k, N): the k rows are over the n hidden
         components of the cluster, in the order of its scope.
@@ -165,7 +168,7 @@ class RowMessages:
         return self._product(*self.buffer.rounds.beliefs([cluster]))
 
     def potential(self, cluster: int) -> tuple[Rows, Array]:
-        """The product of a cluster's CPDs alone, as rows; its log-scale (V, N).
+        """The product of a cluster's CPDs, without messages: its rows and log-scale (V, N).
 
         The matrix is (V, k, n), the right side (V, k, N): the k rows are over the n hidden
         components of the cluster, in the order of its scope.
@@ -183,7 +186,7 @@ class RowMessages:
         return row_messages.first(factor), self.buffer.log_scale[:, stack.logs].sum(axis=2)[:, 0]
 
     def beliefs(self) -> tuple[Beliefs, Array]:
-        """The moments of all clusters, and ln of their factors' integrals, (V, clusters, N).
+        """The moments of all clusters, and ln of the integrals of their factors, (V, clusters, N).
 
         A cluster's factor is the product of its CPDs and all messages to it. A belief that is not
         proper is a NumericalError.
@@ -201,8 +204,9 @@ class RowMessages:
     def calibrated(self) -> Calibrated:
         """The beliefs, with Bethe's approximation of ln p(evidence).
 
-        It is the sum of ln of the integrals of the clusters' factors, less that of the integrals of
-        the products of both messages of each sepset.
+        A cluster's factor is the product of its CPDs and all messages to it. The approximation is
+        the sum of ln of the integrals of these factors, less another sum: for each sepset ln of the
+        integral of the product of its two messages.
         """
         found, logs = self.beliefs()
         total: Array = logs.sum(axis=1)

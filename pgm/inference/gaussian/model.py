@@ -56,7 +56,10 @@ class LinearisedAt(NamedTuple):
 
     @classmethod
     def belief(cls, mean: Array, cov: Array) -> LinearisedAt:
-        """The moments of beliefs N(mean, cov), of (CPDs, runs, n) and (CPDs, runs, n, n)."""
+        """The moments of the beliefs in the hidden parents of each CPD, as points of linearisation.
+
+        `mean` (CPDs, runs, n) and `cov` (CPDs, runs, n, n) are the beliefs' moments.
+        """
         own = components_last(lengths(components_first(cov, 2)), 1)
         return cls(mean, deviation(cov), own)
 
@@ -65,15 +68,16 @@ class LinearisedAt(NamedTuple):
 class Model:
     """The CPDs of a network, linearised, and the evidence of its observed children.
 
-    `lead` are the user's axes of runs. Lists have an entry for each group of CPDs: `families` has
-    their linearisations. `readings` are the values of a group's children, (CPDs, runs or 1, d),
-    None if they are hidden; `moved` (CPDs, runs, d) are these values with angles on the branch
-    nearest the CPD's value where it was linearised; `taken` (CPDs, runs or 1, d) marks the
-    components that were measured, None if all were. `shared` says whether all runs have the same
-    matrices, covariances and components measured. `frame` are the coordinates in which factors are
-    kept. `points` are the moments of hidden parents where CPDs were linearised last. `first` is
-    True until `relinearise` is called: until then `points` are the prior's moments or the user's
-    start, maybe far from the posterior.
+    `lead` are the lengths of the user's axes of runs. The lists have an entry for each group:
+    `families` the linearised CPDs; `readings` the measured values of the children, (CPDs, runs or
+    1, d), None if the children are hidden; `moved` the same values, (CPDs, runs, d), with angles
+    moved by whole turns to within π of the CPD's value where it was linearised, None as `readings`;
+    `taken` a mask of the measured components, (CPDs, runs or 1, d), None if all were measured or
+    the children are hidden; `points` the moments of hidden parents where CPDs were linearised last.
+    `shared` says whether all runs have the same matrices, covariances and components measured.
+    `frame` are the coordinates in which factors are kept. `first` is True until `relinearise` is
+    called: until then `points` are the prior's moments or the user's start, maybe far from the
+    posterior.
     """
 
     layout: Layout
@@ -100,12 +104,11 @@ class Model:
     ) -> Model:
         """The model with its evidence, linearised at the prior predictive moments or at a start.
 
-        A `start` are the means of all hidden components, (runs, size). Without it the function
-        `predictive` (`prior_predictive`, or one with its signature) finds the prior's moments, and
-        linearises on the way. Where functions were traced, which records them as operations, the
-        values and slopes of the traces are compared with those of the functions: a `judge` gathers
-        them and compares them when the user's whole call is done; without one it is done at once.
-        A flat prior is a ModelError.
+        `start` has the means of all hidden components, (runs, size). If it is None, the function
+        `predictive` finds the prior's moments, and linearises the CPDs on the way. A nonlinear
+        function may be traced, that is, recorded as operations, to find its slopes. What a trace
+        gives is compared with the function itself: by the `judge`, when the user's whole call is
+        done; if it is None, at once. A flat prior, of infinite variance, is a ModelError.
         """
         for group in layout.groups:
             for cpd in group.cpds:
@@ -140,7 +143,7 @@ class Model:
 
     @property
     def runs(self) -> int:
-        """Number of runs."""
+        """How many runs the evidence is of: 1 if the user gave no axes of runs."""
         return math.prod(self.lead)
 
     @property
@@ -163,7 +166,8 @@ class Model:
 
         `parents` are the means (CPDs, runs, n) and covariances (CPDs, runs, n, n) of the hidden
         parents, for each group; None for affine CPDs. `mean` (runs, size) are the means of all
-        components, to whose branches readings of angles are moved by whole turns.
+        components: readings of angles are moved by whole turns, to be nearest the CPDs' values
+        there.
         """
         for g, (family, at) in enumerate(zip(self.families, parents, strict=True)):
             if at is not None:

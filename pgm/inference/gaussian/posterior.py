@@ -39,6 +39,12 @@ class GaussianPosterior(Posterior):
     The leading axes of all results are the user's axes of runs. On a tree the beliefs are exact for
     the (linearised) network. On a graph with loops the means are exact where the messages have
     converged; the variances are approximate: too small or too large.
+
+    Attributes
+    ----------
+    graph : ClusterGraph
+    status : Status
+        Whether messages and linearisation have converged, and how many digits are correct.
     """
 
     graph: ClusterGraph
@@ -93,9 +99,10 @@ class GaussianPosterior(Posterior):
         return self._gaussian(scope, mean, cov)
 
     def _gaussian(self, scope: Scope, mean: Array, cov: Array) -> Gaussian:
-        """The Gaussian of a mean (runs, n) and a covariance (runs or 1, n, n), (*runs, n).
+        """The Gaussian over `scope` of a mean (runs, n) and a covariance (runs or 1, n, n).
 
-        Moments that are not finite are a NumericalError.
+        The axis of runs is replaced by the user's axes. Moments that are not finite are a
+        NumericalError.
         """
         lead = self._model.lead
         size = mean.shape[-1]
@@ -191,13 +198,14 @@ class GaussianPosterior(Posterior):
     def _form(
         self, factor: Rows, log_scale: Array, scope: Scope, what: str, cluster: int
     ) -> CanonicalForm:
-        """The canonical form, in the user's coordinates, of rows A (V, k, n) and r (V, k, N).
+        """The canonical form, in the user's coordinates, of a factor exp(log_scale − ½ |A ξ − r|²).
 
-        The rows are in a frame's coordinates, and their log-scale is (V, N). V is 1 if N runs share
-        A, else V = runs and N = 1. The form is K = AᵀA, h = Aᵀr and g = log_scale − ½ |r|², with A
-        and r in the user's coordinates. Exact relations, or numbers that are not finite, are a
-        NumericalError that names the `cluster`; its text begins with `what` ("the belief of cluster
-        2").
+        ξ are the n components of `scope` in the coordinates of the model's frame: the components
+        are mean + scale ξ. `factor` has A (V, k, n) and r (V, k, N), and `log_scale` is (V, N): V =
+        1 and N = runs if all runs share A, else V = runs and N = 1. Turned to the user's
+        coordinates, A and r make K = AᵀA, h = Aᵀr and g = log_scale − ½ |r|². Relations without
+        noise, or numbers that are not finite, are a NumericalError that names the `cluster`; its
+        text begins with `what` ("the belief of cluster 2").
         """
         if factor.exact is not None and factor.exact.any():
             raise NumericalError(

@@ -1,17 +1,25 @@
 """The potentials of clusters as rows: their linearised CPDs, in the units of a frame.
 
-A CPD y = F p + b + n, n ~ N(0, Σ), of the child y (d,) and the hidden parents p, is a factor over
-the frame's coordinates ξ, x = m + s ξ, of the w components x of y and p that are hidden: m are the
-frame's means, s its units. With the residual e = y − (F p + b) at the means m it is
+A CPD is y = F p + b + v: y is its child, (d,), p are its hidden parents, and v is Gaussian noise of
+covariance Σ. It is a factor over w hidden components x: those of p, and those of y if y is hidden.
+A *frame* has coordinates ξ for them, x = m + s ξ, of means m and units s; a subscript y or p tells
+the part of s or ξ that is the child's or the parents'. The residual e is y − (F p + b) at the means
+m, or at the measured y. The noise is then
 
-    N(e + s_y ξ_y − F s_p ξ_p; 0, Σ),
+    v = e + s_y ξ_y − F s_p ξ_p,
 
-without s_y ξ_y where y is observed. Divided by a root of Σ it is d *rows* A ξ − r, whose factor is
-exp(−½ ‖A ξ − r‖²) times a scale. An *exact* row is one without noise: a relation that holds
-exactly. A *group* is made of copies of one CPD, which are linearised together.
+without the term s_y ξ_y where y is observed. Both sides are divided by a root of Σ, which makes d
+*rows* A ξ − r. The CPD's factor is exp(−½ ‖A ξ − r‖²), times a scale. An *exact* row is one without
+noise: a relation that holds exactly. A *group* is made of copies of one CPD, which are linearised
+together.
 
-V is the number of matrices A and of noises Σ: 1 where all runs share them, with one of N = runs
-right sides r for each run; else V = runs and N = 1.
+V is the number of matrices A that are kept of a CPD, and N the number of right sides r that go with
+each: V = 1 and N = runs where all runs share matrices and noises, else V = runs and N = 1.
+
+A residual is a sum of numbers, whose rounding costs digits. The number `coarse` measures them, for
+the worst row: it is a tenth of the residual's largest summand, in standard deviations of the noise;
+for an exact row, in units of the row's length. It is infinite where rounding may decide whether a
+component has any variance, or a row any noise.
 """
 
 from __future__ import annotations
@@ -37,12 +45,10 @@ class Potentials:
     """The rows of all CPDs, one after another in the order of the groups.
 
     Rows are kept flat: A (V, entries), with the entries of all matrices, and r (V, rows, N).
-    `proper` has the rows with noise and zeros in place of the exact rows; `exact` the exact rows
-    and zeros in place of the rows with noise, None if no row is exact. Log-scales, the logarithms
-    of the scales of the CPDs' factors, are (V, CPDs, N). `coarse` measures the digits that rounding
-    of residuals costs, for the worst row: a tenth of the largest summand of its residual, over the
-    standard deviation of the noise, or over the length of an exact row; infinite where rounding may
-    decide whether a component is certain, or a row exact.
+    `proper` has the rows with noise, and zeros in place of the exact rows; `exact` has the exact
+    rows, and zeros in place of the rows with noise. It is None if no row is exact. `log_scale` (V,
+    CPDs, N) are the logarithms of the scales of the CPDs' factors. `coarse` measures the digits
+    that rounding of residuals costs, in the worst row.
     """
 
     proper: Flat
@@ -54,9 +60,9 @@ class Potentials:
 def make_potentials(model: Model) -> Potentials:
     """Turn the linearised CPDs of a model into rows.
 
-    With Σ = L Lᵀ the rows are L⁻¹ [s_y, −F s_p]; right sides are −L⁻¹ e. Where L has no pivot the
-    component of the noise is determined by the components before it, and the row is exact. An
-    indefinite noise is a NumericalError.
+    With Σ = L Lᵀ the rows are L⁻¹ [s_y, −F s_p], and the right sides −L⁻¹ e. Where a pivot of L is
+    zero, that component of the noise is determined by the components before it, and the row is
+    exact. An indefinite Σ is a NumericalError.
     """
     if not model.layout.shapes:
         stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
@@ -74,16 +80,16 @@ def make_potentials(model: Model) -> Potentials:
 
 
 class _Linearised(NamedTuple):
-    """Linearised CPDs of one shape, in the coordinates ξ: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ).
+    """Linearised CPDs of one shape, in the coordinates ξ: v = e + s_y ξ_y − F s_p ξ_p.
 
     The first axis runs over CPDs. `matrix` is [s_y, −F s_p], (CPDs, V, d, w), without s_y where
-    children are observed; `residual` is e, and `size` the largest of the numbers it is a sum of,
-    (CPDs, runs, d); `noise` is Σ, (CPDs, V, d, d); `known` (CPDs, w) marks the columns of parents
-    without variance in the prior. `missing` (CPDs, V) counts the components of an observed child
-    that were not measured: their rows are zero, and their noise is independent, of variance one.
-    `doubtful` (CPDs,) marks a hidden child some component of which has no variance in the prior
-    although it depends on a parent with variance: it is open whether the parts of F p cancel
-    exactly, or by rounding.
+    children are observed. `residual` is e, (CPDs, runs, d), and `size`, of the same shape, bounds
+    the numbers that e is a sum of. `noise` is Σ, (CPDs, V, d, d). `known` (CPDs, w) marks the
+    columns of parents without variance in the prior. `missing` (CPDs, V) counts the components of
+    an observed child that were not measured: their rows are zero, and their noise is independent,
+    of variance one. `doubtful` (CPDs,) marks a hidden child with a component that has no variance
+    in the prior although it depends on a parent with variance: it is open whether the terms of F p
+    cancel exactly, or by rounding.
     """
 
     matrix: Array
@@ -98,7 +104,7 @@ class _Linearised(NamedTuple):
     def of(cls, model: Model, g: int) -> _Linearised:
         """The CPDs of group g, in the coordinates of the model's frame.
 
-        If the child is observed, its reading takes the place of its mean in e.
+        Where the child y is observed, e is taken at the measured y.
         """
         frame, runs = model.frame, 1 if model.shared else model.runs
         group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
@@ -130,12 +136,10 @@ class _Linearised(NamedTuple):
 class _Factor:
     """The rows of CPDs of one shape, (V, CPDs, d, w), with right sides (V, CPDs, d, N).
 
-    `matrix` and `right` have the rows with noise and zeros in place of the exact rows, `exact` and
-    `exact_right` the exact rows and zeros in place of the rows with noise; `fixed` says whether
-    some row is exact. Log-scales are (V, CPDs, N). `coarse` measures the digits that rounding of
-    residuals costs: a tenth of a residual's largest summand, over the standard deviation of the
-    noise or the length of an exact row; infinite where rounding may decide whether a component is
-    certain, or a row exact.
+    `matrix` and `right` have the rows with noise, and zeros in place of the exact rows; `exact` and
+    `exact_right` have the exact rows, and zeros in place of the rows with noise. `fixed` says
+    whether some row is exact. `log_scale` (V, CPDs, N) are the logarithms of the factors' scales.
+    `coarse` measures the digits that rounding of residuals costs, in the worst row.
     """
 
     matrix: Array
@@ -148,12 +152,13 @@ class _Factor:
 
 
 def _factor(model: Model, groups: list[int]) -> _Factor:
-    """The rows of the CPDs in some groups, by their numbers, whose CPDs have one shape.
+    """The rows of the CPDs in some groups, given by number, whose CPDs all have one shape.
 
-    The noise is divided by its standard deviations, its components are ordered so that the one with
-    the largest conditional variance comes next, and its root is taken in that order. Exact rows are
-    scaled to unit length, so that relations in any units compare. An exact row in which no variable
-    is left is evidence that is met or not: its right side is divided by the size of its summands.
+    The covariance Σ is turned into correlations. Its components are ordered so that each has the
+    largest variance given those before it, and its root is taken in that order. Exact rows are
+    scaled to unit length, so that relations in different units can be compared. An exact row
+    without variables only says whether the evidence agrees with the model: its right side is
+    divided by the size of its summands.
     """
     each = zip(*(_Linearised.of(model, g) for g in groups), strict=True)
     given = _Linearised(*map(np.concatenate, each))

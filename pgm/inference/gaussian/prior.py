@@ -26,9 +26,10 @@ class Frame:
     """The coordinates ξ in which factors are kept: x = mean + scale ξ, with x (size,).
 
     x is the vector of all hidden components. `mean` (runs, size) are the prior's predictive means,
-    or those of a start, and `scale` (size,) the largest predictive standard deviations of any run,
-    so that large coordinates cost no digits and units do not matter. The mask `certain` (size,)
-    marks components that have no variance at all: their ξ is zero.
+    or the means of a start. `scale` (size,) are the prior's predictive standard deviations, the
+    largest of all runs, with a floor where they are tiny. So neither the user's units nor large
+    coordinates cost digits. The mask `certain` (size,) marks components without variance in the
+    prior, in all runs: their ξ is zero. With a start none is marked.
     """
 
     mean: Array

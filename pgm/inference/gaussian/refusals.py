@@ -24,7 +24,10 @@ def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
 
 
 def indefinite_noise(cpd: CPD) -> NumericalError:
-    """The error that a CPD's noise plus its approximation error is indefinite."""
+    """The error that the noise covariance of a linearised CPD is indefinite.
+
+    That covariance is the CPD's own, plus that of the linearisation's error.
+    """
     return NumericalError(
         f"the noise of {cpd!r} plus the lineariser's approximation error is indefinite; use a "
         "rule with positive weights, or more samples",

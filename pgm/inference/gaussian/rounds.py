@@ -1,12 +1,15 @@
 """Rounds of messages: which rows each batched elimination gathers, and where its result goes.
 
-The factor of a CPD, or of a message, is exp(−½ ‖A ξ − r‖²) over some hidden components ξ: *rows* of
-a matrix A with right sides r. The rows of all factors and messages stand in one buffer: the
-*entries* of the matrices along one axis, the right sides along another, with one for each row. An
-elimination gathers the rows of a cluster's CPDs and of messages to it, by indices along both axes,
-and integrates columns of A out. The *place* of a component is its index in the vector of all hidden
-components; its *column* that in a cluster. A *group* is made of copies of one CPD, whose factors
-have one shape.
+The factor of a CPD, or of a message, is exp(−½ ‖A ξ − r‖²) over some hidden components ξ. Its
+*rows* are those of the matrix A, each with its right side in r. The rows of all CPDs and messages
+stand in one buffer: the *entries* of the matrices along one axis, the right sides along another,
+with one for each row. An *elimination* gathers the rows of a cluster's CPDs and of messages to it,
+by indices along both axes, and integrates some columns of A out, which are components of the
+cluster.
+
+The *place* of a component is its index in the vector of all hidden components; its *column* is its
+index in the scope of a cluster. A *group* is made of copies of one CPD, whose factors have one
+shape.
 """
 
 from __future__ import annotations
@@ -27,12 +30,15 @@ from pgm.kernels.arrays import Integers
 class Stack:
     """Batched eliminations of one shape: B outgoing messages, or beliefs, of some clusters.
 
-    `members` (B,) are the numbers of these messages or clusters; `clusters` (B,) are the clusters
-    whose CPDs, and messages to which, are gathered. Their n columns are in an order of the stack's
-    own, in which the first `drop` are integrated out: `components` (B, n) are the columns' places,
-    `columns` (B, n) their indices in the cluster's scope. In the buffer the matrices, of k rows,
-    are at `entries` (B, k, n), the right sides at `rows` (B, k), and the log-scales at `logs` (B, 1
-    + inputs): of the cluster's CPDs, then of the messages that are gathered.
+    `members` (B,) are the numbers of the outgoing messages, or of the clusters whose beliefs are
+    made. `clusters` (B,) are the numbers of the clusters at which the eliminations are made: the
+    rows of a cluster's CPDs, and of messages to it, are gathered.
+
+    The n components of a cluster are in an order of the stack's own, in which the first `drop` are
+    integrated out: `components` (B, n) has their places, `columns` (B, n) their columns in the
+    scope. The matrices of the k gathered rows stand in the buffer at `entries` (B, k, n), the right
+    sides at `rows` (B, k), and the log-scales at `logs` (B, 1 + inputs): first that of the
+    cluster's CPDs, then those of the messages that are gathered.
     """
 
     members: Integers
@@ -96,11 +102,11 @@ class Rounds:
 
     @cached_property
     def _factors(self) -> list[list[tuple[Integers, Integers]]]:
-        """For each cluster a list with a pair for each of its CPDs.
+        """For each cluster a list: of each of its CPDs a pair of arrays of indices into the buffer.
 
-        The pair are the buffer's indices of the entries (rows, n) and right sides (rows,) of the
-        CPD's factor. n are the columns of the cluster, in the order of its scope: entries in
-        columns that the CPD lacks point at the zero.
+        The first, (k, n), are those of the entries of the CPD's k rows, over the n columns of the
+        cluster in the order of its scope; indices in columns that the CPD lacks point at the zero.
+        The second, (k,), are those of the right sides.
         """
         found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
         starts = self.own_entries.tolist(), self.own_rows.tolist()
@@ -116,8 +122,8 @@ class Rounds:
     def _arriving(self) -> list[tuple[Integers, Integers]]:
         """For each message a pair: the buffer's indices of its entries (s, n) and right sides (s,).
 
-        s are the sepset's components, n the columns of the cluster that the message goes to, in the
-        order of its scope: indices of entries outside the sepset point at the zero.
+        s counts the components of the sepset, n the columns of the cluster that the message goes
+        to, in the order of its scope. Indices in columns outside the sepset point at the zero.
         """
         found = []
         for message, target in enumerate(self.layout.directed.target.tolist()):
@@ -160,7 +166,10 @@ class Rounds:
         return self._stacks([(i, i, [m ^ 1 for m in outgoing[i]], []) for i in clusters])
 
     def potentials(self, clusters: Iterable[int]) -> list[Stack]:
-        """The eliminations of all columns of some clusters, from the rows of their CPDs alone."""
+        """Stacks that gather the rows of the CPDs of some clusters, without messages to them.
+
+        As for beliefs, `drop` counts all columns; they are in the order of the cluster's scope.
+        """
         return self._stacks([(i, i, [], []) for i in clusters])
 
     @cached_property

@@ -1,11 +1,12 @@
 """Information rows of all factors and messages in one buffer, eliminated in batches.
 
-A factor exp(g − ½ ‖A ξ − r‖²), of a CPD or a message, over n components ξ in units of the prior's
-standard deviations is k *rows*: a matrix A (k, n) with right sides r (k, N), and the log-scale g.
-Where all of N runs share their matrices, V = 1; else V runs have a matrix each, and N = 1. The
-buffer has the entries of all matrices along one axis and the right sides along another; their
-indices are laid out by `Rounds`. A *stack* is a batch of B eliminations of equal shape, each of
-which gathers the rows of a cluster's CPDs and of messages to it.
+A CPD, or a message, is a factor exp(g − ½ ‖A ξ − r‖²) over n components ξ, in units of the prior's
+standard deviations. It is kept as k *rows*, a matrix A (k, n) with right sides r (k, N),
+and as the log-scale g. V is the number of matrices that are kept of a factor, and N the number of
+right sides of each: V = 1 and N = runs where all runs share their matrices, else V = runs and N =
+1. The buffer has the *entries* of all matrices along one axis, and the right sides along another;
+their indices are laid out by `Rounds`. A *stack* is a batch of B eliminations of equal shape, each
+of which gathers the rows of a cluster's CPDs and of messages to it.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ from pgm.kernels.rows import Eliminated, Rows, eliminate
 class Buffer:
     """Factors and messages as rows; `rounds` tells where each of them stands.
 
-    `proper` are the rows with noise, `exact` the relations without noise, None where there are
-    none. Log-scales are (V, clusters + messages + 1, N): of each cluster's CPDs, of each message,
-    then a zero. Two numbers tell how many digits float64 keeps (`certificate`): `coarse`, a tenth
-    of the largest summand of a CPD's residual, in standard deviations of its noise, or infinite
-    where rounding may decide which rows are exact; and `largest`, the largest entry of all factors
-    and eliminations.
+    `proper` are the rows with noise. `exact` are the rows of relations without noise, None if there
+    are none. `log_scale` (V, clusters + messages + 1, N) has the log-scales of each cluster's CPDs,
+    of each message, then a zero. Two numbers tell how many digits float64 keeps: `coarse` is a
+    tenth of the largest summand of a CPD's residual, in standard deviations of its noise, or
+    infinite where rounding may decide which rows are exact; `largest` is the largest entry of all
+    factors and eliminations.
     """
 
     rounds: Rounds
@@ -75,21 +76,21 @@ class Buffer:
         np.add.at(self.log_scale.swapaxes(0, 1), clusters, potentials.log_scale.swapaxes(0, 1))
 
     def factor(self, stack: Stack) -> Rows:
-        """The rows that each of a stack's B eliminations gathers: matrices A are (V, B, k, n)."""
+        """The rows that a stack's B eliminations gather: A (V, B, k, n) and r (V, B, k, N)."""
         return self._rows(stack.entries, stack.rows)
 
     def _rows(self, entries: Integers, rows: Integers) -> Rows:
-        """Rows with their matrices at `entries` (B, k, n) and right sides at `rows` (B, k)."""
+        """The rows A (V, B, k, n) at indices `entries` (B, k, n), with r at `rows` (B, k)."""
         exact = () if self.exact is None else self.exact.at(entries, rows)
         return Rows(*self.proper.at(entries, rows), *exact)
 
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
         """Integrate the first `stack.drop` columns out of each of a stack's B factors.
 
-        Returns, stacked (V, B, ...), the conditionals of these columns given the others, with the
-        factors exp(g − ½ ‖A ξ − r‖²) that are left over the others; and the log-scales g, (V, B,
-        N), for integrals in the user's units. Exact relations that contradict one another are a
-        NumericalError.
+        Returns two results. The first, stacked (V, B, ...), has the conditionals of these columns
+        given the others, and the rows of the integrals, which are factors over the others. The
+        second are the log-scales of the integrals, (V, B, N), taken in the user's units. Exact
+        relations that contradict one another are a NumericalError.
         """
         done = eliminate(self.factor(stack), stack.drop)
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
@@ -103,19 +104,22 @@ class Buffer:
     def out(self, messages: Integers, size: int) -> tuple[Integers, Integers]:
         """The indices at which the buffer has the rows of some messages, by their numbers (B,).
 
-        They are those of entries (B, s, s) and of right sides (B, s); all of the messages' sepsets
-        have s = `size` components.
+        Returns the indices of the entries, (B, s, s), and those of the right sides, (B, s). The
+        sepset of each of the messages has s = `size` components.
         """
         inside = np.arange(size * size).reshape(size, size)
         entries = self.rounds.entry_starts[messages][:, None, None] + inside
         return entries, self.rounds.row_starts[messages][:, None] + np.arange(size)
 
     def messages(self, messages: Integers, size: int) -> Rows:
-        """The stored messages by number (B,), each over s = `size` components, (V, B, s, s)."""
+        """The rows A (V, B, s, s) and r (V, B, s, N) of stored messages, by their numbers (B,).
+
+        Each is over s = `size` components.
+        """
         return self._rows(*self.out(messages, size))
 
     def store(self, stack: Stack, rest: Rows, log_scale: Array | None) -> None:
-        """Store a stack's messages, the rows `rest` (V, B, s, s), and log-scales (V, B, N).
+        """Store a stack's messages: the rows `rest`, of A (V, B, s, s), and log-scales (V, B, N).
 
         If `log_scale` is None, the messages' log-scales stay as they are.
         """

@@ -49,12 +49,12 @@ def run(
     lineariser: Lineariser,
     start: Start | None,
 ) -> GaussianPosterior:
-    """The posterior of a Gaussian network, by the messages of a schedule, as of `pgm.infer`.
+    """The posterior of a Gaussian network given evidence, by the messages of a schedule.
 
     Without a schedule the graph, a tree, is calibrated. `start` has the means of hidden variables
-    at which nonlinear CPDs are linearised first; without it they are linearised at the prior's
-    moments. The posterior's status tells of convergence and correct digits; fewer than six digits
-    are a `PrecisionWarning`.
+    at which nonlinear CPDs are linearised first; if it is None, they are linearised at the prior's
+    moments. The posterior's status tells of convergence and of correct digits; fewer than six
+    digits give a `PrecisionWarning`.
     """
     network = graph.network
     require_gaussian(network.cpds, "Gaussian beliefs")
@@ -90,9 +90,10 @@ def _solved(
 ) -> GaussianPosterior:
     """The posterior in float64, or, where float64 fails or keeps too few digits, in decimals.
 
-    `again` allows the calculation in decimals, which is for small networks; without it a failure is
-    raised, and where digits are too few the status has their number, of which the caller warns.
-    `at` are the means of a start, (runs, size), or None. Where nonlinear functions were traced,
+    `again` says whether the calculation may be repeated in decimals, which small networks allow.
+    Otherwise a failure in float64 is raised, and where digits are too few the posterior's status
+    has their number, for the caller to warn. `at` are the means of a start for all hidden
+    components, (runs, size); None to start from the prior. Where nonlinear functions were traced,
     `judge` compares what the traces gave with the functions, when this call is done.
     """
     loopy = isinstance(schedule, Loopy)
@@ -123,9 +124,10 @@ def _solved(
 def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) -> Status:
     """The status with the correct digits of the means, which two errors limit.
 
-    `lost` (runs,) is the error of the computation, in standard deviations of the means; None if it
-    leaves enough digits. The other error is half the last place of a mean in float64: without
-    `lost` it counts only if it is over 10⁻⁶ standard deviations in some run.
+    One is the error of the computation, `lost` (runs,), in standard deviations of the means; it is
+    None if it leaves enough digits. The other is the rounding of the means of `beliefs` to float64,
+    half of the last place. If `lost` is None and the rounding is at most 10⁻⁶ standard deviations
+    in each run, the status is returned as it is.
     """
     place = last_place.rounding(*beliefs.components(), model.frame.scale)
     if lost is not None:
@@ -140,7 +142,8 @@ def _plan(
 ) -> TreePlan:
     """The plan of a graph's messages, for evidence of the `observed` variables.
 
-    The `absent` variables are left out. The graph caches the plan; see `ClusterGraph.derived`.
+    The `absent` variables, whose CPDs lack evidence that they need, are left out. The plan is kept
+    with the graph.
     """
     return TreePlan(Layout(graph, observed, absent))
 
@@ -213,8 +216,8 @@ def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
     """The means of all hidden components at a start, (runs, size).
 
-    `start` maps hidden variables to means. A hidden variable that it lacks gets NaN if it has no
-    children; to lack one with children is an EvidenceError.
+    `start` maps hidden variables to means, and needs all that are parents: one that is missing is
+    an EvidenceError. The means of other hidden variables that it lacks are NaN.
     """
     require_hidden(start, layout.places)
     mean = np.full((bound.runs, layout.size), np.nan)

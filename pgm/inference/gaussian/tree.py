@@ -1,13 +1,14 @@
 """Calibrating a tree: rows are eliminated towards the roots, moments pushed back.
 
-Upward, each cluster integrates out the components r that are not in the sepset s with its parent,
-and keeps their conditional, r = G s + offset + noise; that is a sparse QR factorisation. Downward,
-the parent's moments of s go through the conditional. Nothing is divided or subtracted, and
-covariances may be singular.
+Upward, each cluster integrates out its components c that are not in the sepset s with its parent.
+It keeps their conditional, c = G s + offset + noise, with the *gain* G; this is a sparse QR
+factorisation. Downward, the parent's moments of s go through the conditional, which gives those of
+c. Nothing is divided or subtracted, and covariances may be singular.
 
-The *rows* of a factor exp(−½ ‖A ξ − r‖²) are those of A with right sides r; those of all CPDs and
-messages stand in one buffer. A *stack* is a batch of B eliminations of equal shape, which compute B
-messages or beliefs. V is 1 where all runs share their covariances, else the number of runs.
+A CPD or message is a factor exp(−½ ‖A ξ − r‖²), and is kept as *rows*: those of A, with right sides
+r. The rows of all CPDs and messages stand in one buffer. A *stack* is a batch of B eliminations of
+equal shape, which compute B messages or beliefs. V is 1 where all runs share their covariances,
+else the number of runs.
 """
 
 from __future__ import annotations
@@ -72,7 +73,10 @@ class TreePlan:
 
     @cached_property
     def senders(self) -> dict[int, tuple[int, int, int]]:
-        """For each cluster with a parent, where `levels` has its message: level, stack and row."""
+        """For each cluster with a parent, where `levels` has its message to the parent.
+
+        It is the index of a level, that of a stack in it, and that of the message in the stack.
+        """
         return {
             cluster: (level, k, row)
             for level, stacks in enumerate(self.levels[:-1])
@@ -109,8 +113,9 @@ class TreePlan:
 class TreeBeliefs(Beliefs):
     """Moments of a tree's clusters, with the gains G of the upward pass.
 
-    gains[level][stack] (V, B, r, s) are the regressions of the r components that each of B clusters
-    integrates out on the s components of the sepset with its parent; see `TreePlan.levels`.
+    gains[level][stack] (V, B, c, s) are those of the B clusters whose messages to their parents
+    ``TreePlan.levels[level][stack]`` computes. Each is the regression of the c components that the
+    cluster integrates out on the s components of the sepset with its parent.
     """
 
     gains: list[list[Array]]
@@ -162,10 +167,9 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
 
 
 def _certain(cov: Array) -> Array:
-    """Covariances (..., n, n) with zero for variances that are only rounding: at most 10⁻²⁸.
+    """Covariances (..., n, n) in which variances of at most 10⁻²⁸, mere rounding, are set to zero.
 
-    Variances are in units of the prior's. The covariances of a component without variance are zero,
-    too.
+    Variances are in units of the prior's. The covariances of such a component are set to zero, too.
     """
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) > CERTAIN
     if open_.all():

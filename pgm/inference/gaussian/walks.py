@@ -22,7 +22,7 @@ MOST = 1000
 
 
 def shown(radius: float) -> str:
-    """The text of a spectral radius: four digits of one below 1, else three.
+    """A spectral radius as text, with four digits if it is below 1, else with three.
 
     A radius that these digits would show as "1" is shown by its distance from 1, as "1 − 2e-06".
     """

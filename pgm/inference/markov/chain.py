@@ -1,6 +1,7 @@
 r"""Hidden Markov chains of finitely many states: a belief is a probability for each state.
 
-With weights l_t(x) = p(z_t | x), of the measurements of step t, the forward messages are
+z_t are the measurements of step t, and their weights are l_t(x) = p(z_t | x). The last step is T.
+The forward messages are
 
     α_0 = p(x_0) l_0,    α_t(x) = l_t(x) Σ_x' p(x | x') α_{t−1}(x'),
 
@@ -8,8 +9,9 @@ normalised at each step, and the backward ones, which `sweep.backward` carries f
 
     β_T = 1,    β_{t−1}(x') ∝ Σ_x p(x | x') l_t(x) β_t(x),
 
-so that p(x_t | all measurements) ∝ α_t β_t. Nothing is divided by a predicted probability. In
-another semiring the entries are logarithms of these numbers, or the sums are maxima.
+so that p(x_t | all measurements) ∝ α_t β_t. Nothing is divided by a predicted probability. The
+*semiring* of a chain says what the entries of messages are, these numbers or their logarithms, and
+how they are added up: by sums, or by maxima for the most probable path.
 
 The *slice* of a step is its hidden variables, x a joint state of these. Arrays are (*states,
 *runs): an axis for each hidden variable, or one for all states; then one of runs, the user's axes
@@ -63,7 +65,10 @@ class Behind(Protocol):
 
 
 class Slices(Behind, Protocol):
-    """A chain of slices of finitely many states: a hidden Markov model, or a grid."""
+    """A chain of slices of finitely many states, as far as forward messages need it, too.
+
+    It is a hidden Markov model, or a grid.
+    """
 
     def prior(self) -> Array:
         """The probabilities of the states at step 0, (*states, *runs)."""
@@ -96,7 +101,7 @@ class BackwardChain:
         self.known: Array | list[Array] = []
 
     def total(self, values: Array) -> Array:
-        """The sum over the states, (*runs)."""
+        """The sum of values (*states, *runs) over the states, (*runs), as the semiring adds."""
         return self.semiring.total(values, tuple(range(values.ndim - self.batch)), None)
 
     def unit(self) -> Array:
@@ -213,10 +218,8 @@ class StateChain(BackwardChain):
     def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
         """Keep `known`, the filtered belief of a step, and the log-density of its measurements.
 
-        The predicted belief is dropped.
-
-        Where there are controls, which begin at step 1, the belief of step 0 has another shape, and
-        the beliefs kept are a list.
+        The belief `predicted` is not kept. Where there are controls, which begin at step 1, the
+        belief of step 0 has another shape, and the beliefs are kept as a list.
         """
         if not step:
             self.known = self.room(known)
@@ -227,7 +230,7 @@ class StateChain(BackwardChain):
         self.log_density[step] = log_density
 
     def room(self, like: Array) -> Array:
-        """An array for a belief like this one at each step, (steps + 1, *states, *runs)."""
+        """A new array for a belief of the shape of `like` at each step, (T + 1, *states, *runs)."""
         return np.empty((self.slices.steps + 1, *like.shape), self.dtype)
 
     @property

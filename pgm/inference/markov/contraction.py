@@ -4,10 +4,11 @@ A *contraction* multiplies an array by the tables of CPDs, and sums over all var
 that are wanted: for a forward message the array is the belief over the states before, the tables
 are p(child | parents), and the wanted variables are those of the slice.
 
-The order is found once for a model: each table is multiplied in where the array that is left after
-summing is smallest, and a variable is summed out with the last table that has it. A table of a
-single parent that no other table has can be a *map*: a matrix that is applied along that parent's
-axis, which becomes the child's. So states that move independently of each other never make pairs.
+The order of the tables is found once for a model: next comes the table after which the array is
+smallest. A variable is summed out with the last table that has it. If a table has a single parent,
+which no other table has, it can be a *map*: a matrix that is applied along that parent's axis,
+which becomes the child's. So states that move independently of one another never make an array over
+their pairs.
 
 A variable is told by its *label*, an integer. A *factor* is a table, as an array of its entries or
 as a map (`Move`); the matrix of a map is a `Transition`. An axis in brackets, [runs], may be
@@ -49,7 +50,7 @@ class Step(NamedTuple):
 
     A variable is needed as long as it is in a later table or in the result.
 
-    factor: The place of the table among those of the contraction.
+    factor: The index of the table among those of the contraction.
     labels: The variables of the table: parents, child.
     before, after: The variables of the array's axes before and after the step.
     axis: The axis along which the table is applied as a map; None where it is multiplied as a
@@ -69,8 +70,9 @@ class Contraction(NamedTuple):
     steps: The multiplications, in turn.
     summed: The axes of the first array that are summed out before the steps: their variables are in
         no table and not wanted.
-    spread: The numbers of states of wanted variables that neither the array nor a table has. After
-        the steps they get axes, behind the array's own, along which it is constant.
+    spread: Of each wanted variable that neither the array nor a table has, the number of states.
+        After the steps each of these variables gets an axis, behind those of the other variables,
+        along which the array is constant.
     order: The permutation for `transpose` that comes last: axis i of the result is axis
         ``order[i]`` of the array after the steps and `spread`.
     back: Whether maps are applied from the child to the parent, as their transposes.
@@ -86,7 +88,7 @@ class Contraction(NamedTuple):
 
     @property
     def along(self) -> frozenset[int]:
-        """The places of the tables that are applied as maps; `apply` takes a `Move` for each."""
+        """The indices of the tables that are applied as maps: `apply` takes a `Move` for each."""
         return frozenset(step.factor for step in self.steps if step.axis is not None)
 
     @classmethod
@@ -157,7 +159,7 @@ class Contraction(NamedTuple):
 
         array: (sizes..., further axes..., [runs]), with the sizes of the variables `first` of which
             the contraction was made (`of`); all axes behind them are kept.
-        factors: Of each table its entries in the semiring, or, at the places in `along`, its map.
+        factors: Of each table its entries in the semiring, or, at the indices in `along`, its map.
         """
         if self.summed:
             array = semiring.total(array, self.summed, None)
@@ -197,16 +199,20 @@ def moved(move: Move, array: Array, axis: int, semiring: Semiring, *, back: bool
 
 
 def _mapped(each: Transition, array: Array, axis: int, semiring: Semiring, back: bool) -> Array:
-    """The entries of an array after a transition, or if `back` its transpose, along one axis."""
+    """An array multiplied by the matrix `each` along one axis, or, if `back`, by its transpose.
+
+    In a semiring of logarithms the array has logarithms, and so has the result.
+    """
     if not semiring.linear:
         return each.logs(array, axis, semiring, back=back)
     return each.backward(array, axis) if back else each.forward(array, axis)
 
 
 def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> Array:
-    """The product of an array and a table, summed to the variables that are left after a step.
+    """The product of an array and a table, summed over the variables that a step sums out.
 
-    Axes behind those of the variables are kept.
+    The array has the axes ``step.before``, the table ``step.labels`` and the result ``step.after``,
+    each with further axes behind these, which are kept.
     """
     if semiring.linear:
         operands: list[Any] = [array, [*step.before, ...], table, [*step.labels, ...]]

@@ -84,7 +84,7 @@ def _moved(
     """Add p(parents, child | all measurements) of a CPD at one step to its counts, in place.
 
     counts: (size of each parent..., size of the child).
-    inputs: By parent whose values are evidence, the indices of its states, (rows, runs or 1, 1);
+    inputs: For each parent that is not hidden the indices of its states, (rows, runs or 1, 1);
         empty if all parents are hidden.
     row: The row of the step in `inputs`.
     belief: (runs, *states), given all measurements, over at least the hidden variables of the CPD.
@@ -104,15 +104,16 @@ def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, 
     """Add p(parents, z | all measurements) of a sensor z at one measurement to its counts.
 
     counts: (size of each parent..., size of the sensor), changed in place.
-    reading: All measurements of the sensor, with its CPD. Its inputs have the states of the
+    reading: All measurements of the sensor, with its CPD and, as its inputs, the states of the
         parents that are not hidden.
-    row: The place of the measurement in the reading.
+    row: The place of the measurement among those of the sensor.
     belief: (runs, *states), given all measurements, over at least the hidden parents.
     axes: The axis of each hidden variable, counted from the first one of states.
 
-    Where a state z was measured its counts grow by p(parents | all measurements). With soft
-    evidence w of the sensor each state z gets the share p(z | parents) w(z) / Σ_z' p(z' | parents)
-    w(z') of this instead. Runs in which the measurement is missing add nothing.
+    Where a state z was measured, its counts grow by p(parents | all measurements). With soft
+    evidence, a weight w(z) for each state of the sensor, the counts of each state z grow by a share
+    of this instead: p(z | parents) w(z) / Σ_z' p(z' | parents) w(z'). Runs in which the measurement
+    is missing add nothing.
     """
     cpd, runs = reading.cpd, len(belief)
     found = _marginal(belief, [axes[v] for v in cpd.given if v in axes])

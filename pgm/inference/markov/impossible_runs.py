@@ -1,8 +1,9 @@
-"""Runs of a chain whose measurements have probability zero: from which step on, and with which NaN.
+"""Runs of a chain whose measurements have probability zero: finding them, and NaN for beliefs.
 
-These runs are called *lost*. A belief that knows the first impossible measurement, of step t, is
-NaN: a filtered one from step t on, a fixed-lag one from step t less the lag on, a smoothed one at
-all steps. The filtered beliefs before step t, and the predicted belief at step t, are not NaN.
+Such a run is called *lost*, from the step t of its first impossible measurement on. A belief
+*knows* the measurements that it is given. If it knows the impossible one, it is NaN: a filtered
+belief from step t on, a fixed-lag one from step t less the lag on, a smoothed one at all steps. The
+filtered beliefs before step t, and the predicted belief at step t, are not NaN.
 
 The last step is T. Beliefs are (*states, *runs): an axis for each hidden variable of a slice, then
 one of runs, or none where the user gave no axes of runs; [runs] is such an axis. Entries are
@@ -62,7 +63,7 @@ class Search(StateChain):
 
 
 def first_lost(slices: TableSlices) -> Integers:
-    """The step, ([runs]), from which on the measurements of each run are impossible, or T + 1.
+    """The first step of each run whose measurements are impossible, ([runs]); T + 1 without one.
 
     It is found in numbers, or with logarithms where numbers may have lost a state to underflow.
     """

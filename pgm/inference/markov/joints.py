@@ -20,10 +20,11 @@ from pgm.kernels.arrays import Array
 def pair(chain: StateChain, plan: SlicePlan, step: int, message: Array) -> Array:
     """The joint of the states one step before and a step's slice, (*states, *slice, *runs).
 
-    It is of probabilities, of sum one, given the measurements that `message` knows.
+    Its entries are probabilities, of sum one, given the measurements up to the step, and the later
+    ones from which the message was made.
 
     step: The step of the slice, 1 or later.
-    message: The backward message to the slice of the step, from later measurements.
+    message: The backward message to the slice, from measurements after the step, (*slice, *runs).
     """
     slices: Any = chain.slices
     semiring = chain.semiring
@@ -62,10 +63,10 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
     """The joint probabilities of variables at steps, (sizes..., *runs), in the order of `scope`.
 
     `scope` are hidden variables, each at a step, as ``x.at(3)``. The joint is given the
-    measurements that a belief of this `kind` (filtered, fixed-lag, smoothed) at the latest of their
-    steps knows. A forward message goes from the first of the steps to the latest; from the step of
-    each variable on it has one more axis, of that variable's state. At the latest step it is
-    multiplied by the backward message.
+    measurements that a belief of the same `kind` (filtered, fixed-lag, smoothed) is given at the
+    latest of these steps. A forward message goes from the first of the steps to the latest; from
+    the step of each variable on it has one more axis, of that variable's state. At the latest step
+    it is multiplied by the backward message.
     """
     slices: TableSlices = chain.slices  # type: ignore[assignment]
     semiring, axes = chain.semiring, len(plan.shape)

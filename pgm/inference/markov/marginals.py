@@ -2,7 +2,7 @@
 
 A *slice* is the hidden variables of a step: states and controls. A belief over it is (*states,
 *runs): an axis for each of its variables, then one of runs, or none where the user gave no axes of
-runs. The last step is T.
+runs. It *knows* the measurements that it is given. The last step is T.
 """
 
 from collections.abc import Sequence

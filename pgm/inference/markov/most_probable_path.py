@@ -92,9 +92,9 @@ def _with_controls(plan: SlicePlan, before: Array, states: Integers) -> Integers
 
 
 def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
-    """The values ln p(slice | states before), (runs, *states before), at a slice's known states.
+    """The values ln p(slice | states before) for all states before, (runs, *states before).
 
-    `states` is (variables of the slice, runs).
+    The slice is that of `step`, in known states: `states` (variables of the slice, runs).
     """
     plan = slices.plan
     count, runs = len(plan.slice), states.shape[1]
@@ -115,7 +115,9 @@ def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
 
 
 def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Integers | None:
-    """The states of a map's parent in the same slice, (runs,); None if it is in the slice before.
+    """The states of a map's parent, (runs,), if it is in the same slice as the child.
+
+    None if it is in the slice before, whose states are not known yet.
 
     labels: The labels of the map's parent and child.
     states: Of the variables of the slice, (variables, runs).
@@ -125,9 +127,13 @@ def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Inte
 
 
 def _columns(move: Move, children: Integers, parents: Integers | None) -> Array:
-    """The values ln p(child | parent) of a map, (runs, parents), at each run's state of the child.
+    """The values ln p(child | parent) of a map, at each run's state of the child.
 
-    With `parents`, (runs,), they are (runs,), at each run's state of the parent too.
+    children: The states of the child, (runs,).
+    parents: The states of the parent, (runs,); None if they are not known yet.
+
+    Returns: The values at these states, (runs,); for all states of the parent if `parents` is None,
+    (runs, states of the parent).
     """
     runs = len(children)
     found: Array | None = None
@@ -147,7 +153,9 @@ def _columns(move: Move, children: Integers, parents: Integers | None) -> Array:
 
 
 def _selected(table: Array, labels: tuple[int, ...], states: Integers, count: int) -> Array:
-    """A table of logarithms at the known states of its slice, (runs, *parents before).
+    """A table of logarithms where the variables of a slice have known states.
+
+    It is left with axes of its parents in the slice before, (runs, *parents before).
 
     table: (size of each label..., [runs]); without an axis of runs it is that of all runs.
     labels: The labels of the variables of its axes.

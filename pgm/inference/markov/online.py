@@ -81,8 +81,9 @@ class OnlineTables(InCode, Immutable):
 
         belief: A belief of this filter. One of another filter, or a smoothed one of `lagged`,
             raises `ModelError`.
-        inputs: For each input of the transition the names or indices of states, (...), or values
-            (..., d); None if the transition has no inputs.
+        inputs: The value of each input of the transition: of a discrete one the name or index of a
+            state, (...), of a vector its components, (..., d). The dots are axes of runs. None if
+            the transition has no inputs.
         """
         self._check(belief)
         given = as_mapping(inputs, "the inputs of predict")
@@ -109,9 +110,10 @@ class OnlineTables(InCode, Immutable):
 
         belief: A belief of this filter. One of another filter, or a smoothed one of `lagged`,
             raises `ModelError`.
-        readings: For a sensor the name or index of the state measured, (...), `soft` weights (...,
-            size), or, for any number of measurements, ``pgm.sightings(values, given=...)`` without
-            steps; for inputs that the sensors need, their states or values.
+        readings: For each sensor its measurement: the name or index of a state, (...); or `soft`
+            weights of the states, (..., size); or any number of measurements, as
+            ``pgm.sightings(values, given=...)`` without steps. The dots are axes of runs. Inputs
+            that the sensors need are keys, too, with their states or values.
         """
         self._check(belief)
         given = step_evidence.mapping(readings, "update", "sensors to measurements")
@@ -122,11 +124,11 @@ class OnlineTables(InCode, Immutable):
         before = self._spread(belief, bound.lead)
 
         def taken(own: TableSlices, known: Held) -> tuple[Array, Array | None, Array | float]:
-            """The belief `known` times the weights of the new measurements, not normalised.
+            """The belief `known` times the weights of the new measurements, which `own` has.
 
-            `own` are the slices with these measurements as evidence. The second result is the
-            product of all weights of the step so far, None if there are none; the third is the
-            log-scale of the new weights.
+            Returns three: the entries of this product, (*slice, *runs), not normalised; the product
+            of all weights of the step so far, None if there are none; and the log-scale of the new
+            weights.
             """
             weights, scale = own.likelihood(step)
             if weights is None:

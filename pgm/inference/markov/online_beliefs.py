@@ -77,7 +77,11 @@ class Held(NamedTuple):
 
 
 class Passed(NamedTuple):
-    """A past step of an online filter: its belief, and the slices with the transition out of it."""
+    """A past step of an online filter.
+
+    held: The belief of the step.
+    ahead: The slices with the tables of the transition from this step to the next.
+    """
 
     held: Held
     ahead: TableSlices

@@ -123,7 +123,8 @@ class SlicePlan:
 class RowTables:
     """The tables, or maps, of a CPD of the transition at all rows, for the inputs of each row.
 
-    inputs: By variable the values at all rows, (rows, runs or 1, d), states with d = 1.
+    inputs: For each input or observed parent its values at all rows, (rows, runs or 1, d); d = 1
+        for a discrete one, whose values are the indices of its states.
     first: The step of row 0; row k is of step `first` + k.
 
     labels: The axes of its tables: hidden parents, child.
@@ -174,7 +175,10 @@ class RowTables:
         )
 
     def _factor(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Any:
-        """The table or map at the states `key` of the observed parents, kept in a cache."""
+        """The table or map at the states `key` of the observed parents, from a cache.
+
+        What the cache lacks is made by `_made`.
+        """
         name = (*key, semiring.linear, as_map)
         found = self.index.get(name)
         if found is None:
@@ -182,7 +186,10 @@ class RowTables:
         return found
 
     def _made(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Factor:
-        """The table or map at the states `key` of its observed parents."""
+        """The table at the states `key` of the observed parents, without their axes.
+
+        It is an array of entries of the semiring, or, if `as_map`, a `Move`.
+        """
         if as_map and self.cpd._maps and self.observed == self.cpd.given[1:]:
             return Move(((self.cpd._maps[key[0] if key else None], None),))
         table = self._selected(self.cpd.table, key)
@@ -319,9 +326,9 @@ class TableSlices:
         return np.expand_dims(found, self.plan.controls) if self.plan.controls else found
 
     def factors(self, step: int, way: str) -> Sequence[Factor]:
-        """The tables of the transition into a step, for the contraction of `SlicePlan` named `way`.
+        """The tables of the transition into a step, as a contraction of the `SlicePlan` takes them.
 
-        That is ``"onward"``, ``"back"`` or ``"pairs"``.
+        `way` is the name of the contraction: ``"onward"``, ``"back"`` or ``"pairs"``.
         """
         fixed = self._fixed.get(way)
         if fixed is not None:
@@ -350,7 +357,8 @@ class TableSlices:
     def weights_of(self, part: range) -> tuple[Array, Array]:
         """The weights of the measurements of some steps, (steps, *slice, [runs]), and log-scales.
 
-        Log-scales are (steps, [runs]). The largest weight of each step and run is one.
+        `part` are the steps, consecutive ones; log-scales are (steps, [runs]). The largest weight
+        of each step and run is one. Where measurements are left out (`lost`) all weights are one.
         """
         found, scales = self._given_weights_of(part)
         if self.lost is not None:
@@ -363,8 +371,8 @@ class TableSlices:
     def _given_weights_of(self, part: range) -> tuple[Array, Array]:
         """The weights of all measurements at some steps, those that `lost` leaves out included.
 
-        They are new arrays, (steps, *slice, [runs]), the largest weight of each step and run being
-        one; their log-scales are (steps, [runs]).
+        `part` are the steps, consecutive ones. The weights are a new array, (steps, *slice,
+        [runs]), the largest of each step and run being one; their log-scales are (steps, [runs]).
         """
         if len(self.weights) == 1 and self.weights[0].shape == self.plan.shape:
             picked = self.weights[0].picked(part)

@@ -195,9 +195,9 @@ class StatePosterior(Posterior):
 
         Its log-scale carries the evidence that went into it. Backward messages, from a later
         cluster to an earlier one, are sent by smoothing alone; without it they raise GraphError.
-        A backward message may have zeros for states that are impossible given the measurements up
-        to its step: where later measurements favour these states so strongly that the
-        possible states' entries would be too small for float64.
+        Later measurements may favour states that are impossible given the measurements up to a
+        step. Where they do so by so much that the entries of possible states would be too small for
+        float64, the backward message has zeros for the impossible states.
         """
         source, target = self.graph.index(source), self.graph.index(target)
         scope = discrete(self.graph.sepsets[source, target])
@@ -257,10 +257,11 @@ class StatePosterior(Posterior):
             yield self._scaled_back(step, plain)
 
     def _sized(self, step: int, message: Array) -> tuple[Array, Array, Array]:
-        """A message to a slice, the sum of its product with the filtered belief, its largest entry.
+        """A backward message to the slice of a step, with two numbers to scale it by.
 
-        `message`, (*states, *runs), is returned as it is; the sum over the states and the largest
-        entry are (*runs). All are entries of the chain's semiring.
+        Returns three, in entries of the chain's semiring: `message`, (*states, *runs), as it is;
+        the sum over the states of its product with the filtered belief, (*runs); and its largest
+        entry, (*runs).
         """
         chain = self._chain
         found = chain.total(chain.semiring.times(chain.known[step], message))

@@ -29,7 +29,8 @@ def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
     """The kind of beliefs that a schedule gives; smoothed without a schedule.
 
     `Filtering`, `FixedLag` and `Smoothing` are taken, and `Calibration` counts as `Smoothing`. Any
-    other schedule, or one with a gate, damping, or more than one iteration, raises a `ModelError`.
+    other schedule raises a `ModelError`, and so does one with damping, more than one iteration, or
+    a gate, which would leave out measurements that lie too far from their prediction.
     `beliefs` names the beliefs in the error's text: a plural such as "tables".
     """
     if schedule is None or type(schedule) is Calibration:

@@ -168,9 +168,9 @@ class DirectChain(StateChain):
     def _messages(self, found: Array) -> Iterator[slice]:
         """Fill `found`, (steps + 1, states, [runs]), with the backward messages to all steps.
 
-        They are made from the last step to the first. Yields slices of the first axis of `found`,
-        ranges of steps that the caller may overwrite: their messages are there, and no further one
-        is made from them.
+        They are made from the last step to the first. Yields ranges of steps, as Python slices
+        along the first axis of `found`, whenever their messages are done. The caller may overwrite
+        these messages, since no further one is made from them.
         """
         if self._blocks is not None:
             self._blocks.backward(found)

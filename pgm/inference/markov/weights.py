@@ -83,7 +83,8 @@ class Weights:
     def _laid(self, table: Array, lead: int) -> Array:
         """A table (lead..., parents..., child) as (lead..., observed parents..., child, *slice).
 
-        The hidden parents' axes go to those of the slice. `lead` is the number of leading axes.
+        The hidden parents' axes go to those of the slice, whose other axes get length one. `lead`
+        is the number of leading axes, which stay as they are.
         """
         axes = (*self.cpd.given, self.cpd.child)
         order = [lead + axes.index(v) for v in (*self.observed, self.cpd.child, *self.order)]
@@ -93,9 +94,10 @@ class Weights:
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
         """The weights of the measurement at a row, (*slice, [runs]), as entries of the semiring.
 
-        In runs that lack the measurement they are the semiring's one. If all runs share it, or
-        there is one run, and it is missing, the result is None; soft evidence always has weights.
-        Where entries are numbers, weights by soft evidence have the log-scale `log_scale`.
+        In runs that lack the measurement the weights are the semiring's one. The result is None if
+        the measurement is missing in a single run, or in all runs that share it with the states of
+        observed parents; soft evidence always has weights. Where entries are numbers, soft evidence
+        is divided by its largest weight, whose logarithm `log_scale` gives.
         """
         values, taken = self.reading.values[row], self.reading.taken[row]
         if self.cpd.function is None:
@@ -122,9 +124,10 @@ class Weights:
         """The weights of some steps, (steps, *slice, [runs]), and log-scales, (steps, [runs]).
 
         `part` are the steps, consecutive ones. The largest weight of each step and run is one; a
-        step without a measurement has ones. The weights of all steps are columns of one table, and
-        are selected at once. Where they are not, as with observed parents, soft evidence or a table
-        that is a function of inputs, the result is None, and so if a step has several measurements.
+        step without a measurement has ones. The weights are columns of the sensor's table, selected
+        for all steps at once. The result is None where this is not possible: with observed parents,
+        with soft evidence, with a table that is a function of inputs, or if a step has several
+        measurements.
         """
         rows = self._rows(part)
         step = self.reading.step[rows.start : rows.stop] - part.start
