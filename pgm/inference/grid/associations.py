@@ -3,7 +3,8 @@
 A sighting is a measurement of some thing, a parent of its sensor. It is open where that parent is
 unknown: it is then of one of k candidates, spurious, or of a new thing. Its associations are the k
 + 2 probabilities of these cases, in this order. A `Reading` has all measurements of one sensor,
-sorted by step: a row is one measurement, in all runs. Beliefs are (runs, T + 1, *cells).
+sorted by step: a row is one measurement, in all runs. The lattice has an axis of cells for each
+component of the states. Beliefs are the probabilities of its cells, (runs, T + 1, *cells).
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ _NEGLIGIBLE = 1e-12
 
 
 def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any]) -> Found:
-    """By sensor, the associations of its open sightings in all runs, as an `Associations` record.
+    """By sensor, an `Associations` record of its open sightings in all runs.
 
-    Sensors without open sightings are left out.
+    The record has the steps of the M sightings, the probabilities (*runs, M, k + 2) of their
+    associations, and the likeliest candidate of each. Sensors without open sightings are left out.
 
     bound: The evidence, with a `Reading` for each sensor.
     values: The beliefs over which associations are averaged, (runs, T + 1, *cells), the user's axes

@@ -97,7 +97,7 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         Raises
         ------
         ModelError
-            If one is no component, or named twice, or none is named.
+            If a name is that of no component, or is given twice, or if no name is given.
         """
         return self._over(places_of(self._parts, components, "a marginal"))
 
@@ -156,8 +156,8 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
     def _at(self, index: Any, chosen: Integers) -> Self:
         """The beliefs at the user's `index` of the leading axes, as `belief[index]` gives them.
 
-        `chosen` are the numbers of the beliefs taken, counted through the flattened leading axes;
-        it has the shape of the result's leading axes.
+        `chosen` has the places of these beliefs in the flattened leading axes, as an array with the
+        shape of the result's leading axes.
         """
         raise NotImplementedError
 
@@ -255,7 +255,7 @@ class GridBelief(PointMassBelief):
         return closed(self._centres(np.asarray(flat)))
 
     def _centres(self, flat: Integers) -> Array:
-        """The centres (..., n) of cells, given by their flat indices (...) in a belief."""
+        """The centres (..., n) of cells, given by their indices (...) in the flattened grid."""
         # One axis: NumPy 2.4 gives others than these of (n, 1) places, n above 8192.
         places = np.unravel_index(flat.reshape(-1), self.values.shape[len(self.lead) :])
         each = [centres[place] for centres, place in zip(self.centres, places, strict=True)]
@@ -283,9 +283,9 @@ class GridBelief(PointMassBelief):
     def _at(self, index: Any, chosen: Integers) -> GridBelief:
         """The beliefs at the user's `index` of the leading axes, as `belief[index]` gives them.
 
-        `chosen` are the numbers of the beliefs taken, counted through the flattened leading axes.
-        The result's `steps` are those that the index takes of the last leading axis; None where it
-        takes one step, or takes other steps in one run than in another.
+        `chosen` has the places of these beliefs in the flattened leading axes. The result's `steps`
+        are those that the index takes of the last leading axis; None where it takes one step, or
+        takes other steps in one run than in another.
         """
         each = index if isinstance(index, tuple) else (index,)
         values = self.values.reshape(-1, *self.values.shape[len(self.lead) :])[chosen]
@@ -308,7 +308,7 @@ class GridBelief(PointMassBelief):
         return Summary(self._title, [moments_of(self)])
 
     def _marginal(self, places: tuple[int, ...]) -> Array:
-        """The marginals (..., *their cells) over the axes with these indices, in this order."""
+        """The marginals over the axes with these indices, in this order: (..., *cells of these)."""
         if places not in self._marginals:
             count = len(self.lead)
             others = tuple(count + k for k in range(len(self._parts)) if k not in places)
@@ -319,7 +319,7 @@ class GridBelief(PointMassBelief):
 
     @cached_property
     def _marginals(self) -> dict[tuple[int, ...], Array]:
-        """The marginals (..., *their cells) found so far, by the indices of their axes."""
+        """The marginals found so far, (..., *cells of their axes), by the indices of these axes."""
         return {}
 
     @cached_property
@@ -352,7 +352,7 @@ class GridBelief(PointMassBelief):
 
 
 def scope_axes(axes: Sequence[Axis], variables: Scope) -> tuple[int, ...]:
-    """The indices of the axes of some variables' components, variable by variable."""
+    """The indices, in `axes`, of all components of some variables, one variable after another."""
     places = {(axis.variable, axis.component): k for k, axis in enumerate(axes)}
     return tuple(places[v, k] for v in variables for k in range(v.dimension))
 

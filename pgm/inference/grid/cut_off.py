@@ -122,11 +122,12 @@ class Tails(NamedTuple):
         return found._replace(share=np.maximum(kept, TINY))
 
     def measured(self, marginals: Sequence[Array]) -> tuple[Tails, float]:
-        """The tails given the measurements of the step, and the largest share now missing.
+        """A pair: the tails given the measurements of the step, and the largest share now missing.
 
-        It is the largest, over the ends of all axes, of the shares of the belief that were cut off
-        there or have left the bounds. `marginals` are those (cells,) of the belief given the
-        measurements, along all axes.
+        The share that is missing at an end of an axis is that of the belief estimated to be cut off
+        there or to have left the bounds; the largest is taken over the ends of all axes.
+
+        marginals: Those (cells,) of the belief given the measurements, one for each axis.
         """
         after = self._at(marginals)
         gain = after / np.maximum(self.before, 1e-300)
@@ -149,8 +150,8 @@ def doubtful(log_density: float, ceiling: float, components: int) -> bool:
     """Whether measurements are so unlikely that the part cut off might explain them better.
 
     They are if `log_density` < `ceiling` − max(b/2 − √(2b), 0) − 20, b being the number of
-    `components`: if the model is true, half the sum of the squares of b whitened residuals is b/2 ±
-    √(b/2).
+    `components`. If the model is true, half the sum of the squares of b whitened residuals has the
+    mean b/2 and the standard deviation √(b/2); b/2 − √(2b) is two deviations below the mean.
 
     log_density: ln p(measurements of a step | those before).
     ceiling: The logarithm of the density of residuals that are all zero.
@@ -161,9 +162,10 @@ def doubtful(log_density: float, ceiling: float, components: int) -> bool:
 
 
 def bound(log_density: float, best: float) -> float:
-    """The most that a part of a belief with a share of 10⁻¹⁵ can become by a step's measurements.
+    """An upper bound on the share that a step's measurements give to states cut off before them.
 
-    It is 10⁻¹⁵ exp(`best` − `log_density`), and 1 at the most.
+    These states had a share of 10⁻¹⁵, and may explain the measurements as well as the best cell
+    does. The bound is thus 10⁻¹⁵ exp(`best` − `log_density`), and 1 at the most.
 
     log_density: ln p(measurements | those before), under the belief without what was cut off.
     best: The largest log-density of the measurements at any cell.

@@ -1,11 +1,17 @@
-"""Moves by a density, from each cell to each, and how well sums over centres serve for integrals.
+"""Moves by a transition density, which is evaluated from each cell to each cell.
 
-The weight of a target centre is the transition density there times the volume of a cell. The sum of
-a source cell's weights approximates an integral that is one; the error is judged by how much the
-sum varies as the target centres are shifted by parts of a cell. Of source cells near the bounds the
-sum is taken over centres beyond the bounds as well. A sum that differs from one by no more than the
-variation explains is normalised away; probability that is missing besides has left the bounds and
-stays missing. A window is a span of cells along each axis.
+A source cell is a cell at the step before, a target cell one at the step itself. The *moved axes*
+are those of the states that move. The weight of a target cell is the transition density at its
+centre times the volume of a cell along the moved axes.
+
+The sum of a source cell's weights approximates an integral that is one. Its error is judged by how
+much the sum varies as the target centres are shifted by parts of a cell. For a source cell near the
+bounds of the grid the sum is taken over centres beyond the bounds as well. If the sum differs from
+one by no more than this variation explains, the weights are divided by it. If more is missing, it
+has left the bounds, and stays missing.
+
+A window is a span of cells along each axis. Arrays of probabilities, and of backward messages, are
+over the cells of a window.
 """
 
 import math
@@ -106,12 +112,18 @@ class Dense:
 
     @property
     def _order(self) -> tuple[int, ...]:
-        """All axes, in order: `by`, those that rest (neither moved nor depended on), `axes`."""
+        """All axes in the order of `_lines`: `by`, then resting axes, then `axes`.
+
+        Resting axes are those that are neither moved nor depended on.
+        """
         moved = {*self.axes, *self.by}
         return (*self.by, *(k for k in range(len(self.source)) if k not in moved), *self.axes)
 
     def _lines(self, array: Array) -> Array:
-        """An array reshaped to lines (G, cells of resting axes, cells of moved axes)."""
+        """An array over a window as lines (G, cells of resting axes, cells of moved axes).
+
+        Resting axes are those that are neither moved nor depended on.
+        """
         count = math.prod(array.shape[k] for k in self.axes)
         groups = math.prod(array.shape[k] for k in self.by)
         return np.ascontiguousarray(array.transpose(self._order)).reshape(groups, -1, count)
@@ -151,7 +163,7 @@ class DensityGroup(Members):
                     )
 
     def depends(self) -> tuple[set[int], set[int]]:
-        """The sets of axes on which the densities depend: of the step before, and of their own."""
+        """The axes on which the densities depend: a set of the step before, a set of this step."""
         before, after = set[int](), set[int]()
         for cpd in self.states:
             for parent in cpd.parents:

@@ -1,7 +1,7 @@
 """Sensors given by their density, which is evaluated at the centres of a window, some at a time.
 
 A measurement z is a row of the sensor's `Reading`, in a run; its density at a centre x is p(z | x).
-A window is a span of cells along each axis.
+A window is a span of cells along each axis; cells (n, axes) are given by their places on the axes.
 """
 
 import math
@@ -34,13 +34,13 @@ class DensitySensor(MeasuredSensor):
     """A sensor of any density, such as a mixture or a scan, weighed by ln p(z | x) at centres."""
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The log-densities of one measurement at a window's centres, and the highest found.
+        """One measurement over a window: a list with its log-densities, and the highest found.
 
-        The log-densities are the one item of a list: a `Level`, which has their array over the
-        window, and the highest. The highest is the largest found so far: in the window, at
-        some 4096 cells spread over all the lattice, and of earlier measurements of as many
-        components; 0 if all are −∞. If no component was measured, the list is empty and the
-        highest 0.
+        The one item of the list is a `Level`: the log-densities at the window's centres, an array
+        that broadcasts to the window, and the highest once more. The highest is the largest found
+        so far: of this measurement in the window and at some 4096 cells spread over all the
+        lattice, and of earlier measurements that have as many measured components. It is 0 if all
+        are −∞. If no component was measured, the list is empty and the highest 0.
         """
         count = int(self.taken(row, run).sum())
         if not count:
@@ -92,7 +92,8 @@ class DensitySensor(MeasuredSensor):
         It is max ‖R^(−1/2) (h(c) − h(c_0))‖ over the Gaussian parts of the CPD and the other
         `cells` c, (n, axes), c_0 being the first, h the mean of a part and R its noise covariance.
         Of an unidentified sensor it is the least over its candidates; 0 of a CPD without Gaussian
-        parts. `known` are the observed parents.
+        parts. `known` has the values (d,) of the observed parents, by variable; the measurement, a
+        `row` and a `run`, says which of its components count.
         """
         if isinstance(cpd, UnidentifiedCPD):
             each = ({**known, cpd.parent: candidate} for candidate in cpd.candidates)
@@ -114,10 +115,11 @@ class DensitySensor(MeasuredSensor):
         return sorted(k for parent in cpd.parents if parent in of for k in of[parent])
 
     def _bound(self, row: int, run: int) -> tuple[CPD, Array, Known]:
-        """The CPD at a measurement's step, the measurement (d,), and the observed parents.
+        """A measurement as a triple: the sensor's CPD, the measured values, the observed parents.
 
-        The CPD has its noise evaluated (`settled`); components of the measurement that are missing
-        are NaN. Missing ones that the density cannot leave out are refused by an EvidenceError, and
+        The CPD has its noise evaluated for the step and the run. The values are (d,), with NaN for
+        missing components. The observed parents are given by their values (d,), by variable.
+        Missing components that the density cannot leave out are refused by an EvidenceError, and
         singular noise of a Gaussian part by a ModelError.
         """
         step, known, cpd = int(self.reading.step[row]), self.known(row, run), self.reading.cpd

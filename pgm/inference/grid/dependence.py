@@ -46,14 +46,14 @@ def within(lattice: Lattice, window: Window, most: int, seed: int) -> Integers:
 
 
 def blocks(lattice: Lattice) -> Iterator[Integers]:
-    """All cells of a lattice, (n, axes), in blocks of at most 2^16."""
+    """Yield all cells of a lattice, by their places (n, axes), in blocks of n ≤ 2^16."""
     for first in range(0, lattice.size, BLOCK):
         flat = np.arange(first, min(first + BLOCK, lattice.size))
         yield np.stack(np.unravel_index(flat, lattice.shape), axis=-1)
 
 
 def centres(lattice: Lattice, cells: Integers) -> Array:
-    """The centres (n, axes) of cells (n, axes)."""
+    """The coordinates (n, axes) of the centres of n cells, given by their places (n, axes)."""
     return lattice.points(list(cells.T))
 
 

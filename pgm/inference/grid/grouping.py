@@ -31,8 +31,9 @@ def groups(
     prior: bool,
     first: int = 0,
 ) -> list[Members]:
-    """The groups of a prior or transition; states that depend on the same control are together.
+    """The groups of a prior's or a transition's CPDs, in which a grid moves the states.
 
+    States that depend on the same hidden control are in one group.
     A hidden control whose CPD is not Gaussian, or has robust noise, is refused by a ModelError.
 
     cpds: The CPDs of the states and of the hidden controls.
@@ -40,7 +41,7 @@ def groups(
     kept: The weights from every cell to every cell, of groups that are moved by densities, by the
         key that identifies a group; groups add to it and share it.
     prior: Whether the CPDs are a prior's.
-    first: The step before the one that the first row of the known values is for.
+    first: The step before that of the first row of known values: row r is for step first + 1 + r.
     """
     values = {cpd.child: given for cpd, given in zip(cpds, known, strict=True)}
     states = [cpd for cpd in cpds if cpd.child in lattice.of]

@@ -48,7 +48,7 @@ class Members:
     known: By child and then parent, the values (rows, runs or 1, d) of observed parents, a row for
         each step.
     prior: Whether the CPDs are a prior's, at step 0: displacements then count from the first cell.
-    first: The step before the one that the first row of `known` is for.
+    first: The step before that of the first row of `known`: row r is for step first + 1 + r.
     place: Of a part of a mixture, its index there; of a mixture in a mixture, one index a level;
         empty otherwise.
     """
@@ -73,7 +73,7 @@ class Members:
 
     @property
     def later(self) -> frozenset[int]:
-        """The indices of the axes of hidden parents at the same step."""
+        """The indices of the axes of the states on which these CPDs depend at the same step."""
         given = {v for cpd in (*self.controls, *self.states) for v in cpd.given if not v.lag}
         return frozenset(k for v in given if v in self.lattice.of for k in self.lattice.of[v])
 
@@ -120,6 +120,7 @@ class Group(Members):
         before, after: Points (n, axes of the lattice) of the step before, from which states move,
             and of this one, at which parents of the same step stand.
         noise: Values of the white noise, (n, size), which enter by the roots of the `spread`.
+        spread: The noise of the displacements at the step, as the method `spread` gives it.
         """
         points = dict(self.lattice.values(after))
         if not self.prior:

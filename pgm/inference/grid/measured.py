@@ -46,7 +46,7 @@ class Shape:
     turning: The indices of the circles for which h is a sum, h(x) = f(other axes) + g(circles);
         empty if h is no such sum. None before h is first called; until `tested`, all circles on
         which h depends.
-    tested: Whether it has been tested at every centre that h is such a sum.
+    tested: Whether a test at every centre has shown if h is such a sum.
     highest: The largest log-density that measurements have had at a centre so far, by the number of
         their components that were measured; only for a sensor given by its density.
     """
@@ -61,7 +61,7 @@ class Shape:
 class MeasuredSensor:
     """A sensor on a lattice, with its measurements; base of sensors by their kind of noise.
 
-    reading: The measurements.
+    reading: The sensor's CPD and its measurements in all runs, sorted by step.
     shape: What tests have found of the sensor's function; later tests add to it.
     """
 
@@ -87,7 +87,7 @@ class MeasuredSensor:
         return range(int(low), int(high))
 
     def known(self, row: int, run: int) -> Known:
-        """By variable, the values (d,) of the sensor's observed parents at a measurement."""
+        """The values (d,) of the sensor's observed parents at one measurement, by variable."""
         inputs = self.reading.inputs
         return {v: a[row, run if a.shape[1] > 1 else 0] for v, a in inputs.items()}
 
@@ -111,13 +111,14 @@ class MeasuredSensor:
         return found
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """One measurement over a window, as residuals and a constant.
+        """One measurement z over a window: a list of residuals, and a constant.
 
-        ln p(z | x) is the constant less the sum of what the residuals' method `squared` gives. With
-        Gaussian noise that is, at each cell, half the squared whitened residual of one component,
-        or of all together, and the constant is the log-density at zero residual. For a sensor given
-        by its density it is how far the log-density lies below the constant, which is the largest
-        one found. If no component was measured there are no residuals, and the constant is 0.
+        At the centre x of each cell, ln p(z | x) is the constant less the sum, over the list, of
+        what the method `squared` of a residual gives. With Gaussian noise, `squared` gives half the
+        squared whitened residual of one component, or of all together, and the constant is the
+        log-density at zero residual. For a sensor given by its density, `squared` gives how far the
+        log-density lies below the constant, which is the largest log-density found. If no component
+        was measured, the list is empty and the constant 0.
         """
         raise NotImplementedError
 

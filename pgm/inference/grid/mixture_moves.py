@@ -37,11 +37,11 @@ class Step:
 
     @property
     def uneven(self) -> Uneven:
-        """The transition density whose sums over centres vary the most as the centres shift.
+        """The operators' transition density whose sums over centres vary the most: an `Uneven`.
 
-        If no density is among the operators, the result has the share 0 and no variable. The share
-        by which the sums vary is multiplied by the probability of the mixture's part that has the
-        density.
+        The record has its share, its child and its step. The share is by how much the sums, which
+        should be one, vary as the centres shift within a cell, times the probability of the
+        mixture's part that has the density. Without any density the share is 0, the child None.
         """
         each = [
             operator.uneven._replace(share=weight * operator.uneven.share)

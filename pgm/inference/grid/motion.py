@@ -1,13 +1,14 @@
 """The motion of a grid: the transition of a step as operators along the axes.
 
-States move in groups (`groups`), one group after another. The displacement along each axis is found
-at the centres, and with it the axes on which it depends. Where these axes can be put in an order,
-each axis being moved before those on which it depends, a step is products of matrices along one
-axis after another: of one matrix, where the displacement is the same everywhere; of one matrix for
-each heading, where it depends on the heading alone. Otherwise each cell is split on the cells
-nearest to its target, and the result is blurred by the rest of the variance. Noise that enters
-through hidden controls, and correlated noise, is summed over the nodes of a quadrature. A window is
-a span of cells along each axis.
+States move in groups, one group after another; a group is one state, or several that have to move
+together. A displacement is how far a state moves along an axis, in cells. It is found at the
+centres, and with it the axes on which it depends. Where these axes can be put in an order, each
+axis being moved before those on which it depends, a step is products of matrices along one axis
+after another: of one matrix, where the displacement is the same everywhere; of one matrix for each
+heading, where it depends on the heading alone. Otherwise each cell is split: its probability is
+shared by the cells nearest to its target, and the result is blurred by the rest of the variance.
+Noise that enters through hidden controls, and correlated noise, is summed over the nodes of a
+quadrature. A window is a span of cells along each axis.
 """
 
 import math
@@ -92,7 +93,7 @@ class Motion:
     def _depends(
         self, group: Members, step: int, run: int, source: Window
     ) -> tuple[set[int], set[int]]:
-        """The sets of axes on which a group's move depends: of the step before, and of its own.
+        """The axes on which a group's move depends: a set of the step before, a set of this step.
 
         `source` is the window of the belief at the step before, in which the dependence is tested.
         """
@@ -111,8 +112,10 @@ class Motion:
     ) -> Dependence:
         """The axes on which a group's displacements depend, tested anew at this step.
 
-        They are tested without noise and, if displacements share any, with two draws of it; at
-        cells of `source`, the window of the belief at the step before, among others.
+        The record has, for each axis of the group, a set of axes of the step before and one of this
+        step. Displacements are tested without noise, and also with two draws of the noise that they
+        share, if `spread` has such. The tests are at random cells, at cells of `source`, the window
+        of the belief at the step before, and, where these show anything new, at every centre.
         """
         found = self.known.setdefault(group.key, Dependence(self.lattice))
         drawn = np.random.default_rng(step).standard_normal((2, spread.size))
@@ -152,7 +155,7 @@ class Motion:
 
         A group that depends on an axis of the step before is moved before that axis is; one that
         depends on an axis of its own step, after it. Groups that have no such order among
-        themselves are joined for good.
+        themselves are joined to one, here and at all later steps.
         """
         if len(self.groups) == 1:
             return self.groups
@@ -189,9 +192,10 @@ def _slack(lattice: Lattice, group: Group) -> Array:
 class _Maker:
     """The maker of the operators that move a group of Gaussian CPDs, at a step of a run.
 
-    source: The window of the belief at the step before, in which the dependence is tested.
+    Among its arguments is `source`, the window of the belief at the step before, in which the
+    dependence is tested. Its attributes are:
 
-    spread: The noise of the displacements.
+    spread: The noise of the displacements at the step.
     dependence: The axes on which the group's displacements depend.
     noise: The nodes of a quadrature over the white noise that displacements share: (nodes, numbers
         of the noise).
@@ -302,8 +306,8 @@ class _Maker:
         """The displacements (nodes, n, axes of the group) at n cells of the lattice.
 
         cells: Their places (n,) along each axis of the lattice.
-        before, after: The axes of the step before, and of its own, on which they depend; along the
-            others cells are moved to the middle.
+        before, after: The axes of the step before, and of this step, on which the displacements
+            depend; along all other axes the cells are moved to the middle of the lattice.
         """
         here = np.stack(cells, axis=-1)
         reduced = self.dependence.reduced
@@ -357,7 +361,11 @@ class _Maker:
         noise = self.noise
 
         def place(node: int) -> Array:
-            """The targets of all cells at a node, not rounded, (axes of the group, cells)."""
+            """The places to which all cells of the window move at a node, (axes moved, cells).
+
+            They are in cells, counted from the first cell of the lattice, with their fractions, and
+            may be beyond either end of an axis.
+            """
             base = lattice.points(cells)
             white = np.broadcast_to(noise[node], (len(base), noise.shape[1]))
             shift = group.displacement(base, base, white, self.spread, self.step, self.run)
@@ -404,9 +412,9 @@ class _Maker:
 
 
 def _flat(axis: Axis, place: int, source: Span) -> Move:
-    """The move of an infinite variance: from each source cell to all cells with equal probability.
+    """The move by noise of infinite variance: from each source cell to all cells alike.
 
-    `place` is the index of the axis.
+    `place` is the index of the axis, and `source` the span in which the probabilities stand.
     """
     cells = axis.cells
     # From every source cell: the first weight is at cell 0 wherever it comes from.
@@ -423,8 +431,8 @@ def _along(
 
     place: The index of the axis.
     by: The other axes on which the displacement depends, ascending.
-    shift: The displacements, (nodes or 1, cells of `by`, 1), or (…, source cells) where they depend
-        on the place along the axis.
+    shift: The displacements, (nodes or 1, cells of `by`, 1); where they depend on the place along
+        the axis, (nodes or 1, cells of `by`, source cells).
     source: The span in which the probabilities stand.
     """
     cells = axis.cells

@@ -50,8 +50,8 @@ class Move:
     axis: The index of the axis that is moved.
     by: The other axes on which the displacement depends, ascending; G is the number of the window's
         cells along these.
-    first: The displacement of each kernel's first weight, (nodes or 1, G, 1); or (nodes or 1, G,
-        source cells), where it depends on the place along the moved axis too.
+    first: The displacement, in whole cells, of each kernel's first weight: (nodes or 1, G, 1), or
+        (nodes or 1, G, source cells) where it depends on the place along the moved axis too.
     weights: The kernels, (*first.shape, taps).
     added: The variance that the lattice adds, in squared cells, (nodes or 1, G, 1 or source cells).
     source, target: The span of the moved axis before and after.
@@ -179,15 +179,16 @@ class Sweep:
 class Split:
     """An operator that moves each source cell by a shift of its own, onto three cells an axis.
 
-    The three are the cell nearest to the target of the shift and that cell's two neighbours. With
-    the target at μ from the nearest, −½ ≤ μ ≤ ½, the three points have exactly that mean, and the
-    variance max(s², |μ|(1 − |μ|)), s² ≤ ¼. Of a larger variance the rest is a blur that is the same
-    everywhere, left to a `Sweep` afterwards.
+    The three are the cell nearest to the target of the shift and that cell's two neighbours. Let
+    the target lie μ cells from the centre of the nearest, −½ ≤ μ ≤ ½, and let s² ≤ ¼ be the
+    variance of the noise. The three points then have exactly the mean μ, and the variance max(s²,
+    |μ|(1 − |μ|)). If the noise has a larger variance, s² is ¼, and a `Sweep` afterwards blurs by
+    the rest, which is the same everywhere.
 
     axes: The axes that are moved.
-    place: A function of a node: the targets of all source cells, (axes moved, source cells), in
-        cells along each axis, not rounded.
-    variance: The variance s² of each moved axis, in squared cells, (axes moved,).
+    place: A function of a node, which gives the targets of all source cells, (axes moved, source
+        cells): places in cells, with fractions, counted from the first cell of the lattice.
+    variance: The variance s² along each moved axis, in squared cells, (axes moved,).
     nodes: The weights of the quadrature's nodes, (nodes,).
     source, target: The windows before and after.
     cells, periodic: The number of cells of each axis of the lattice, and whether it is a circle.
@@ -209,9 +210,10 @@ class Split:
 
     @cached_property
     def _rest(self) -> Integers:
-        """What the axes that are not moved contribute to each cell's target index, (source cells,).
+        """The part of each source cell's target index that its place along resting axes makes up.
 
-        The target index is the flat index of a cell in the target window.
+        The target index is a flat index in the target window, a sum of one term an axis; resting
+        axes are those that are not moved. The result is (source cells,).
         """
         counts = [span.length for span in self.target]
         strides = [int(np.prod(counts[k + 1 :])) for k in range(len(counts))]

@@ -46,6 +46,7 @@ class OnlineGridBelief(Shown, NoArray):
     Attributes
     ----------
     step : int
+        The time step that the belief is of.
     log_evidence : ndarray
         (*runs): ln p of all measurements so far.
     status : GridStatus
@@ -266,9 +267,10 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         left = _broadcast(belief.status.outside_by_step[..., -1], belief.lead, bound)
 
         def taken(slices: GridSlices, values: Array) -> tuple[Array, float]:
-            """A run's belief times the weights of the step's measurements, and their log-scale.
+            """A run's belief times the weights of the step's measurements, and the log-scale.
 
-            `values` is the predicted belief, (*cells), and `slices` has the run's measurements.
+            `values` is the predicted belief, (*cells), and `slices` has the run's measurements. The
+            log-scale is that of the weights.
             """
             slices.begin(step, values, float(left[slices.run]))
             weights, scale = slices.likelihood(step)
@@ -294,8 +296,8 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         first: The step at which the work is done; for a prediction the step before.
         before: The belief to go on from, whose runs broadcast to the evidence's; None for the
             prior.
-        work: A function of a run's slices and its belief (*cells), which is empty without `before`.
-            It returns probabilities (*cells) that need not sum to one, and a log-scale.
+        work: A function of a run's slices and its belief (*cells), an empty array if `before` is
+            None. It returns probabilities (*cells) that need not sum to one, and a log-scale.
 
         The belief in the list is these probabilities (*cells), normalised; the log-density is the
         logarithm of their sum, plus the log-scale. A sum of zero is refused by an EvidenceError.
@@ -329,9 +331,9 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
         before: OnlineGridBelief | None,
         found: list[tuple[GridSlices, Array, float]],
     ) -> OnlineGridBelief:
-        """The user's belief of all runs, with the log-evidence and the status of all steps so far.
+        """The belief of all runs, with the log-evidence and the status of all steps so far.
 
-        before: The belief that it continues; None for the prior.
+        before: The belief at the step before, or before the update; None for the prior.
         found: For each run its slices, its belief (*cells) at the step, and the log-density of the
             measurements taken in there.
         """

@@ -1,4 +1,8 @@
-"""The posterior of a network on a grid, and the base of all posteriors by point masses."""
+"""What filters and smoothers on a grid return: the states' beliefs and the log-evidence.
+
+Point masses are the centres of a grid's cells, or particles; posteriors by either have one base
+class, which stands here.
+"""
 
 from __future__ import annotations
 
@@ -59,9 +63,9 @@ class PointPosterior(Labelled, Viewed, Shown, NoArray, Generic[Belief]):
         Raises
         ------
         EvidenceError
-            If it is no hidden variable of the network that beliefs are over.
+            If the posterior has no beliefs over the variable.
         ModelError
-            If it stands after the last step.
+            If the variable stands after the last step.
         """
         return self.joint(require_variable(variable))
 
@@ -77,14 +81,16 @@ class GridPosterior(PointPosterior[GridBelief]):
     Attributes
     ----------
     graph : DynamicGraph
+        The compiled network.
     grid : Grid
-        At the resolution that was used.
+        The grid at the resolution that was used: the finest, if the user's grid was refined.
     kind : Kind
         Filtered, fixed-lag or smoothed.
     log_evidence : ndarray
         (*runs): ln p(measurements), of the point masses; the probability that has left the bounds
         is missing.
     status : GridStatus
+        The figures by which to judge the posterior: losses at the bounds, cells too wide.
     filtered : GridPosterior
         The posterior with the beliefs of the forward sweep; of a filter, the posterior itself.
 
@@ -151,14 +157,15 @@ class GridPosterior(PointPosterior[GridBelief]):
         Returns
         -------
         GridBelief
-            In the order given.
+            Over the components of the states, in the order given.
 
         Raises
         ------
         EvidenceError
-            If one is no state of the network, they are of several steps, or none is named.
+            If a variable is no state of the network, if the variables are of several steps, or if
+            there are none.
         ModelError
-            If one stands after the last step, or is named twice.
+            If a variable stands after the last step, or is given twice.
         """
         if not variables:
             raise EvidenceError("joint takes states of one step, like x.at(3), m.at(3)")

@@ -17,11 +17,15 @@ from pgm.kernels.lattice import Span
 def start(lattice: Lattice, groups: Sequence[Members], run: int) -> tuple[Array, Array, Uneven]:
     """Put the prior of a run, at step 0, on a lattice: (probabilities, added, uneven).
 
-    The probabilities (*cells) are those of all cells, whose sum lacks the prior's mass outside the
-    bounds. `added` (axes,) is the variance along each axis that the point masses have beyond the
-    prior's, for want of narrower cells, in squared cells. `uneven` says of which of the prior's
-    densities the sum over centres varies the most as the centres shift; its share is 0 if the prior
-    is Gaussian. `groups` are the sets of states of the prior that are put on the lattice together.
+    `groups` are the sets of states of the prior that are put on the lattice together.
+
+    The three results are:
+
+    - the probabilities (*cells) of all cells; their sum lacks the prior's mass outside the bounds;
+    - the variance along each axis that the point masses have in excess of the prior's, for want of
+      narrower cells, in squared cells, (axes,);
+    - the density of the prior whose sum over centres varies the most as the centres shift within a
+      cell, and by what share it varies; the share is 0 if the prior is Gaussian.
     """
     nowhere = (Span(0, 1),) * len(lattice.axes)
     made = Motion(lattice, list(groups)).at(0, run, nowhere)

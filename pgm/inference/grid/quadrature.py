@@ -30,7 +30,8 @@ _SHARES = (1.0, 0.1, 1e-2, 1e-3)
 def quadrature(group: Group, spread: Spread, step: int, run: int) -> tuple[Array, Array]:
     """The nodes of the white noise of a group, (nodes, spread.size), and their weights, (nodes,).
 
-    Each number of the noise has nodes of its own, the more of them the further it moves
+    `spread` is the noise of the group's displacements at the step; `spread.size` counts the numbers
+    of the white noise. Each number has nodes of its own, the more of them the further it moves
     displacements; the nodes of the noise are all combinations of these. Weights sum to one; more
     than 4096 combinations are refused by a ModelError. Without shared noise there is one node, of
     no numbers.
@@ -73,9 +74,9 @@ def _nodes(extent: float) -> tuple[Array, Array]:
     """Nodes (n,) and weights (n,) for a standard normal number that moves states.
 
     A change of the number by one moves a displacement by `extent` cells. Up to one cell there are
-    five Gauss–Hermite nodes; above, the nodes are one cell of displacement apart, so that no cell
-    is left out, with the weights of a lattice kernel of variance `extent`². A number that moves
-    nothing has one node, 0.
+    five Gauss–Hermite nodes. Above, the nodes are one cell of displacement apart, so that no cell
+    is left out; they have the weights of a distribution over whole cells with the variance
+    `extent`². A number that moves nothing has one node, 0.
     """
     if extent < 1e-9:
         return np.zeros(1), np.ones(1)

@@ -1,10 +1,13 @@
 """Residuals of measurements over a window of cells, and the exponents that they add up to.
 
-z is a measurement, h the expected measurement at a cell, and R the covariance of the noise. A term
-(`Term`, `Joint` or `Level`) gives by `squared` half the square of the whitened residual, ½ (z − h)ᵀ
-R⁻¹ (z − h), or, of a `Level`, how far the log-density lies below its highest. These are the values
-at the cells in a slice, `first`, of the window's first axis; arrays broadcast to the window. The
-exponent of the measurements' density is minus the sum of `squared` over all terms.
+A window is a span of cells along each axis. z is a measurement, h the expected measurement at a
+cell, and R the covariance of the noise. There are three kinds of terms: a `Term` has the residual
+of one component, a `Joint` those of all components, and a `Level` the log-density of a sensor whose
+noise is not Gaussian. The method `squared` of the first two gives half the square of the whitened
+residual, ½ (z − h)ᵀ R⁻¹ (z − h); that of a `Level` gives how far the log-density lies below its
+highest. The argument `first` of `squared` is a slice of the window's first axis; the result has the
+values at the cells in it, as an array that broadcasts to these cells. The exponent of the
+measurements' density is minus the sum of `squared` over all terms.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ class Term(NamedTuple):
 
     one: The measured value z less the expected one; or, where the expected value is a sum f + g
         with g a function of angles alone, z less f. It broadcasts to the window.
-    other: g; None where the expected value is no such sum.
+    other: g; None, which counts as zero, where the expected value is no such sum.
     scale: 1/σ, σ being the standard deviation of the noise.
     angle: Whether the component is an angle.
     """
@@ -89,9 +92,10 @@ def _some(array: Array, first: slice) -> Array:
 
 
 def exponents(terms: list[Residuals], shape: tuple[int, ...]) -> Array:
-    """The exponents of the terms' joint density, minus the sum of their `squared`, (*shape).
+    """Minus the sum of the terms' `squared` at all cells of a window, (*shape).
 
-    `shape` is that of the window; without terms they are zeros.
+    These are the exponents of the joint density of the measurements. `shape` has the lengths of the
+    window along its axes; without terms all exponents are zero.
     """
     found = np.empty(shape)
     length = max(BLOCK * shape[0] // max(found.size, 1), 1)

@@ -1,24 +1,27 @@
 """Whether the cells resolve a belief given measurements: the error of sums over centres.
 
-With the predicted density b and the density l of a step's measurements, the evidence of the step is
-the integral of b l, for which a grid takes the sum over centres. If all centres were shifted by a
-share δ of a cell along each axis, the sums of b l and of b alone would be
+Let b be the predicted density of the states at a step, and l the density of the step's measurements
+given the states. The evidence of the step is the integral of b l, for which a grid takes the sum
+over the centres of its cells. Let c_i be the centre of cell i, h the widths of the cells along the
+axes, and δ a shift of all centres, in shares of a cell along each axis. The sums of b l, and of b
+alone, over the shifted centres are
 
-    I(δ) = Σ_i b(c_i + δ h) l(c_i + δ h),        B(δ) = Σ_i b(c_i + δ h),
+    I(δ) = Σ_i b(c_i + δ h) l(c_i + δ h),        B(δ) = Σ_i b(c_i + δ h).
 
-c_i being the centres and h the widths of the cells; the mean of I over δ is the integral. Of a
-normal density with a standard deviation of s cells ln I varies by ±2e^(−2π²s²). The variance of
-ln I over some shifts, less that of ln B, which is due to earlier measurements, is the expected
-square of a step's error; errors of steps add up as independent ones, but those of a belief that
-only narrows count once in all.
+Up to the volume of a cell, the mean of I over δ is the integral. If b l is a normal density with a
+standard deviation of s cells, ln I varies by ±2e^(−2π²s²) as δ varies. The expected square of a
+step's error is the variance of ln I over some shifts, less the variance of ln B, which is due to
+earlier measurements. Errors of several steps add up as independent ones; but the errors of a belief
+that only narrows count once in all, since ln B of the next step takes off what was counted.
 
-l is evaluated at the shifted centres; b is interpolated through the logarithms of its cells, by
-parabolas along each axis. Axes along which b itself fills only a cell or two are not shifted. A
-peak of a mixture that may lie between all shifted centres counts as an error of one nat. The width
-of a peak is judged by its curvature, minus the second difference of logarithms from cell to cell: a
-curvature of c is a standard deviation of 1/√c cells. The error of a step counts as zero if the
-curvatures of b l along all axes sum to less than 3.5, and the expected measurement of no sensor
-moves by √3.5 standard deviations of its noise, or more, from a cell to the next.
+l is evaluated at the shifted centres; b is interpolated between the logarithms of its values at the
+cells, by parabolas along each axis. Axes along which b itself fills only a cell or two are not
+shifted. A density l that is not normal may have a peak between all shifted centres; this counts as
+an error of one nat. The width of a peak is judged by its curvature, minus the second difference of
+logarithms from cell to cell: a curvature of c is a standard deviation of 1/√c cells. The error of a
+step counts as zero if the curvatures of b l along all axes sum to less than 3.5, and the expected
+measurement of no sensor moves by √3.5 standard deviations of its noise, or more, from a cell to the
+next.
 
 (Sloan & Joe, Lattice Methods for Multiple Integration, 1994, have shifted rules; McKay, Beckman &
 Conover, 1979, Latin hypercubes.)
@@ -122,9 +125,9 @@ def _log(value: float) -> float:
 def _shifts(axes: int) -> Array:
     """Eight shifts of the centres, (8, axes), in shares of a cell from −½ to ½: a Latin hypercube.
 
-    The first one is zero. The seed of their draws was chosen among many: the mean over the shifts δ
-    of exp(2πi k·δ), k being 0, 1 or −1 along each of up to four axes, and not 0 along all, is of
-    size .56 at the most.
+    The first one is zero. The seed of their draws was chosen among many, for small means over the
+    shifts δ of exp(2πi k·δ): these are .56 at the most in absolute value, for all vectors k ≠ 0 of
+    the numbers 0, 1 and −1 along up to four axes.
     """
     rng = np.random.default_rng(_CHOSEN)
     each = [[0, *(1 + rng.permutation(SHIFTS - 1))] for _ in range(axes)]
@@ -218,9 +221,10 @@ def _drawn(level: Array, shift: Array, turns: Mask) -> Array:
 
 
 def _rolled(level: Array, step: int, turns: bool) -> Array:
-    """The values of the cells `step` further along the first axis; −∞ beyond an end.
+    """The values of `level` at the cells `step` further along its first axis; −∞ beyond an end.
 
-    With `turns` the axis goes round a whole circle and has no end.
+    `level` has the logarithms of probabilities. With `turns` the axis goes round a whole circle and
+    has no end.
     """
     found = np.roll(level, -step, axis=0)
     if not turns:

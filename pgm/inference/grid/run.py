@@ -36,9 +36,10 @@ _WORK = 12
 def run(
     graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, grid: Grid
 ) -> GridPosterior:
-    """The posterior on a grid, given the evidence `bound`, for a schedule; None smooths.
+    """The posterior on a grid, given the evidence `bound`.
 
-    A `GridWarning` is given for each fault that the status shows.
+    The schedule says whether to filter or to smooth, and with what lag; None smooths. A
+    `GridWarning` is given for each fault that the status shows.
     """
     require_chain(graph, "beliefs on a grid")
     kind = kind_of(schedule, "beliefs on a grid")

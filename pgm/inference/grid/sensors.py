@@ -74,11 +74,11 @@ class GridSensor(MeasuredSensor):
         return mean_at(self.cpd, self.lattice.values(points), known, step, run)
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The residuals of one measurement over a window, and its log-density if all were zero.
+        """One measurement over a window: a list of residuals, and the log-density at zero residual.
 
         Where the noise of components is independent, there is a `Term` for each component that was
         measured, with its residuals; otherwise one `Joint`, with those of all such components. If
-        none was measured, the list is empty and the value 0. Singular noise is refused by a
+        none was measured, the list is empty and the log-density 0. Singular noise is refused by a
         ModelError.
         """
         step, reading = int(self.reading.step[row]), self.reading
@@ -115,8 +115,8 @@ class GridSensor(MeasuredSensor):
     ) -> tuple[Array, Array | None]:
         """The function h over a window as a sum of two: f of some axes and g of circles, (f, g).
 
-        Both broadcast to the window, with the components last. g is None where h is no such sum; f
-        is then h.
+        Both are arrays that broadcast to (*lengths of the window, d), d being the components of the
+        measurement. g is None where h is no such sum; f is then h.
         """
         some = within(self.lattice, window, MEASURED, 7 * step + 3)
         depended = self._depended(some, known, step, run)
@@ -149,9 +149,9 @@ class GridSensor(MeasuredSensor):
         return self.lattice.points([np.array([cells // 2]) for cells in self.lattice.shape])
 
     def _depended(self, some: Integers, known: Known, step: int, run: int) -> set[int]:
-        """The axes on which any component of h depends, tested at some cells (n, axes).
+        """The axes on which any component of h depends, as far as tests until now have shown.
 
-        h is tested at random cells as well; see `Dependence.look`.
+        With each measurement h is tested at the cells `some`, (n, axes), and at random cells.
         """
 
         def values(before: Array, after: Array) -> Array:
@@ -245,7 +245,8 @@ class GridSensor(MeasuredSensor):
 def likelihood(sensors: Sequence[MeasuredSensor], step: int, run: int, window: Window) -> Weights:
     """The density of all measurements of a step, in a run, at the cells of a window.
 
-    The `Weights` have the densities divided by the largest of them, and its logarithm.
+    The `Weights` have the densities divided by the largest of them, the logarithm of the largest,
+    and which sensor is sharpest for the cells.
     """
     terms, scale, read = list[Residuals](), 0.0, list[tuple[MeasuredSensor, int]]()
     for sensor in sensors:

@@ -73,8 +73,8 @@ class Worst(NamedTuple):
     def of(self, other: Worst) -> Worst:
         """Of each of the four figures the worse one of this record and another, as a new record.
 
-        They are compared by their first fields; where these are equal, this record's figure is
-        taken.
+        For `narrowest` the smaller first field is worse, for the other three the larger; where the
+        first fields are equal, this record's figure is taken.
         """
         first = itemgetter(0)
         return Worst(
@@ -162,10 +162,14 @@ class GridModel:
 class GridSlices:
     """The `Slices` of a `StateChain`, of one run on a grid; a belief is an array (*cells).
 
+    Some of its arguments are:
+
     keep: The type, float64 or float32, in which the weights of measurements are kept for the
         backward sweep; None for a filter, which has no such sweep.
-    tails, unresolved: As arguments, what these attributes were for the belief that an online filter
-        goes on from; None and 0 at the beginning.
+    tails, unresolved: What these attributes were for the belief that an online filter goes on from;
+        None and 0 at the beginning.
+
+    Its attributes are:
 
     lead: The shape of the user's axes of runs; (), since these are the slices of one run.
     outside: By step, the probability that left the bounds, or that the window of active cells has
@@ -386,7 +390,7 @@ def marginals(belief: Array) -> list[Array]:
 
 
 def spread(marginal: Array, span: Span, cells: int) -> Array:
-    """Extend a marginal (length,) over a span's cells by zeros to the whole axis, (cells,)."""
+    """The marginal (cells,) of a whole axis: `marginal` (length,) in a span, zero elsewhere."""
     found = np.zeros(cells)
     found[np.arange(span.first, span.first + span.length) % cells] = marginal
     return found

@@ -26,7 +26,7 @@ _WIDE = 1.3
 
 
 def wide(group: Group, run: int, window: Window) -> Dense | None:
-    """The operator that puts a wide prior on the lattice by its normal density; None of any other.
+    """The operator that puts a prior on the lattice by its normal density; None if it is not wide.
 
     `group` has the states of the prior. The operator's weights are the probabilities (1, 1, cells
     of the group's axes); `window`, from which it leads, has one cell along these axes. A prior is

@@ -65,8 +65,8 @@ def swept_once(
     """The posterior of a filter or smoother that linearised once, from its beliefs of all runs.
 
     `beliefs` are arrays (T+1, runs, ...) of the filtered means, covariances and log-densities,
-    followed, if it is a smoother, by the smoothed means and covariances. The posterior finds
-    anything else, when asked, by another sweep.
+    followed, if it is a smoother, by the smoothed means and covariances. Whatever else the
+    posterior is asked for, it finds by passing over the runs once more.
     """
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     mean, cov, log_density, *smoothed = beliefs
@@ -76,10 +76,11 @@ def swept_once(
 
 
 def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
-    """The moments and log-densities of the parts' forward passes, as those of all runs.
+    """The moments and log-densities of the parts' forward passes, joined to those of all runs.
 
     `found` are the posteriors of the parts, in order. `plan` is that of all runs, into which the
-    linearisations and the records of sensors of the parts' plans are written.
+    findings of the parts' plans are written, such as linearisations, weights of robust noise, and
+    which measurements were gated out.
     """
     plans = [each._plan for each in found]
     for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
@@ -93,10 +94,11 @@ def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
 def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
     """One status of all runs, with `lead` as the user's axes of runs.
 
-    Its convergence record, of the residuals by iteration, is as long as the longest of a part: that
-    of another part goes on with its last residuals, or is zero if it has none. The accounts of what
-    ran as machine code (`Status.compilation`) are joined. Digits that were not measured count as
-    all that float64 has, and the cause of few digits is that of the part with the fewest.
+    `statuses` are those of the parts. The status records the residuals of each iteration, by run;
+    where a part took fewer iterations than another, its last residuals are repeated, or zeros if it
+    has none. The accounts of what ran as machine code (`Status.compilation`) are joined. Of the
+    digits of the means that rounding leaves, a part that has not measured them counts with all of
+    float64's; the cause of few digits is taken from the part with the fewest.
     """
     every = tuple(statuses)
     longest = max(len(status.residuals) for status in every)

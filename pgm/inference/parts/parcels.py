@@ -1,10 +1,11 @@
 """Values on their way to other processes: pickles, from which large arrays travel apart.
 
 A pipe moves numbers more slowly than a filter computes them. A *parcel* is one or more pickles and
-the large arrays of all of them, which are copied to one block of memory: in the order in which they
-lie in memory, and broadcast axes once. In place of each such array the pickle has its *place*:
-where its numbers lie, and how they are read. An array in a block that both processes see
-(`shared_memory`) is not copied: such a block is the *room*, into which workers write their results.
+the large arrays of all of them, which are copied to one block of memory. The numbers of an array
+are copied in the order in which they lie in memory, and those that are repeated along a broadcast
+axis only once. In place of each such array the pickle has its *place*: where its numbers lie, and
+how they are read. An array in a block that both processes see (`shared_memory`) is not copied: such
+a block is the *room*, into which workers write their results.
 """
 
 from __future__ import annotations
@@ -88,11 +89,15 @@ class Parcel:
     def place(self, array: AnyArray) -> _Place | None:
         """The place of an array, to be pickled in its stead; None if it is to be pickled as usual.
 
-        An array in the room has its place there. Any other array of objects or of a subclass is
-        pickled as usual. A large array is put in the parcel's block, if there is one, once however
-        often it is pickled. An array that is neither put there nor contiguous in C order has its
-        numbers in the place itself, in the order in which they lie in memory. All other arrays are
-        pickled as usual.
+        The first of these cases that fits decides:
+
+        - an array in the room has its place there;
+        - an array of objects, or of a subclass, is pickled as usual;
+        - a large array, if the parcel has a block for it, is put there, once however often it is
+          pickled;
+        - an array that is contiguous in C order is pickled as usual;
+        - of any other array the place itself has the numbers, in the order in which they lie in
+          memory.
         """
         seen = (array.dtype, array.strides, array.shape, array.flags.writeable)
         if self.room is not None and (offset := self.room.offset(array)) is not None:
@@ -135,7 +140,7 @@ class _Pickler(pickle.Pickler):
 class _Unpickler(pickle.Unpickler):
     """An unpickler that makes arrays at their places in memory, without a copy.
 
-    `own` is the parcel's block.
+    `own` is the block of the parcel, mapped into this process; None if it has none.
     """
 
     def __init__(self, file: io.BytesIO, own: mmap.mmap | None) -> None:
@@ -153,7 +158,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def loads(data: bytes, own: mmap.mmap | None) -> Any:
-    """The value of a pickle whose parcel's block is `own`, None if it has none."""
+    """The value of a pickle; `own` is the block of its parcel, None if that has none."""
     return _Unpickler(io.BytesIO(data), own).load()
 
 

@@ -67,7 +67,8 @@ def run(
     start: Means by variable, at which CPDs are linearised first; None if the user gave none.
     keep: Variables whose marginals alone are held, with the log-evidence, which bounds memory; None
         for the whole posterior.
-    executor: Its workers share the runs; with it, or with `keep`, runs are worked through in parts.
+    executor: Its workers share the runs; None for this process alone. With an executor, or with
+        `keep`, runs are worked through in parts.
     """
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
@@ -127,12 +128,12 @@ def _with_places(
 ) -> Status:
     """The `status` of all runs, with fewer digits for parts that have not measured theirs.
 
-    A status may tell how many digits of the means rounding leaves in each run. If only some parts
-    have measured them, `status` gives the runs of the others all of float64's digits. From these
-    runs digits are taken off here by how coarse the last place of a mean in float64 is beside its
-    standard deviation. The means and deviations are those that a part has sent: in the `room`, or,
-    where its posterior came back whole, in its result. If no part or every part has measured
-    digits, the status stays as it is.
+    A status may tell how many digits of the means rounding leaves in each run. If no part or every
+    part has measured them, the status stays as it is. If only some have, `status` gives the runs of
+    the others all of float64's digits. From these runs digits are taken off here, by how coarse
+    the last place of a mean in float64 is, in standard deviations of its component. Means and
+    deviations are those that a part has sent: in the `room`, or, where its posterior came back
+    whole, in its result.
     """
     if status.digits is None or all(result.status.digits is not None for result in results):
         return status
@@ -156,9 +157,9 @@ def _results(
 ) -> list[Result]:
     """The results of all parts, in order; their arrays have been written to the `room`.
 
-    The list ends with the first part that needed arithmetic of twice float64's digits, unless the
-    share is of kept variables: all runs are then to be solved together. If a job fails by a
-    `PgmError`, the runs are solved again in this process, which raises the error here.
+    A part may turn out to need arithmetic of twice float64's digits. Unless the share is of kept
+    variables, all runs have then to be solved together, and the list ends with that part. If a job
+    fails by a `PgmError`, the runs are solved again in this process, which raises the error here.
     """
     jobs = [
         Job(part, schedule, lineariser, share, _of(room, part) if workers.shares else None)
@@ -194,7 +195,7 @@ def _fail_alone(
 
 
 def _of(room: Sequence[Array], part: Part) -> list[Array]:
-    """The part's runs of each array (steps, runs, ...) of the room, as views."""
+    """Of each array (steps, runs, ...) of the room, a view of the part's runs."""
     return [array[:, part.runs] for array in room]
 
 
@@ -203,8 +204,9 @@ def _require_memory(
 ) -> None:
     """Refuse beliefs that would not fit in memory, by a `GraphError`.
 
-    With `kept` variables the means and covariances of these at all steps count; without, those of
-    the slices, four times for a smoother, which keeps the moments of its passes.
+    What is counted are means and covariances at all steps: of the `kept` variables alone, or, if
+    that is None, of the whole slices, once for a filter and four times for a smoother, which keeps
+    the moments of its passes.
     """
     sizes = [layout.slice_size] if kept is None else [v.dimension for v in kept]
     sets = 4 if kept is None and not isinstance(schedule, Filtering) else 1
@@ -235,8 +237,9 @@ def _gaussians(
 ) -> dict[Variable, Gaussian]:
     """Kept marginals from arrays (steps, runs, ...), as Gaussians (*lead, steps, ...).
 
-    The arrays of the `room` are the mean and the covariance of each variable in turn. A hidden
-    control has no step 0, hence its step labels begin at 1.
+    The arrays of the `room` are the mean and the covariance of each variable in turn, then the
+    log-evidence, which is not used. A hidden control has no step 0, hence its step labels begin
+    at 1.
     """
     found = {}
     for variable, mean, cov in zip(kept, room[::2], room[1::2], strict=False):
@@ -341,8 +344,8 @@ class Share:
 class Job:
     """The work on a part of the runs.
 
-    The arrays of its share go into `room`, the part's views of the arrays of all runs; if `room` is
-    None, they go into the result.
+    `share` says which portion of the part's posterior is sent back. Its arrays go into `room`, the
+    part's views of the arrays of all runs; if `room` is None, they go into the result.
     """
 
     part: Part
@@ -355,6 +358,7 @@ class Job:
 class Result(NamedTuple):
     """The result of a part of the runs.
 
+    status: How the inference of these runs went: convergence, and digits that rounding leaves.
     kind: Whether beliefs are filtered, of a fixed lag or smoothed.
     log_evidence_kind: A word for how true the log-evidence is, such as "exact" or "linearised".
     careful: Whether the part had to be computed with twice float64's digits; then, unless variables

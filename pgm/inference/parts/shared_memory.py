@@ -111,9 +111,10 @@ class Block:
 class Room:
     """Uninitialised arrays in one shared block, which workers fill in.
 
-    `arrays` has one of float64 for each of `shapes`: a pair of the lengths of leading axes, the
-    last of which is of runs, and those of own axes. In memory the axis of runs varies fastest. The
-    block is taken from the list `idle`, or new.
+    `arrays` has one array of float64 for each of `shapes`. A shape is a pair: the lengths of the
+    leading axes, the last of which is of runs, and those of the array's own axes, such as (n, n) of
+    a covariance. In memory the axis of runs varies fastest. The block is taken from the list
+    `idle`, or made if that is empty.
     """
 
     def __init__(self, idle: list[Block], shapes: Sequence[Shape]) -> None:

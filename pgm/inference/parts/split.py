@@ -66,10 +66,10 @@ def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
     """The number of runs in a part, rounded up, so that each worker gets one part, or equally many.
 
-    There are more parts than workers where memory or 5,000 runs bound a part. In each run a step
-    needs about 5 (n + s) (n + 1) floats for a slice of n components, s of them states; a
-    measurement of d components 5 d (d + 1). If a lineariser draws its points afresh for each run,
-    the part is all runs.
+    A part has 5,000 runs at the most, and fewer where memory would not hold them; each worker then
+    gets several parts. A run needs about 5 (n + s) (n + 1) floats for each step, of a slice with n
+    components, s of them of states, and 5 d (d + 1) for each measurement of d components. If a
+    lineariser draws its points afresh for each run, the one part is all runs.
     """
     model = graph.model
     rules = [lineariser]

@@ -1,4 +1,9 @@
-"""The answer of a worker: a result or an error, with the warnings that it gave."""
+"""The answer of a worker: a result or an error, with the warnings that it gave.
+
+A worker that is another process gets a job, which is the work on a part of the runs, as a pickle,
+and answers by one. A *parcel* is one or more pickles and their large arrays, which lie apart from
+them in a *block* of memory that both processes can map.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +59,7 @@ def here(work: Callable[[Any], Any], job: Any) -> Done:
 
 
 def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
-    """Do a job in this worker process: the `Done` pickled, and the size of its large arrays.
+    """Do a job in this worker process; return its `Done`, pickled, and the size of large arrays.
 
     `data` is the pickle of a function and its argument, the job; `own` names the block of the
     pickle's parcel, None if it has none. Large arrays of the `Done` go to the block named `answer`,

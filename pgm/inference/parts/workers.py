@@ -1,4 +1,9 @@
-"""The workers of an executor: jobs go to them, and answers come back."""
+"""The workers of an executor: jobs go to them, and answers come back.
+
+A job is the work on a part of the runs. Its answer is a `Done`: a result, or an error, with the
+warnings that were given. Jobs go to another process in a *parcel*, their pickles with large arrays
+apart from them in a *block*, memory that both processes can map.
+"""
 
 from __future__ import annotations
 
