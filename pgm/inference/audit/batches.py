@@ -1,7 +1,7 @@
 """Importance draws in batches of bounded size, and the estimates made from them.
 
-Draws are S from the Gaussian answer q for each run, and S from a defensive density d with wider
-tails. A draw has a value of every hidden variable; that of a chain is made slice by slice.
+For each run, S draws are made from the Gaussian answer q, and S from a *defensive* density d with
+wider tails. A draw has a value of every hidden variable; that of a chain is made slice by slice.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BATCH, ROOM = 2**18, 2**24
 
 
 class Drawing(Protocol):
-    """The source of draws: a chain (`ChainDraws`), or a tree (`TreeDraws`)."""
+    """The source of draws from q and d: `ChainDraws` of a chain, `TreeDraws` of a tree."""
 
     @property
     def width(self) -> int:
@@ -37,12 +37,16 @@ class Drawing(Protocol):
         """The number of floats of a whole draw of one run, of all slices."""
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """Make `count` draws for each run, of d if `defensive`, else of q, with log-densities."""
+        """Make `count` draws for each run, from d if `defensive`, else from q.
+
+        Returns their values, and their log-densities by the model, by q and by d.
+        """
 
     def sums(self) -> list[Sums]:
-        """Sums for the moments of draws, still empty, one for each scope that is compared.
+        """Sums over draws, still empty, by which the moments of beliefs are estimated.
 
-        The scopes are each hidden variable, and each cluster of several variables.
+        There is one `Sums` for each belief that is compared with the Gaussian answer's: that of
+        each hidden variable, and of each cluster of several variables.
         """
 
 
@@ -51,9 +55,10 @@ def estimate(
 ) -> tuple[Mixture, list[Compared]]:
     """Make S = `samples` draws from q and S from d for each run, and the estimates from them.
 
-    `runs` is the number of runs. Returns the estimates of the evidence and of divergences, and the
-    exact moments, beside the Gaussian's, of each hidden variable and of each cluster of several. A
-    NumericalError is raised if in some run all draws, or all from q, have density zero.
+    The first result has the estimates of the evidence and of divergences. The second has, for each
+    hidden variable and each cluster of several, the estimated exact moments, and how far the
+    Gaussian answer's belief is from them. A NumericalError is raised if in some run all draws, or
+    all from q, have density zero.
     """
     size = max(
         1, min(BATCH // max(drawing.width, 1), ROOM // max(drawing.length, 1)) // max(runs, 1)
@@ -80,9 +85,10 @@ def estimate(
 
 
 def _parts(samples: int, size: int) -> Iterator[tuple[slice, bool]]:
-    """Pairs of a slice of the 2S draws, S = `samples`, and whether its draws are from d.
+    """Cut the 2S draws of a run, S = `samples`, into batches of at most `size` draws.
 
-    Each slice has at most `size` draws. The S draws from q come first.
+    Yields the place of each batch among the draws, and whether it is of draws from d. The S draws
+    from q come first.
     """
     for defensive in (False, True):
         for first in range(0, samples, size):

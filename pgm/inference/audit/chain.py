@@ -4,12 +4,16 @@ Draws are from the Gaussian answer q, the smoothed joint, or *defensive*, from a
 tails: these leave q for an *excursion* of some steps, or are from Gaussians at other modes.
 
 A component is *free* if it has noise given its parents; any other component is a function of its
-parents and the free ones. The *pair* is the vector of the states of the step before, then the
-slice. Where a sensor without noise was read, or the posterior has no density, densities are
-*relative*: each CPD's density is divided by that of the linearised CPD. S is the number of draws of
-a run, n that of the components of a slice, z stands for all measurements. A CPD's `Link` tells
-where its hidden parents and its child stand in a vector, that of the states at step 0, the pair
-later; its `Term` gives its density at draws. A `Conditional` is an affine Gaussian.
+parents and the free ones. Where a sensor without noise was read, or the posterior has no density,
+densities are *relative*: each CPD's density is divided by that of the linearised CPD.
+
+A slice has the states and hidden controls of a step. The *pair* is the vector of the states of the
+step before, then the slice. A CPD's `Link` tells where its hidden parents and its child stand: for
+a CPD of the prior in the vector of states, for one of the transition in the pair. Its `Term` gives
+its density at draws. A `Conditional` is an affine Gaussian: a matrix, an offset and a covariance.
+
+S is the number of draws of a run, T the last step, n the number of the components of a slice, and z
+stands for all measurements.
 """
 
 from __future__ import annotations
@@ -41,7 +45,7 @@ from pgm.kernels.moments import Conditional
 
 @dataclass(frozen=True, eq=False)
 class ChainDraws:
-    """Trajectories from the smoothed Gaussian q, drawn forward in time, with their log-densities.
+    """Trajectories from q or from the defensive density, drawn forward in time.
 
     plan : ChainPlan
         The linearised chain with its evidence.
@@ -82,10 +86,10 @@ class ChainDraws:
     def make(cls, posterior: ChainPosterior) -> ChainDraws:
         """Prepare to draw from the smoothed joint of a posterior's last linearisation.
 
-        A NumericalError is raised for a nonlinear sensor that was read and has singular noise, for
-        indefinite covariances, and, where densities are relative, for sensors whose sightings of a
-        step are linearised together (grouped), for robust noise and for nonlinear CPDs with
-        singular noise.
+        A NumericalError is raised for a nonlinear sensor that was read and has singular noise, and
+        for indefinite covariances. Where densities are relative, it is also raised for robust
+        noise, for nonlinear CPDs with singular noise, and for a *grouped* sensor, whose sightings
+        of a step are linearised together.
         """
         plan = posterior._plan
         exact = has_exact(s.family for s in plan.sensors if s.family.step.size)
@@ -168,10 +172,11 @@ class ChainDraws:
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
     def sums(self) -> list[Sums]:
-        """Sums, still empty, for the moments of each hidden variable, of all states, and of pairs.
+        """Sums over draws, still empty, by which the moments of beliefs are estimated.
 
-        Pairs are left out unless, at some step, the posterior's beliefs of both of the pair's
-        slices are given all measurements.
+        There is one `Sums` for each hidden variable, one for all states of a step together, and one
+        for the pair. That for the pair is left out unless the posterior's beliefs at two successive
+        steps are both given all measurements.
         """
         layout, judged = self.plan.layout, self.judged
         mean, cov = self.beliefs.mean, self.beliefs.cov
@@ -206,9 +211,9 @@ class ChainDraws:
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
         """Draw S = `count` trajectories for each run, from q or, if `defensive`, defensive ones.
 
-        Returns their values and log-densities. At a draw where a function is NaN or infinite the
-        model's log-density is NaN if the draw is defensive; otherwise a LinearisationError is
-        raised.
+        Returns their values, and their log-densities by the model, by q and by the defensive
+        density. Where a function of the model is NaN or infinite at a defensive draw, the model's
+        log-density is NaN; at a draw from q, a LinearisationError is raised.
         """
         plan, layout = self.plan, self.plan.layout
         shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
@@ -270,7 +275,7 @@ class ChainDraws:
 
     @property
     def excursions(self) -> Excursions:
-        """The law of the excursions on which defensive draws leave q for some steps.
+        """The law of the excursions: at which steps defensive draws leave q, and what they follow.
 
         On an excursion a draw follows q's conditionals with wider tails, or, unless densities are
         relative, the model's own CPDs.
@@ -319,11 +324,13 @@ class _Law:
 
 
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
-    """The mask of components that have noise given their parents, of `shape` (rows, runs, n).
+    """The mask of components that have noise given their parents, in the `shape` given.
 
-    With the `links` of the prior there is one row, step 0, and n components of the states; with
-    those of the transition a row for each later step, and n components of the slice. `start` is the
-    place of the first of these in the vector to which the links refer.
+    links: The CPDs of the prior, or those of the transition.
+    shape: For the prior (1, runs, components of the states); for the transition (T, runs, n), with
+        a row for each step from 1 on.
+    start: The place at which the components begin in the vector of the links: 0 for the prior; for
+        the transition, whose pair has the states before first, their number of components.
     """
     free = np.zeros(shape, dtype=bool)
     for link, term in links:

@@ -1,10 +1,13 @@
 """Modes of a chain's posterior besides the one that the Gaussian answer fits.
 
-They are found by short smoothers that start from C other trajectories for each run, in one call on
-a plan that has every run C times (`repeated`): its run c · runs + r is the copy c of run r, and it
-has N = C · runs runs in all. n is the number of components of a slice. A `Conditional` is an affine
-Gaussian. The *share* of a mode is the probability that a defensive draw of the audit, one from a
-density with wider tails than the answer's, is from the mode's Gaussian.
+They are found by short smoothers that start from C other trajectories for each run. All of these
+are one call, on a plan (a chain with its evidence) that has every run C times: its run
+c · runs + r is the copy c of run r, and it has N = C · runs runs in all.
+
+T is the last step, n the number of components of a slice. A `Conditional` is an affine Gaussian: a
+matrix, an offset and a covariance. The audit makes *defensive* draws from a density with wider
+tails than the answer's. The *share* of a mode is the probability that such a draw is from the
+mode's Gaussian.
 """
 
 from __future__ import annotations
@@ -46,9 +49,10 @@ MakePath = Callable[[Beliefs, Conditional], Path]
 class Arrived(NamedTuple):
     """The results of N smoothers.
 
-    `mean` (T+1, N, n) and `cov` (T+1, N, n, n) are the smoothed moments, `states` (T, N, ...) the
-    conditionals of the states given the slice after them, and `log_evidence` (N,) that of the last
-    linearisation, −∞ of a smoother that has failed.
+    mean, cov: The smoothed moments of all slices, (T+1, N, n) and (T+1, N, n, n).
+    states: The conditionals of the states given the slice after them, (T, N, ...).
+    log_evidence: The log-evidence of the last linearisation, (N,); −∞ for a smoother that has
+        failed.
     """
 
     mean: Array
@@ -93,11 +97,12 @@ def find(
 class Found(NamedTuple):
     """K other modes of some runs.
 
-    Each mode has its smoothed moments (T+1, runs, ...) in `beliefs`, its conditionals of the states
-    given the slice after them, (T, runs, ...), in `states`, and its share in `shares`, (K, runs).
-    `missed` (runs,) is the part of all modes' evidence that belongs to modes not drawn from.
-    `answer` has the moments and conditionals of the Gaussian answer, which take the place of a mode
-    in runs that have fewer than K.
+    beliefs: For each mode the smoothed moments, (T+1, runs, ...).
+    states: For each mode the conditionals of the states given the slice after them, (T, runs, ...).
+    shares: The modes' shares of the defensive draws, (K, runs).
+    missed: The part of all modes' evidence that belongs to modes not drawn from, (runs,).
+    answer: The moments and conditionals of the Gaussian answer. They take the place of a mode in
+        runs that have fewer than K.
     """
 
     beliefs: list[Beliefs]
@@ -110,9 +115,9 @@ class Found(NamedTuple):
 def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> Found:
     """Find the other modes of the runs of `plan`, by one call of the smoothers from all starts.
 
-    Of these runs, `answer` has the smoothed moments of the Gaussian answer, and `own` its
-    conditionals of the states given the slice after them, (T, runs, ...). `most` is the largest
-    number of modes that are to be drawn from.
+    answer: The smoothed moments of the Gaussian answer in these runs, (T+1, runs, ...).
+    own: Its conditionals of the states given the slice after them, (T, runs, ...).
+    most: The largest number K of modes that are to be drawn from.
     """
     begun = starts(plan, answer.mean)
     steps, runs, count, size = begun.shape
@@ -151,11 +156,11 @@ def _of_runs(plan: ChainPlan, answer: Beliefs, own: Conditional, most: int) -> F
 
 
 def _joined(found: list[Found], make: MakePath) -> Modes:
-    """The modes of all runs, from the modes found in parts of the runs, one part after another.
+    """The modes of all runs, from the modes found in parts of the runs.
 
-    `make` makes the law of a mode from its smoothed moments and conditionals. Where a part has
-    fewer modes than another, its Gaussian answer stands for each mode that it lacks, with a share
-    of zero.
+    found: The modes of each part, in the order of the runs. Where a part has fewer modes than
+        another, its Gaussian answer stands for each mode that it lacks, with a share of zero.
+    make: Makes the law of a mode's trajectories from its smoothed moments and conditionals.
     """
     missed = np.concatenate([each.missed for each in found])
     laws = []

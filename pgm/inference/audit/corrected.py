@@ -1,8 +1,9 @@
 """Exact moments estimated from weighted draws, beside the moments of the Gaussian answer.
 
-With p = p(x, z) of the model, the Gaussian answer q and the defensive density d, a draw x from the
-mixture r = (q + d)/2 has the weights y = p/r and v = q/r (`mixture`). The *offset* of a draw is x
-less the answer's mean.
+Draws x of all hidden variables are from the mixture r = (q + d)/2 of the Gaussian answer q and a
+defensive density d, which has wider tails. With p = p(x, z), the density of the model with the
+measurements z, a draw has the weights y = p/r and v = q/r. The *offset* of a draw is x less the
+answer's mean. A *scope* is the variables of one belief; n is the number of their components.
 """
 
 from __future__ import annotations
@@ -32,12 +33,14 @@ from pgm.variables import Variable
 class Compared:
     """Exact moments of a belief, estimated, beside the Gaussian answer's.
 
-    `mean` (steps, runs, n) and `cov` (steps, runs, n, n) are the exact moments, of the n components
-    of the variables in `scope`. `divergence` (steps, runs) is KL(N(mean, cov) ‖ the Gaussian
-    answer's belief of the scope) in nats; infinite where `cov` is not positive definite.
-    `steps` are the steps of a chain, None in a network without time, whose arrays have a single
-    step. `judged` (steps,) marks the steps at which the posterior's belief is given all
-    measurements, as q is.
+    scope: The variables of the belief.
+    steps: The steps of a chain at which it is compared; None in a network without time, whose
+        arrays have a single step.
+    mean, cov: The estimated exact moments, (steps, runs, n) and (steps, runs, n, n).
+    divergence: KL(N(mean, cov) ‖ the Gaussian answer's belief of the scope) in nats, (steps, runs);
+        infinite where `cov` is not positive definite.
+    judged: Marks the steps at which the posterior's belief is given all measurements, as q is,
+        (steps,).
     """
 
     scope: tuple[Variable, ...]
@@ -50,13 +53,13 @@ class Compared:
     def excess(self, draws: Array) -> Array:
         """The largest divergence of a judged belief, less what chance explains, (runs,), in nats.
 
-        Moments estimated from N effective draws, `draws` (runs,), are about χ²_f / 2N nats off,
-        with f = n (n + 3)/2 degrees of freedom, of n means and a covariance. Chance explains
+        Moments estimated from N effective draws, `draws` (runs,), are off by about χ²_f / 2N nats.
+        The degrees of freedom are f = n (n + 3)/2, the numbers in n means and a covariance. With m
+        judged steps, the largest of m such errors is bounded by
 
-            (f/2 + √(f ln m) + ln m) / N,
+            (f/2 + √(f ln m) + ln m) / N
 
-        a bound on the largest of m such errors, m being the number of judged steps (Laurent &
-        Massart, 2000, lemma 1).
+        (Laurent & Massart, 2000, lemma 1). So much is explained by chance.
         """
         size = self.mean.shape[-1]
         freedom, spread = 0.5 * size * (size + 3), log(max(int(self.judged.sum()), 1))
@@ -110,13 +113,12 @@ class Sums:
     scope : tuple of Variable
         The variables whose joint moments are estimated.
     places : slice or ndarray
-        The places of their components in a step's vector of draws.
+        The places of the scope's components in a step's vector of draws.
     first : int
         The first step that has all of the variables: 1 with hidden controls, or with states of the
         step before, otherwise 0.
     mean, cov : ndarray
-        (steps, runs, n) and (steps, runs, n, n): the Gaussian answer's moments, of the n components
-        of `scope`.
+        (steps, runs, n) and (steps, runs, n, n): the Gaussian answer's moments of the scope.
     judged : ndarray
         (steps,): whether the posterior's belief at a step is given all measurements, as q is.
     timed : bool
@@ -163,14 +165,15 @@ class Sums:
     def compared(self, mixture: Mixture) -> Compared:
         """The exact moments, from all draws, beside the Gaussian's.
 
-        With offsets δ, the Gaussian's covariance P, and the estimate Ẑ and slope β of the
-        `mixture`'s evidence, the moments of δ are, by means over all draws,
+        `mixture` has the weights of all draws, and from them the estimate Ẑ of p(z), and the slope
+        β of the regression of the weights y on v. With offsets δ and the Gaussian's covariance P,
+        the moments of δ are estimated by means over all draws:
 
-            E δ = mean of (y − β v) δ / Ẑ,   E δ δᵀ = mean of (y − β v) δ δᵀ / Ẑ + (β / Ẑ) P,
+            E δ = mean of (y − β v) δ / Ẑ,   E δ δᵀ = mean of (y − β v) δ δᵀ / Ẑ + (β / Ẑ) P.
 
-        v δ and v δ δᵀ, of means 0 and P, being control variates. Where the result is no proper
-        covariance, the plain weighed moments, β = 0, are taken. Components in which the Gaussian
-        has no variance are not compared.
+        Here v δ and v δ δᵀ, whose expected values 0 and P are known, are control variates. Where
+        the result is no proper covariance, the moments weighed by y alone are taken. Components in
+        which the Gaussian has no variance are not compared.
         """
         weights, evidence = mixture.weighed.weights, mixture.evidence
         lower, slope = roots.root(self.cov), evidence.slope
@@ -207,9 +210,13 @@ def _moments(offsets: Array, squares: Array) -> tuple[Array, Array]:
 def _from_gaussian(lower: Array, offset: Array, cov: Array) -> Array:
     """The divergence KL(N(m, C) ‖ N(0, L Lᵀ)) in nats, (...).
 
-    m is `offset` (..., n), C `cov` (..., n, n), L the root `lower` (..., n, n). With the
-    eigenvalues a of L⁻¹ C L⁻ᵀ it is ½ (Σ (a − 1 − ln a) + |L⁻¹ m|²); infinite where C is not
-    positive definite. Components that L leaves without variance are not compared.
+    m is `offset` (..., n), C `cov` (..., n, n), and L the lower triangular root `lower`
+    (..., n, n). With the eigenvalues a of L⁻¹ C L⁻ᵀ the divergence is
+
+        ½ (Σ (a − 1 − ln a) + |L⁻¹ m|²).
+
+    It is infinite where C is not positive definite. Components that are functions of others under
+    L, where its diagonal is zero, are not compared.
     """
     fixed = roots.determined(lower)
     white = solving.whiten(lower, offset)

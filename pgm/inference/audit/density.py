@@ -1,14 +1,16 @@
 """The log-density of each CPD at draws, a term of the log-weights of an audit.
 
 Arrays are of S draws for each run. The child of a CPD is f(parents) + L s, with white noise s and
-the root L of the CPD's noise covariance. A child component is *free* where L has a pivot; any other
-component follows from the parents and from s of the free ones. A draw is *lost* if f is not finite
-at it. A *relative* density is that of the CPD divided by that of its linearisation. A CPD has
-*rows*: the steps of a transition, the measurements of a sensor, or, in a network without time, the
-CPD's copies. Values of an angle on different *branches* differ by whole turns.
+the lower triangular root L of the CPD's noise covariance. A child component is *free* where the
+diagonal of L is not zero; any other component follows from the parents and from s of the free ones.
+A draw is *lost* if f is NaN or infinite at it. A *relative* density is that of the CPD divided by
+that of the linearised CPD, whose mean is affine, F x + b, in the parents x. Values of an angle on
+different *branches* differ by whole turns.
 
-d is the number of the child's components, n that of the hidden parents'. In an array (..., S, d)
-the axes ... are (runs,) where an argument `rows` is a number, (k, runs) where it is k rows.
+A CPD has *rows*: the steps of a transition, the measurements of a sensor, or, in a network without
+time, the CPD's copies. d is the number of the child's components, n that of the hidden parents'. In
+an array (..., S, d) the leading axes are (runs,) if an argument `row` or `rows` is a number, and
+(k, runs) if it is a slice of k rows.
 """
 
 from __future__ import annotations
@@ -34,10 +36,10 @@ Stack = TypeVar("Stack", Array, Mask)
 
 
 class Afresh(NamedTuple):
-    """Which draws take children drawn from the CPD itself, not the proposed ones.
+    """The draws at which CPDs draw their children anew, instead of taking the proposed ones.
 
     where: The mask of these draws, (runs, S).
-    rng: The generator of their noise.
+    rng: The generator of the CPDs' noise.
     """
 
     where: Mask
@@ -62,14 +64,15 @@ class Drawn(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """The density of a CPD at draws of its family.
+    """The density of a CPD at draws of its parents and child.
 
-    `family` is the CPD at its rows, with its linearisation there. `own` (rows or 1, runs or 1, d,
-    d) is the root L of the CPD's noise. If `relative`, densities are divided by those of the
-    linearised CPD. `linearised` (rows, runs, d, d) is the root of the linearised CPD's noise; it is
-    None if densities are not relative, and of an affine CPD, whose relative density is one. `taken`
-    (rows, runs or 1, d) marks the components of a sensor's readings that were measured, None for
-    all; the other components are given unit variance, and count for nothing.
+    family: The CPD at its rows, with the values of its observed parents and its linearisation.
+    own: The root L of the CPD's noise, (rows or 1, runs or 1, d, d).
+    relative: Whether densities are divided by those of the linearised CPD.
+    linearised: The root of the linearised CPD's noise, (rows, runs, d, d). None if densities are
+        not relative, and for an affine CPD, whose relative density is one.
+    taken: The mask of the components of a sensor's readings that were measured, (rows, runs or 1,
+        d); None if all were. The other components are given unit variance, and count for nothing.
     """
 
     family: Family
@@ -129,10 +132,12 @@ class Term:
     ) -> Drawn:
         """The children, with their log-densities, of draws of the parents (runs, S, n) at one row.
 
-        Free components are as `proposed`, (runs, S, d); at the draws that `afresh` marks (None: at
-        none) they are drawn from the CPD, with Student's t for its noise. The other components
-        follow from the parents and the noise that the free ones imply. If `strict`, a lost draw
-        raises a LinearisationError.
+        Free components are taken from `proposed`, (runs, S, d). The other components follow from
+        the parents and the noise that the free ones imply.
+
+        afresh: Marks draws at which the free components are drawn from the CPD instead, with
+            Student's t for its noise; None marks none.
+        strict: Whether a lost draw raises a LinearisationError.
         """
         value, lost = self._value(row, parents, on_chart=True, strict=strict)
         own = _at(self.own, row)
@@ -164,10 +169,10 @@ class Term:
         return child
 
     def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
-        """The `proposed` children (runs, S, d), at draws that `afresh` marks f(parents) + L s.
+        """The `proposed` children (runs, S, d), replaced by f(parents) + L s where `afresh` marks.
 
-        s is noise of Student's t. `value` is f(parents), (runs, S, d), `own` the root L, (runs or
-        1, d, d).
+        s is noise of Student's t. `value` is f(parents), (runs, S, d), and `own` the root L,
+        (runs or 1, d, d).
         """
         places = afresh.where
         white: Array = np.zeros(proposed.shape)
@@ -180,10 +185,11 @@ class Term:
     ) -> Array:
         """The log-density of a sensor's k measurements in `rows`, summed, (runs, S).
 
-        `parents` (k, runs, S, n) are the draws. `values` (k, runs or 1, d) are the measurements;
-        `moved` (k, runs, d) are the same with angles on the branch of the linearisation, and are
-        what the densities of affine and of linearised CPDs are taken at. The log-density of a lost
-        draw is NaN, or, if `strict`, a LinearisationError is raised.
+        parents: The draws of the parents, (k, runs, S, n).
+        values: The measurements, (k, runs or 1, d).
+        moved: The measurements with angles on the branch of the linearised mean, (k, runs, d), at
+            which the densities of affine and of linearised CPDs are taken.
+        strict: Whether a lost draw raises a LinearisationError; otherwise its log-density is NaN.
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
@@ -219,7 +225,7 @@ class Term:
         return found - 0.5 * solving.log_determinant(_at(self.own, rows))[..., None]
 
     def _white(self, rows: int | slice, residual: Array) -> Array:
-        """The residuals (..., S, d) whitened by L, zero where a component is not free."""
+        """The white noise s, (..., S, d), with L s = `residual`; zero where not free."""
         if self._inverse is None:
             return normal_density.whitened(_at(self.own, rows), residual)[0]
         white: Array = residual @ transpose(_at(self._inverse, rows))
@@ -231,7 +237,7 @@ class Term:
         return normal_density.whitener(self.own)
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
-        """Residuals (..., S, d), with zero in components that were not measured."""
+        """The residuals (..., S, d), set to zero in components that were not measured."""
         return residual if self.taken is None else np.where(self._seen(rows), residual, 0.0)
 
     def _seen(self, rows: int | slice) -> Mask | np.bool_:
@@ -267,10 +273,12 @@ class Term:
     ) -> tuple[Array, Mask]:
         """The values f(parents) at draws of the parents (..., S, n), and which draws are lost.
 
-        The values are (..., S, d), the mask of lost draws (..., S). A lost draw has the mean of the
-        linearised CPD for its value; if `strict`, it raises a LinearisationError instead. If
-        `on_chart`, angles are on the branch of the linearised mean, which depends on the parents
-        alone, so that the child's density, whose angles are not wrapped, integrates to one.
+        The values are (..., S, d), the mask of lost draws is (..., S). A lost draw has the mean of
+        the linearised CPD for its value.
+
+        on_chart: Whether angles are put on the branch of the linearised mean. This depends on the
+            parents alone, so that the child's density, of angles not wrapped, integrates to one.
+        strict: Whether a lost draw raises a LinearisationError.
         """
         family = self.family
         if family.exact:
@@ -290,7 +298,10 @@ class Term:
         return value, lost
 
     def _refuse(self, rows: int | slice, parents: Array, lost: Mask) -> None:
-        """Raise a LinearisationError for the first draw of the mask `lost` (..., S)."""
+        """Raise a LinearisationError that names the first lost draw.
+
+        `lost` (..., S) is the mask of lost draws, `parents` (..., S, n) the parents' values.
+        """
         where = tuple(int(axis[0]) for axis in np.nonzero(lost))
         family = self.family
         first = rows if isinstance(rows, int) else rows.start + where[0]

@@ -1,10 +1,14 @@
 """Importance draws for an audit, made slice by slice, with their densities.
 
-Draws are from the Gaussian answer q, or from a defensive density d. Of the draws from d some follow
-q but for an excursion (`Excursions`), the others are from Gaussians at other modes (`Modes`). A
-slice is a step of a chain, or all variables of a network without time. *White noise* s gives a
-slice, F x + b + L s, from the states x before (`Proposal`). S is the number of draws of a run, n
-that of the components of a slice, m that of the states before, 0 for the first slice.
+Draws are from the Gaussian answer q, or from a *defensive* density d with wider tails. Some draws
+from d follow q but for an *excursion*: at some successive slices they follow the model's own CPDs,
+or q's conditionals, with Student's t for the noise in either case. The other draws from d are from
+Gaussians at other modes.
+
+A slice is a step of a chain, or all variables of a network without time. Under q, a slice is
+F x + b + L s given the states x before, an affine mean plus white noise s times a root L. S is the
+number of draws of a run, n that of the components of a slice, m that of the components of the
+states before, 0 for the first slice.
 """
 
 from __future__ import annotations
@@ -24,10 +28,11 @@ from pgm.kernels.arrays import Array, Integers
 class Draws(NamedTuple):
     """The log-densities of draws x, (runs, S) each, and the values of the draws.
 
-    `target` is ln p(x, z) of the model with the measurements z, NaN where a function was not finite
-    at a defensive draw; `gaussian` is ln q and `defensive` ln d. `values` has by step an array
-    (runs, S, ...): of a chain, vectors of the states before and the slice; of a network without
-    time a single array, of all variables.
+    target: ln p(x, z) of the model with the measurements z; NaN where a function of the model is
+        NaN or infinite at a defensive draw.
+    gaussian, defensive: ln q and ln d.
+    values: In a chain, for each step the vectors of the states before, then the slice, with zeros
+        for the states before step 0; in a network without time a single array, (runs, S, n).
     """
 
     target: Array
@@ -42,9 +47,9 @@ class Strand:
 
     A defensive draw leaves q for an excursion, or is of another mode's Gaussian q_k:
 
-        d = (1 − Σ_k m_k) d_excursion + Σ_k m_k q_k
+        d = (1 − Σ_k π_k) d_excursion + Σ_k π_k q_k
 
-    with the modes' shares m_k and the density d_excursion of draws with an excursion. Both ln q and
+    with the modes' shares π_k and the density d_excursion of draws with an excursion. Both ln q and
     ln d are summed up over the slices.
 
     answer : Path
@@ -52,14 +57,15 @@ class Strand:
     modes : Modes
         The other Gaussians q_k, and their shares.
     excursions : Excursions
-        Where defensive draws leave q.
+        The law of excursions: where defensive draws leave q, and what they follow there.
     shape : tuple of int
         (runs, S).
     rng : Generator
+        The generator of the draws.
     defensive : bool
-        Whether these are draws of d, or of q.
+        Whether these are draws from d; otherwise they are from q.
     relative : bool
-        Whether densities are divided by those of the linearised model, so that q's is one.
+        Whether densities are divided by those of the linearised model; q's are one then.
     """
 
     answer: Path
@@ -85,8 +91,8 @@ class Strand:
     def propose(self, given: Array) -> tuple[Array, Afresh | None]:
         """Draw the next slice (runs, S, n) given the states before, (runs, S, m).
 
-        Returns the slice, and an `Afresh`, whose mask has the draws for which the model's own CPDs
-        are to draw the slice instead; None unless draws are defensive.
+        Returns the slice; and of defensive draws an `Afresh`, which marks those whose slice the
+        model's own CPDs are to draw instead. For draws from q it is None.
         """
         proposal, row = self.answer.at(self._index)
         tails = afresh = None
@@ -107,8 +113,10 @@ class Strand:
     def weigh(self, given: Array, values: Array, predicted: Array) -> None:
         """Add the log-densities of a slice to ln q and ln d.
 
-        `given` (runs, S, m) are the states before, `values` (runs, S, n) the slice as drawn, and
-        `predicted` (runs, S) its log-density by the model's CPDs, with Student's t for their noise.
+        given: The states before, (runs, S, m).
+        values: The slice as it was drawn, (runs, S, n).
+        predicted: Its log-density by the model's own CPDs, with Student's t for their noise,
+            (runs, S).
         """
         proposal, row = self.answer.at(self._index)
         white = self._white
@@ -132,7 +140,11 @@ class Strand:
         self._index += 1
 
     def drawn(self, target: Array, values: list[Array]) -> Draws:
-        """The finished draws, after the last slice; `target` and `values` are those of `Draws`."""
+        """The finished draws, after the last slice.
+
+        target: ln p(x, z) of the model, (runs, S).
+        values: The values of the draws, (runs, S, ...), by step.
+        """
         defensive = self._density.log()
         if self.modes.paths:
             shares = self.modes.shares

@@ -1,7 +1,9 @@
 """Drives from which smoothers of a chain look for other modes.
 
-A *drive* is a trajectory that the model's own CPDs make of white noise, measurements left aside. n
-is the number of components of a slice, n₀ that of its states.
+The smoothers look for modes of the posterior besides the one that the Gaussian answer fits. A
+*drive* is a trajectory that the model's own CPDs make of white noise, measurements left aside. C is
+the number of drives or starts for each run, T the last step, n the number of components of a slice,
+n₀ that of its states.
 """
 
 from __future__ import annotations
@@ -21,15 +23,16 @@ STEADY, NOISY = 8, 4
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """C drives to be made: their white noise, and how long each follows the answer's mean.
+    """C drives to be made: their white noise, and how long each follows the answer's means.
 
     first : ndarray
         (C, n₀): the white noise of the states at step 0.
     noise : ndarray
-        (C,): the factor of the white noise at later steps, from 0 to 1.
+        (C,): the factor of the white noise at later steps, from 0 to 1; the noise itself is drawn
+        when the drives are made.
     leave : ndarray
-        (C,): the last step up to which a drive is the answer's mean; −1 of a drive that begins in
-        the prior.
+        (C,): the last step up to which a drive equals the answer's means; −1 for a drive that
+        begins in the prior.
     """
 
     first: Array
@@ -40,11 +43,12 @@ class Lanes:
 def starts(plan: ChainPlan, answer: Array) -> Array:
     """Trajectories (T+1, runs, C, n) from which smoothers start, the answer's means first.
 
-    With ρ the drive of the prior's mean without noise, μ the answer's means, `answer` (T+1, runs,
-    n), and ρ_k the drive without noise that leaves μ after step k, they are
+    Let μ be the answer's means, `answer` (T+1, runs, n). Let ρ be the drive that begins at the
+    prior's mean and has no noise, and ρ_k the drive without noise that leaves μ after step k. The
+    trajectories are
 
     - μ itself, and ρ;
-    - mirror images 2ρ − μ of all components, and of one component alone for each of the first
+    - mirror images 2ρ − μ in all components, and in one component alone for each of the first
       four; the same about ρ_k in place of ρ, for the middle step k;
     - drives from points that fill the prior, without noise and with it.
 
@@ -68,9 +72,10 @@ def starts(plan: ChainPlan, answer: Array) -> Array:
 
 
 def drives(plan: ChainPlan, answer: Array, lanes: Lanes) -> Array:
-    """The drives (T+1, runs, C, n) of C lanes, from the prior or from the answer's means.
+    """The drives (T+1, runs, C, n) that `lanes` describes, from the prior or the answer's means.
 
-    `answer` (T+1, runs, n) are the smoothed means of the Gaussian answer.
+    plan: The chain, whose CPDs make the drives.
+    answer: The smoothed means of the Gaussian answer, (T+1, runs, n).
     """
     layout, count = plan.layout, len(lanes.first)
     size, front, places = layout.slice_size, layout.state_size, layout.state_places

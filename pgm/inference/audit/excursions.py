@@ -1,8 +1,12 @@
 """Excursions: where a defensive draw leaves the Gaussian answer, and the density of such draws.
 
-At each slice a draw is in one of four *stages*, in this order: BEFORE its excursion, on one that
-follows the model's own CPDs (PREDICTION) or the answer's conditionals with wider tails (TAILS), or
-AFTER it.
+A slice is a step of a chain, or all variables of a network without time. At each slice a draw is in
+one of four *stages*, in this order:
+
+- BEFORE its excursion;
+- on an excursion that follows the model's own CPDs (PREDICTION);
+- on an excursion that follows the answer's conditionals with wider tails (TAILS);
+- AFTER it.
 """
 
 from __future__ import annotations
@@ -28,12 +32,12 @@ END = 0.125
 class Excursions:
     """One excursion a draw: slices k to l leave the Gaussian answer, all others follow it.
 
-    On it a slice is drawn by the model's own CPDs (stage PREDICTION), or by the Gaussian answer's
-    conditional (stage TAILS), with Student's t for the noise. Where there are several slices, it
-    begins at the first with a probability of ½, else at one of the others, all equally likely; each
-    of its slices is its last one with a probability of ⅛. The density of a draw, over all
-    excursions that may have led to it, is summed up slice by slice, over the four stages, in the
-    order BEFORE, PREDICTION, TAILS, AFTER. S is the number of draws of a run.
+    On an excursion all slices are drawn by the model's own CPDs (stage PREDICTION), or all by the
+    Gaussian answer's conditionals (stage TAILS), with Student's t for the noise in either case.
+    Where there are several slices, the excursion begins at the first with a probability of ½, else
+    at one of the others, all equally likely; each of its slices is its last one with a probability
+    of ⅛. The density of a draw is a sum over all excursions that may have led to it. It is computed
+    slice by slice, as a sum over the four stages. S is the number of draws of a run.
 
     slices : int
         The number of slices of a draw, 1 or more.
@@ -81,10 +85,11 @@ class Excursions:
     ) -> Density:
         """The density of draws up to slice `index`, from that before it.
 
-        With b the probability that the slice begins the excursion if none before has, e the
-        probability that an excursion has ended with the slice before, π_kind the part of excursions
-        of a kind (PREDICTION or TAILS), p_kind the slice's density in it, and p_q its density by
-        the Gaussian, the shares a of the stages become
+        Let a be the densities up to the slice before, by stage: a_before, a_after, and a_kind for
+        each kind of excursion, PREDICTION and TAILS. Let π_kind be the part of excursions of a
+        kind, p_kind the slice's density in it, and p_q its density by the Gaussian. With b the
+        probability that the slice begins the excursion if none before has, and e the probability
+        that an excursion has ended with the slice before, the densities become
 
             before: (1 − b) a_before p_q,
             of either kind: ((1 − e) a_kind + b π_kind a_before) p_kind,
@@ -119,8 +124,8 @@ class Excursions:
 class Density(NamedTuple):
     """The density of draws up to a slice, by their stage there: `shares` times exp(`scale`).
 
-    scale: (runs, S).
-    shares: (4, runs, S): for each stage, in their order.
+    scale: The logarithm of a factor of all four shares, (runs, S).
+    shares: For each stage, in the order of the stages, (4, runs, S).
 
     A share that is too small beside another for float64 becomes zero. That changes little, since
     slices that may follow the one stage may follow the other, too.

@@ -1,4 +1,8 @@
-"""The check of a model against its innovations, one sensor at a time."""
+"""The check of a model against its innovations, one sensor at a time.
+
+Innovations are measurements less their predictions. If the model is right, those of a sensor are as
+large as their predicted covariances say, and those at different times are uncorrelated.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +78,7 @@ class InnovationCheck(Shown):
 
 
 def checks(innovations: Mapping[Variable, Innovations]) -> dict[Variable, InnovationCheck]:
-    """A check of each sensor that was read."""
+    """For each sensor that was read, the check of its innovations."""
     return {
         sensor: InnovationCheck.of(sensor, found)
         for sensor, found in innovations.items()

@@ -1,10 +1,17 @@
 """Log-evidence and divergences from the Gaussian's draws and as many defensive ones.
 
-With p = p(x, z) of the model, the Gaussian answer q, the defensive density d and their mixture r =
-(q + d)/2, a draw has the weights y = p/r, w = p/q and v = q/r. S draws are from q and S from d, in
-this order along the last axis: two strata of equal size. Means over all are means by r, so that the
-mean of y is Z = p(z), and that of v is 1: v is a control variate. The *peak* is the largest ln y of
-a run; weights y are kept as y / e^peak.
+Draws x of all hidden variables are from the Gaussian answer q, or from a *defensive* density d with
+wider tails. With the mixture r = (q + d)/2, and with p = p(x, z), the density of the model with the
+measurements z, a draw has the weights y = p/r, w = p/q and v = q/r. Each run has S draws from q,
+then S from d, along the last axis: two *strata* of equal size.
+
+The mean ȳ of y over all 2S draws estimates the evidence Z = p(z). The mean v̄ of v estimates 1, so
+that v is a control variate. With the slope β of the regression of y on v within the strata, the
+estimate of Z is
+
+    Ẑ = ȳ − β (v̄ − 1).
+
+The *peak* is the largest ln y of a run; weights y are kept as y / e^peak.
 """
 
 from __future__ import annotations
@@ -70,13 +77,13 @@ class Evidence(NamedTuple):
     Attributes
     ----------
     slope : ndarray
-        (runs,): β e^−peak, β the slope of the regression of y on v within the draws of q and of d.
+        (runs,): β e^−peak, β being the slope of the regression of y on v.
     value : ndarray
         (runs,): Ẑ e^−peak.
     log : ndarray
         (runs,): ln Ẑ.
     standard_error : ndarray
-        (runs,): of ln Ẑ, that of the mean of (y − βv)/Ẑ (the delta method).
+        (runs,): the standard error of ln Ẑ, by the delta method.
     """
 
     slope: Array
@@ -96,16 +103,18 @@ class Estimate(NamedTuple):
 class Mixture:
     """Estimates by importance sampling from the mixture r = (q + d)/2, in strata of equal size.
 
-    Where p is a multiple of q, no variance is left. References are in `Audit`.
+    Where p is a multiple of q, the estimates have no variance. References are in `Audit`.
 
     weighed : Weighed
         The weights of the draws.
     evidence : Evidence
         The estimate of Z.
-    divergence, inclusive : Estimate
-        KL(q ‖ p/Z), infinite where p is zero at a draw of q, and KL(p/Z ‖ q).
+    divergence : Estimate
+        KL(q ‖ p/Z) in nats, infinite where p is zero at a draw from q.
+    inclusive : Estimate
+        KL(p/Z ‖ q) in nats.
     undefined : ndarray
-        (runs,): the part of defensive draws at which a function was not finite.
+        (runs,): the part of defensive draws at which a function of the model is NaN or infinite.
     """
 
     weighed: Weighed
@@ -118,10 +127,10 @@ class Mixture:
     def make(
         cls, log_weights: Array, control: Array, log_ratio: Array, undefined: Array
     ) -> Mixture:
-        """Make the estimates from ln y, v and ln w, (runs, 2S), q's draws first.
+        """Make the estimates from the weights of all draws, (runs, 2S), q's draws first.
 
-        `undefined` is as of the class. A NumericalError is raised if in some run all draws, or all
-        from q, have density zero.
+        `log_weights` are ln y, `control` is v, and `log_ratio` is ln w; `undefined` is handed on. A
+        NumericalError is raised if in some run all draws, or all from q, have density zero.
         """
         weighed = Weighed(log_weights, control, log_ratio)
         _require_draws(weighed)
@@ -148,7 +157,7 @@ class Mixture:
 
     @cached_property
     def pareto_k(self) -> Array:
-        """The shape of the Pareto tail of the weights y of q's draws, (runs,).
+        """The shape k of the generalised Pareto law that fits the tail of q's weights y, (runs,).
 
         It is −∞ in runs in which all weights w = p/q are equal.
         """
@@ -172,8 +181,8 @@ def _require_draws(weighed: Weighed) -> None:
 def _evidence(weighed: Weighed) -> Evidence:
     """The estimate Ẑ of the evidence, with v as control variate.
 
-    Where the estimate is not positive, since a regression through few weights may overshoot, it is
-    the plain mean of y, with β = 0.
+    A regression through few weights may overshoot. Where the estimate is not positive for that
+    reason, the plain mean of y is taken, with β = 0.
     """
     weights, control = weighed.weights, weighed.control
     slope, mean = _slope(weights, control), weights.mean(axis=-1)
@@ -187,7 +196,8 @@ def _evidence(weighed: Weighed) -> Evidence:
 def _surplus(weighed: Weighed, evidence: Evidence) -> Array:
     """The terms (y − βv)/Ẑ of all draws, (runs, 2S), which give the error of ln Ẑ.
 
-    Their mean is 1 − β/Ẑ, and the standard error of this mean is that of ln Ẑ.
+    `evidence` has Ẑ and the slope β. The mean of the terms is 1 − β/Ẑ, and the standard error of
+    this mean is that of ln Ẑ.
     """
     parts = (evidence.slope / evidence.value)[:, None] * weighed.control
     return np.asarray(weighed.weights / evidence.value[:, None] - parts)
@@ -196,16 +206,18 @@ def _surplus(weighed: Weighed, evidence: Evidence) -> Array:
 def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> Estimate:
     """A divergence in nats with its standard error, (runs,) each, by means of a control variate.
 
-    `values` (runs, 2S) are the terms a_s of the draws s: those of KL(q ‖ p/Z), with the `sign` +1,
-    are a_s = −v ln(w/Ẑ), those of KL(p/Z ‖ q), with the `sign` −1, a_s = (y/Ẑ) ln(w/Ẑ). The
-    `control` (runs, 2S), c_s = y/Ẑ − v, has mean zero, and β is the slope of the regression of a_s
-    on c_s. The divergence is estimated by ā − β c̄, the difference of means over draws, or by zero
-    if that is negative. The estimate depends on ln Ẑ, too, with the derivative
+    values: The terms a of the draws, (runs, 2S). Those of KL(q ‖ p/Z) are a = −v ln(w/Ẑ), those of
+        KL(p/Z ‖ q) are a = (y/Ẑ) ln(w/Ẑ).
+    control: c = y/Ẑ − v, (runs, 2S), whose expected value is zero.
+    surplus: The terms u = (y − βv)/Ẑ, (runs, 2S), of whose mean the standard error is that of ln Ẑ.
+    sign: 1 for KL(q ‖ p/Z), −1 for KL(p/Z ‖ q).
 
-        g = β + 1 for KL(q ‖ p/Z),   g = β − 1 − (the estimate) for KL(p/Z ‖ q),
+    Let b be the slope of the regression of a on c. The estimate is ā − b c̄, with means ā and c̄
+    over all draws, or zero if that is negative. It depends on ln Ẑ, too, with the derivative g:
 
-    so that its standard error is that of the mean of a_s − β c_s + g u_s, with the `surplus` u_s =
-    (y − β′v)/Ẑ, (runs, 2S), in which β′ is the slope of the evidence (`_surplus`).
+        g = b + 1 for KL(q ‖ p/Z),   g = b − 1 − (the estimate) for KL(p/Z ‖ q).
+
+    Its standard error is therefore that of the mean of a − b c + g u.
     """
     slope = _slope(values, control)
     mean = np.maximum(values.mean(axis=-1) - slope * control.mean(axis=-1), 0.0)
@@ -217,7 +229,7 @@ def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> E
 def _slope(values: Array, control: Array) -> Array:
     """The slope of the regression of values on a control, (runs,); both are (runs, 2S).
 
-    The draws of q and those of d have means of their own in it. The slope is zero where the control
+    In each stratum both are taken less their means over it. The slope is zero where the control
     does not vary.
     """
     halves = (len(values), 2, -1)

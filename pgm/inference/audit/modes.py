@@ -1,9 +1,10 @@
 """Other modes of a posterior: fixed points that smoothers reach from other starts.
 
 Smoothers (of a network without time: calibrations) are started from C points in each run. The
-audit draws from the Gaussian answer q and, *defensively*, from a density with wider tails. Up to K
-of the modes found get a share of the defensive draws; the others of these draws follow q but for an
-*excursion* of some slices. n is the number of the components of all slices together.
+audit draws from the Gaussian answer q and, *defensively*, from a density with wider tails. Each of
+up to K modes found gets a share of the defensive draws; the rest of these follow q but for an
+*excursion*, some slices at which they leave it. A slice is a step of a chain, or all variables of a
+network without time. n is the number of the components of all slices together.
 """
 
 from __future__ import annotations
@@ -33,9 +34,10 @@ class Modes:
     """Gaussians at other modes than the answer's, from which a part of defensive draws comes.
 
     paths : sequence of Path
-        K laws of all variables, each of all runs.
+        K Gaussian laws of all variables, one for each mode, each of all runs.
     shares : ndarray
-        (K, runs): the probability that a defensive draw is of this law; zero in runs without it.
+        (K, runs): the probability that a defensive draw is from the law; zero in runs that do not
+        have the mode.
     missed : ndarray
         (runs,): the part of the fixed points' evidence that belongs to modes not drawn from; NaN
         where no smoother arrived, not even from the answer itself.
@@ -59,11 +61,12 @@ class Modes:
     def made(cls, laws: Iterable[tuple[Callable[[], Path], Array]], missed: Array) -> Modes:
         """The modes whose laws can be made and drawn from.
 
-        laws: For each mode, a function that makes its law, and its shares of the draws, (runs,).
+        laws: For each mode, a function that makes its law, and its share of the defensive draws in
+            each run, (runs,).
         missed: The part of all modes' evidence that belongs to modes left out already, (runs,).
 
-        A law that cannot be made, or has no density, is left out, and its part of all modes' shares
-        is added to `missed`.
+        A law that cannot be made, or has no density, is left out. Its share, as a part of the
+        shares of all modes together, is added to `missed`.
         """
         paths, shares = [], []
         for make, share in laws:
@@ -111,9 +114,9 @@ class FixedPoints:
     def apart(self, mean: Array, std: Array) -> Array:
         """How far each fixed point is from another point of its run, (C, runs).
 
-        That is the largest difference of a component from the other point's `mean` (runs, n), in
-        units of the root mean square of the two points' standard deviations; `std` (runs, n) are
-        the other point's. Components whose two standard deviations are zero count for nothing.
+        The other point has the means `mean` and the standard deviations `std`, both (runs, n). The
+        distance is the largest difference of a component's means, in units of the root mean square
+        of its two standard deviations. Components for which both are zero count for nothing.
         """
         off = np.abs(difference(self.mean, mean, self.angles))
         spread = np.sqrt(0.5 * (self.std**2 + std**2))
@@ -143,14 +146,11 @@ class Chosen:
 def choose(points: FixedPoints, mean: Array, std: Array, most: int = MOST) -> Chosen:
     """The likeliest distinct fixed points that are not the answer's mode.
 
-    Points are taken in the order of their evidence, each further than one standard deviation, in
-    some component, from the answer and from those taken before; points with a log-evidence ten nats
-    or more below the best are left out. Their masses are estimated by Laplace's method,
-
-        w_k ∝ exp(ln Z_k),
-
-    with ln Z_k the log-evidence at point k, and the shares of draws are 0.5 (0.8 w_k + 0.2/K), w_k
-    normalised over the K modes that are drawn from.
+    Points are taken in the order of their evidence. Each has to be further than one standard
+    deviation, in some component, from the answer and from those taken before. Points with a
+    log-evidence ten nats or more below the best are left out. By Laplace's method, the mass w_k of
+    the mode at point k is proportional to the evidence Z_k there. With the masses normalised over
+    the K modes that are drawn from, the shares of the defensive draws are 0.5 (0.8 w_k + 0.2/K).
 
     Parameters
     ----------

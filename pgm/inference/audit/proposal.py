@@ -3,7 +3,7 @@
 A component is *free* if it has noise given its parents in the model; any other component is a
 function of its parents and the free ones, and is not proposed. A *slice* is a step of a chain, or
 all variables of a network without time. S is the number of draws of a run, n that of the components
-of a slice, m that of the states before.
+of a slice, m that of the components of the states before it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from pgm.kernels.moments import Conditional
 class Proposal:
     """Affine Gaussians of slices y given the states x before them, one for each slice and run.
 
-    A *row* is a slice: arrays have one for each step, or a single one. The Gaussians are y = F x +
-    b + L s with white noise s ~ N(0, I), or, for tails, Student's t.
+    A *row* is a slice: arrays have one for each step, or a single one. The Gaussians are
+    y = F x + b + L s with white noise s ~ N(0, I), which may be replaced by noise of Student's t
+    for wider tails. L is lower triangular.
 
     matrix : ndarray
         (rows, runs, n, m): F; m is 0 where nothing is given.
@@ -64,15 +65,18 @@ class Proposal:
 
     @cached_property
     def _fixed(self) -> Mask:
-        """The mask of components without noise of their own in L, (rows, runs, n)."""
+        """The mask of components at which the diagonal of L is zero, (rows, runs, n)."""
         return roots.determined(self.lower)
 
     def white(
         self, row: int, count: int, rng: np.random.Generator, away: Mask | None = None
     ) -> Array:
-        """Draw white noise s for S = `count` draws, (runs, S, n), zero where L has no pivot.
+        """Draw white noise s for S = `count` draws, (runs, S, n).
 
-        Draws that the mask `away` (runs, S) marks have noise of Student's t; None marks none.
+        It is zero in components at which the diagonal of L is zero.
+
+        away: The mask of the draws that have noise of Student's t instead, (runs, S); None if none
+            has.
         """
         lower = self.lower[row]
         white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
@@ -82,11 +86,17 @@ class Proposal:
         return np.where(fixed[:, None, :], 0.0, white) if fixed.any() else white
 
     def values(self, row: int, given: Array, white: Array) -> Array:
-        """The draws F x + b + L s, (runs, S, n), given x (runs, S, m), of white noise s."""
+        """The draws F x + b + L s, (runs, S, n).
+
+        `given` is x, (runs, S, m), and `white` the white noise s, (runs, S, n).
+        """
         return self._mean(row, given) + white @ transpose(self.lower[row])
 
     def whitened(self, row: int, given: Array, values: Array) -> Array:
-        """The white noise s (runs, S, n) of draws, given x (runs, S, m)."""
+        """The white noise s, (runs, S, n), that makes given draws: the inverse of `values`.
+
+        `given` is x, (runs, S, m), and `values` are the draws F x + b + L s, (runs, S, n).
+        """
         off = values - self._mean(row, given)
         if self._inverse is None:
             return normal_density.whitened(self.lower[row], off)[0]
@@ -95,22 +105,28 @@ class Proposal:
 
     @cached_property
     def _inverse(self) -> Array | None:
-        """L⁻¹ of all rows, (rows, runs, n, n); None where some component has no noise."""
+        """L⁻¹ of all rows, (rows, runs, n, n); None if some component has no noise in L."""
         return normal_density.whitener(self.lower)
 
     @cached_property
     def _constants(self) -> tuple[Integers, Array]:
-        """The number of free components, and the Gaussian's log-density at s = 0, (rows, runs)."""
+        """Two arrays (rows, runs) by which densities are computed.
+
+        They are the number of components with noise in L, and the Gaussian's log-density at s = 0.
+        """
         size = (~self._fixed).sum(axis=-1)
         return size, -0.5 * (solving.log_determinant(self.lower) + size * LOG_2PI)
 
     def log_density(self, row: int, squared: Array) -> Array:
-        """The log-density (runs, S) of draws by the Gaussian, at |s|² (runs, S)."""
+        """The log-density of draws by the Gaussian, (runs, S); `squared` is |s|², (runs, S)."""
         value: Array = self._constants[1][row][:, None] - 0.5 * squared
         return value
 
     def log_tails(self, row: int, squared: Array) -> Array:
-        """The logarithm of Student's t density over the Gaussian one, (runs, S), at |s|²."""
+        """The log-density of draws by Student's t, less that by the Gaussian, (runs, S).
+
+        `squared` is |s|², (runs, S), with the white noise s of the draws.
+        """
         return log_ratio(self._constants[0][row][:, None], squared)
 
     def _mean(self, row: int, given: Array) -> Array:
@@ -126,7 +142,8 @@ class Path:
     first : Proposal
         One row, of the states at step 0; in a network without time of all variables.
     later : Proposal or None
-        T rows, of the slices at steps 1 to T given the states before.
+        T rows, of the slices at steps 1 to T given the states before; None in a network without
+        time.
     """
 
     first: Proposal

@@ -1,7 +1,8 @@
 """A chain with each of its runs several times, so that smoothers from many starts are one call.
 
-Arrays of a CPD are (rows, runs or 1, ...); rows are the steps of a transition, the measurements of
-a sensor, or, in a network without time, the CPD's copies.
+The array of a CPD is (rows, runs, ...), or (rows, 1, ...) if it is the same for all runs. Rows are
+the steps of a transition, the measurements of a sensor, or, in a network without time, the CPD's
+copies.
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ from pgm.linearisers import TAYLOR
 
 
 def repeated(plan: ChainPlan, count: int) -> ChainPlan:
-    """The plan with all its runs one after another `count` times: run r of copy c is c · runs + r.
+    """The plan of a chain with all its runs one after another, `count` times.
 
-    Arrays that are the same for all runs are shared. Nonlinear CPDs without a lineariser of their
-    own are expanded to first order, so that the steps of a smoother can be controlled by their
-    cost. Measurements that gates have rejected stay rejected.
+    Run r of copy c becomes run c · runs + r. Arrays that are the same for all runs are shared.
+    Nonlinear CPDs without a lineariser of their own are expanded to first order, so that the steps
+    of a smoother can be controlled by their cost. Measurements that gates have rejected stay
+    rejected.
     """
     runs = plan.runs
 
@@ -77,7 +79,7 @@ def of_family(family: Family, count: int, runs: int) -> Family:
 
 
 def tiled(array: npt.NDArray[Kind], count: int) -> npt.NDArray[Kind]:
-    """An array (rows, runs or 1, ...) with its runs `count` times; one for all runs stays one."""
+    """An array (rows, runs, ...) with its runs `count` times; (rows, 1, ...) stays as it is."""
     if array.shape[1] == 1:
         return array
     return np.concatenate([array] * count, axis=1)

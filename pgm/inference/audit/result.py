@@ -33,8 +33,11 @@ MISSED = 0.01
 def _is_trusted(mixture: Mixture, modes: Modes) -> Mask:
     """Whether each run's estimates can be used, (runs,).
 
-    That takes a Pareto shape of at most 0.7, ten effective draws, and no more than a hundredth of
-    the mass in modes that are not drawn from.
+    They can if the Pareto shape of the weights' tail is at most 0.7, ten draws or more are
+    effective, and no more than a hundredth of the mass is in modes that are not drawn from.
+
+    mixture: The estimates from the weighted draws.
+    modes: The modes beside the answer's.
     """
     draws = (mixture.pareto_k <= UNTRUSTED) & (mixture.effective_draws >= ENOUGH)
     return np.asarray(draws & (modes.missed <= MISSED))
@@ -43,12 +46,18 @@ def _is_trusted(mixture: Mixture, modes: Modes) -> Mask:
 def _is_suspect(
     mixture: Mixture, compared: Sequence[Compared], correction: Array, trusted: Mask
 ) -> Mask:
-    """Whether moments or the log-evidence are further off than chance explains, (runs,).
+    """Whether the Gaussian answer's moments or log-evidence are off in each run, (runs,).
 
-    `correction` (runs,) is the estimated log-evidence less the Gaussian's. An estimate by a mean of
-    weights is t nats too high with a probability of e^−t at most, whatever the weights' tail
-    (Markov's inequality), but may be too low by any number of nats. A negative correction therefore
-    counts only in runs that are `trusted` (runs,).
+    They are if a belief's moments are more than 0.5 nats further from the estimated exact ones than
+    chance explains, or if the correction is larger than three standard errors by more than 0.5
+    nats.
+
+    mixture: The estimates from the weighted draws.
+    compared: For each belief the estimated exact moments, and the Gaussian's divergence from them.
+    correction: The estimated log-evidence less the Gaussian's, (runs,).
+    trusted: The mask of runs whose estimates can be used, (runs,). A negative correction counts in
+        these alone: a mean of weights is t nats too high with a probability of e^−t at most
+        (Markov's inequality), but may be too low by any number of nats.
     """
     beyond = np.abs(correction) - ERRORS * mixture.evidence.standard_error
     found: Mask = (trusted | (correction > 0.0)) & (beyond > SUSPECT)
@@ -252,7 +261,7 @@ class Audit(Shown, Immutable):
         )
 
     def _verdict(self) -> list[str]:
-        """A line on how far the worst belief and the log-evidence are off; none without beliefs."""
+        """A line on how far the worst belief and the log-evidence are off; [] without beliefs."""
         divergence, where = self._furthest
         if not where:
             return []

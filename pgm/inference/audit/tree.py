@@ -1,8 +1,8 @@
 """Draws of all variables of a network without time, with their log-densities.
 
 Draws are from the Gaussian answer q, the joint of the calibrated tree, or *defensive*, from a
-density with wider tails: from the prior, from q, both with Student's t for their noise, or from
-Gaussians at other modes.
+density with wider tails. A defensive draw is from the prior or from q, with Student's t for the
+noise in either case, or from a Gaussian at another mode.
 
 A component is *free* if it has noise given its parents; any other component is a function of its
 parents and the free ones. Where an observed CPD has no noise, or the posterior no density,
@@ -32,10 +32,10 @@ from pgm.kernels.moments import Conditional
 
 @dataclass(frozen=True, eq=False)
 class TreeDraws:
-    """Draws from the joint Gaussian q of a calibrated tree, all variables at once.
+    """Draws from the joint Gaussian q of a calibrated tree, or defensive ones.
 
     answer : Path
-        The law q of all variables, one slice.
+        The law q of all variables, which stand in a single slice.
     modes : Modes
         Gaussians at other modes, for defensive draws.
     density : TreeDensity
@@ -92,7 +92,7 @@ class TreeDraws:
         free = density.free(mean.shape)
 
         def path(mean: Array, cov: Array) -> Path:
-            """The law of all variables with a mean (runs, n) and a covariance (runs, n, n)."""
+            """The Gaussian law of all variables, of mean (runs, n) and covariance (runs, n, n)."""
             given = np.zeros((1, *mean.shape, 0))
             return Path(Proposal.make(Conditional(given, mean[None], cov[None]), free))
 
@@ -115,7 +115,10 @@ class TreeDraws:
         return self.density.model.layout.size
 
     def sums(self) -> list[Sums]:
-        """Sums, still empty, for the moments of each hidden variable and of each cluster."""
+        """Sums over draws, still empty, by which the moments of beliefs are estimated.
+
+        There is one `Sums` for each hidden variable, and one for each cluster.
+        """
         layout, every = self.density.model.layout, np.ones(1, dtype=bool)
         alone = [(variable,) for variable in layout.hidden]
         sums = []
@@ -128,9 +131,9 @@ class TreeDraws:
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
         """Make S = `count` draws for each run, from q or, if `defensive`, defensive ones.
 
-        Returns their values and log-densities. At a draw where a function is NaN or infinite the
-        model's log-density is NaN if the draw is defensive; otherwise a LinearisationError is
-        raised.
+        Returns their values, and their log-densities by the model, by q and by the defensive
+        density. Where a function of the model is NaN or infinite at a defensive draw, the model's
+        log-density is NaN; at a draw from q, a LinearisationError is raised.
         """
         shape = len(self.reference), count
         excursions = Excursions(1, 0.0 if self.relative else PREDICTED)

@@ -1,8 +1,9 @@
 """The log-density of a network without time at values of all its hidden variables.
 
-A component is *free* if it has noise given its parents. A *relative* density is that of the CPDs
-divided by that of the linearised CPDs. S or C is the number of draws of a run, n that of the
-components of all hidden variables.
+A component is *free* if it has noise given its parents; any other component is a function of its
+parents and the free ones. A *relative* density is that of the CPDs divided by that of the
+linearised CPDs. S or C is the number of draws of a run, n that of the components of all hidden
+variables.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from pgm.kernels.arrays import Array, Mask
 
 
 class Weighed(NamedTuple):
-    """Values (runs, S, n) of the hidden variables, and their log-densities, (runs, S).
+    """Values of the hidden variables at draws, and their log-densities.
 
-    `log_density` is ln p(x, z) of the values x and the evidence z, NaN where a function was not
-    finite; `log_tails` is the log-density of the hidden variables alone, with Student's t for the
-    noise of their CPDs.
+    values: The values x, (runs, S, n).
+    log_density: ln p(x, z) with the evidence z, (runs, S); NaN where a function of the model is NaN
+        or infinite.
+    log_tails: The log-density of the hidden variables alone, without the evidence, and with
+        Student's t for the noise of their CPDs, (runs, S).
     """
 
     values: Array
@@ -37,7 +40,8 @@ class TreeDensity:
     model : Model
         The linearised network with its evidence.
     terms : list of Term
-        The densities of the CPDs; copies of one CPD with the same parents hidden share a term.
+        The densities of the CPDs. Copies of one CPD share a term if the same of their parents are
+        hidden.
     """
 
     model: Model
@@ -61,10 +65,12 @@ class TreeDensity:
     def at(self, values: Array, afresh: Afresh | None = None, *, strict: bool) -> Weighed:
         """The log-densities at `values` (runs, S, n) of the hidden variables, and the values used.
 
-        Components that are not free are computed from the others. For draws that `afresh` marks
-        (None: no draws) the CPDs make new values, with Student's t, parents before children; the
-        array `values` is not changed. If `strict`, a function that is not finite raises a
-        LinearisationError.
+        Components that are not free are computed from the others. The array `values` is not
+        changed.
+
+        afresh: Marks draws for which the CPDs make new values, with Student's t for their noise,
+            parents before children; None marks none.
+        strict: Whether a function that is NaN or infinite raises a LinearisationError.
         """
         model, values = self.model, values.copy()
         total, tails = np.zeros(values.shape[:2]), np.zeros(values.shape[:2])

@@ -1,7 +1,8 @@
 """Modes of a network without time besides the one that the Gaussian answer fits.
 
-They are found by calibrations that start from C points for each run. n is the number of components
-of all hidden variables.
+They are found by calibrations that start from C points for each run: by iterations that linearise
+the network's CPDs at a point, and calibrate its cluster tree. n is the number of components of all
+hidden variables.
 """
 
 from __future__ import annotations
@@ -119,23 +120,24 @@ class Search:
     def solve(self, at: Array) -> Calibrated:
         """Calibrate the network linearised at points (runs, C, n).
 
-        The beliefs are of C · runs runs. A NumericalError is raised if they are not proper.
+        Returns the clusters' beliefs, of C · runs runs, and their log-evidence. A NumericalError is
+        raised if the beliefs are not proper.
         """
         flat = at.swapaxes(0, 1).reshape(-1, at.shape[-1])
         model = self._linearised(flat)
         return calibrate(self.plan, Buffer.make(self.plan.rounds, model))
 
     def climb(self, at: Array) -> Array:
-        """Where steps of Gauss–Newton that raise the log-density lead from points (runs, C, n).
+        """Climb from points (runs, C, n) by steps of Gauss–Newton that raise the log-density.
 
-        A step goes the part t of the way to the mean x̂ of the network linearised at x,
+        Returns the points reached, (runs, C, n). A step goes the part t of the way from a point x
+        to the mean x̂ of the network linearised at x,
 
-            x ← x + t (x̂ − x),
+            x ← x + t (x̂ − x).
 
-        with that t of 1, 0.5, 0.2 and 0.05 for which the log-density of `density` is largest; if
-        none raises it the point stays. Steps end after 12, or with one in which no component of any
-        point moves by more than 0.02 standard deviations of the linearised network. Returns (runs,
-        C, n).
+        Of 1, 0.5, 0.2 and 0.05, that t is taken for which the log-density is largest; if none
+        raises it, the point stays. There are 12 steps, or fewer if in one of them no component of
+        any point moves by more than 0.02 standard deviations of the linearised network.
         """
         runs, count, size = at.shape
         parts = np.array((0.0, *PARTS))[:, None]

@@ -1,20 +1,23 @@
 """Backward simulation: trajectories drawn from the smoothing distribution.
 
-The last state of a trajectory is drawn from the filter's particles. Then, step by step backwards,
-the state before x_{t+1} is drawn from
+A particle filter leaves a *cloud* at each step t: particles x_t^i with weights w_t^i, given the
+measurements z_0..t up to that step. The last state of a trajectory is drawn from the last cloud.
+Then, step by step backwards, the state before x_{t+1} is drawn from
 
-    p(x_t | x_{t+1}, z_0..t) ≈ Σ_i w̃_i δ(x_t − x_t^i),    w̃_i ∝ w_t^i p(x_{t+1} | x_t^i),
+    p(x_t | x_{t+1}, z_0..t) ≈ Σ_i w̃_i δ(x_t − x_t^i),    w̃_i ∝ w_t^i p(x_{t+1} | x_t^i).
 
-x_t^i and w_t^i being the filter's particles and weights at step t, and z_0..t the measurements up
-to t. Two ways are offered. In full, w̃_i is computed for every particle, which takes a density for
-each pair of a particle and a trajectory. A Metropolis chain begins at the ancestor of the particle
-x_{t+1}, which is itself a draw of that distribution, and proposes particles i ~ w_t independently
-of its current state x_t^now; each proposal is accepted with the probability
-min(1, p(x_{t+1} | x_t^i) / p(x_{t+1} | x_t^now)).
+Two ways are offered:
 
-The *place* of a particle is its index along the last axis of its step's arrays, which have the
-particles of all runs, those of run 0 first. Arrays over trajectories have equally many of each run,
-those of run 0 first.
+- *in full*, w̃_i is computed for every particle, which takes a density for each pair of a particle
+  and a trajectory;
+- *Metropolis moves* begin at the ancestor of x_{t+1}, the particle of step t that the filter moved
+  to x_{t+1}; this ancestor is itself a draw from the distribution above. Each move proposes a
+  particle i with the probability w_t^i, whatever the current particle x_t^now is, and accepts it
+  with the probability min(1, p(x_{t+1} | x_t^i) / p(x_{t+1} | x_t^now)).
+
+The *place* of a particle is its index along the last axis of its cloud's arrays. Such an array has
+the particles of all runs, those of run 0 first. Arrays over trajectories, (..., trajectories), have
+equally many of each run, those of run 0 first. d is the number of the components of a state.
 
 Godsill, Doucet & West, Monte Carlo smoothing for nonlinear time series, 2004; Bunch & Godsill,
 Improved particle approximations to the joint smoothing distribution using Markov chain Monte Carlo,
@@ -45,9 +48,9 @@ class Backward:
     """A smoother that draws trajectories backwards through the clouds of a particle filter.
 
     model: The network with its evidence.
-    particles: The user's settings, which tell how many trajectories are drawn, and in which of the
-        two ways.
-    clouds: The filter's particles given the measurements up to each step, from 0 to T.
+    particles: The user's settings, which tell how many trajectories are drawn for each run, and in
+        which of the two ways.
+    clouds: The filter's weighted particles given the measurements up to each step, from 0 to T.
     restarted: The mask (T+1, runs) of steps at which a run's particles were drawn from the prior;
         these particles do not depend on the step before.
 
@@ -174,10 +177,10 @@ class Backward:
         Returns the places, (trajectories,), and the mask, (trajectories,), of the trajectories for
         which some proposal was accepted.
 
-        cloud: The particles that are proposed, by their weights.
+        cloud: The particles of the step, which are proposed by their weights.
         density: The log-density from a particle to a trajectory's state one step later.
-        ancestor: The places to begin at, (trajectories,).
-        generators: One for each run.
+        ancestor: The places at which the moves begin, (trajectories,).
+        generators: The random generators, one for each run.
         """
         now, moved = ancestor.copy(), np.zeros(len(ancestor), dtype=bool)
         log_now = density.at(now)
@@ -218,11 +221,13 @@ class Backward:
     ) -> Integers:
         """Draw the places (trajectories,) from all particles of each run, ∝ w_i p(after | x_i).
 
-        x_i is a particle, w_i its weight, and `after` the trajectory's state one step later. The
-        probabilities take a density for each pair of a particle and a trajectory.
+        x_i is a particle of `cloud`, w_i its weight, and `after` the trajectory's state one step
+        later. Each pair of a particle and a trajectory takes an evaluation of `density`,
+        ln p(after | x_i).
 
-        ancestor: The places, (trajectories,), that are taken for trajectories of which rounding
-            makes all these densities zero.
+        ancestor: The places of the trajectories' ancestors, (trajectories,). A trajectory takes its
+            ancestor if rounding makes its densities from all particles zero.
+        generators: The random generators, one for each run.
         """
         found = []
         for run, generator in enumerate(generators):
@@ -247,12 +252,14 @@ class Backward:
 class _Density:
     """The log-density of a transition, from particles to trajectories' states one step later.
 
+    It is the sum of the log-densities of the transition's CPDs. Where a CPD's child has a mean that
+    depends on states of the step before alone, this mean is computed once for each particle, not
+    once for each pair of a particle and a trajectory.
+
     step: The step of the trajectories' states.
     cloud: The particles of the step before.
     after: The trajectories' states, (d, trajectories).
-    owner: The run of each trajectory; None where there is one run.
-
-    Means that depend on the step before alone are computed once, for all particles.
+    owner: The run of each trajectory, (trajectories,); None where there is one run.
     """
 
     def __init__(
@@ -271,11 +278,13 @@ class _Density:
         ]
 
     def _mean(self, law: Law) -> tuple[States, Root] | None:
-        """The means of a CPD's child at all particles, (d, particles), and the CPD's noise.
+        """The means of a CPD's child at all particles, and the CPD's noise.
 
-        `law` is the CPD with the values of its observed parents, `Root` the lower triangular root
-        of a noise covariance. None is returned where the means depend on states of the same step,
-        or the noise is singular or not Gaussian.
+        The means are (c, particles), c being the number of the child's components. The noise is the
+        lower triangular root of its covariance. None is returned if the means depend on states of
+        the same step, or the noise is singular or not Gaussian.
+
+        law: The CPD with the values of its observed parents.
         """
         parents = [p for p in law.cpd.parents if p not in law.inputs]
         if not isinstance(law, GaussianLaw) or not all(p.lag for p in parents):
@@ -293,10 +302,11 @@ class _Density:
         return np.concatenate(means, axis=1), root
 
     def at(self, place: Integers, which: Integers | None = None) -> Array:
-        """The log-densities ln p(after | x), (m,), x being the particles at some places, (m,).
+        """The log-densities (m,) of m pairs of a particle and a trajectory's state.
 
-        which: The trajectory that each place is paired with, (m,); None pairs the i-th place with
-            the i-th trajectory, m being their number.
+        place: The place of each pair's particle, (m,).
+        which: The index of each pair's trajectory, (m,). None pairs the i-th place with the i-th
+            trajectory; m is then the number of trajectories.
         """
         after = self.after if which is None else self.after[:, which]
         owner = self.owner if which is None or self.owner is None else self.owner[which]

@@ -1,9 +1,11 @@
 """Particle beliefs and the figures read from them: means, covariances, draws and histograms.
 
 A *cloud* has the particles of all runs, one run after another, with their weights. Its states are
-an array (rows, particles), with a row for each component of its variables. A belief has a cloud for
-each of its steps, or a single one, in `_clouds`, and may be over some of the rows only: `_parts`
-has its components, with their rows. `_runs` is the shape of its axes of runs.
+an array (rows, particles), with a row for each component of its variables. A belief has
+
+- `_clouds`: a cloud for each of its steps, or a single one if it is of one step;
+- `_parts`: the components that it is over, which may be some of the rows only, each with its row;
+- `_runs`: the shape of the user's axes of runs, which are one axis in a cloud.
 """
 
 from __future__ import annotations
@@ -35,9 +37,10 @@ class ParticleBelief(PointMassBelief):
     - x_i: the n particles, `states`, of d components;
     - w_i: their weights, `weights`, of sum one.
 
-    Leading axes are independent beliefs: runs, and, where `steps` says so, steps in time. Means and
-    covariances are those of the point masses; those of angles are taken about the circular mean μ°,
-    the direction of Σ w_i (cos x_i, sin x_i), of differences wrapped to [−π, π).
+    Leading axes, (...), are separate beliefs: of runs, and, unless `steps` is None, of steps in
+    time. Means and covariances are those of the point masses. For an angle they are computed from
+    the particles' differences to its circular mean μ°, wrapped to [−π, π); μ° is the direction of
+    Σ w_i (cos x_i, sin x_i).
 
     Attributes
     ----------
@@ -185,12 +188,11 @@ class ParticleBelief(PointMassBelief):
     def _at(self, index: Any, chosen: Integers) -> ParticleBelief:
         """The belief at the user's `index` of the leading axes.
 
-        chosen: The places in the flattened leading axes that the index takes, in the shape of the
-            result's leading axes.
+        chosen: The beliefs that the index takes, as places in the flattened leading axes, in the
+            shape of the result's leading axes.
 
-        Each step has a cloud of its own, so that an index may choose steps, and the same runs at
-        each of them. An index that chooses other runs at one step than at another, or no belief at
-        all, is refused by a ModelError.
+        An index may choose steps, and the same runs at each of them. One that chooses other runs at
+        one step than at another, or no belief at all, is refused by a ModelError.
         """
         if not chosen.size:
             raise ModelError(f"a belief with the leading axes {self.lead} has none at {index!r}")
@@ -221,12 +223,12 @@ class ParticleBelief(PointMassBelief):
 
     @property
     def _rows(self) -> list[int]:
-        """For each component of the belief its row in the states of the clouds."""
+        """The row of each of the belief's components in the states of its clouds."""
         return [part.row for part in self._parts]
 
     @property
     def _count(self) -> int:
-        """The number of runs."""
+        """How many runs a cloud has, over all of the user's axes of runs."""
         return self._clouds[0].runs
 
     @cached_property
@@ -272,9 +274,9 @@ class ParticleBelief(PointMassBelief):
     def _by_lead(self, values: npt.NDArray[Any], first: bool = False) -> npt.NDArray[Any]:
         """Values (runs, steps, ...) as a read-only array (*lead, ...).
 
-        A belief that has no axis of steps has a single step in the values.
+        Where the belief has no axis of steps, that of the values is of length one.
 
-        first: Whether steps are the first axis of the values, before runs.
+        first: Whether the values are given as (steps, runs, ...) instead.
         """
         if first:
             values = values.swapaxes(0, 1)

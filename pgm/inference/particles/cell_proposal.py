@@ -1,4 +1,9 @@
-"""Proposals over cells: particles drawn where measurements are likely at the cells' centres."""
+"""Proposals over cells: particles drawn where measurements are likely at the cells' centres.
+
+The cells, all of one size, cover the places where one state of the network may be. A filter that
+knows little of this state draws it from them: at step 0, or when measurements are no longer
+explained.
+"""
 
 from __future__ import annotations
 
@@ -109,7 +114,7 @@ class CellProposal(InCode, Immutable):
 
     @property
     def _log_volume(self) -> float:
-        """The log-volume of a cell: the negative of the log-density of a uniform draw in it."""
+        """The logarithm of a cell's volume, by which ln q is less than a cell's log-probability."""
         return float(np.log(self.widths).sum())
 
     def sensors(self, model: ParticleModel, step: int) -> list[Sensor]:
@@ -129,7 +134,7 @@ class CellProposal(InCode, Immutable):
         Returns the states, (d, count), and ln q at each, (count,). Cells are drawn systematically
         by their probabilities, and the states come in the order of the cells; a state is uniform in
         its cell. With a `temper` above 0 an EvidenceError is raised if no sensor with measurements
-        depends on this variable alone, or all centres are impossible.
+        depends on this variable alone, or if the measurements are impossible at all centres.
         """
         levels = np.zeros(len(self.centres))
         if self.temper > 0.0:

@@ -3,17 +3,19 @@
 At each step the particles are resampled, if their weights have grown unequal: they are drawn anew
 in proportion to the weights, which are equal then. Every particle is moved and weighed,
 
-    x_t^i ~ q(x_t | x_{t−1}^a),    w_t^i ∝ w_{t−1}^a p(x_t^i | x_{t−1}^a) p(z_t | x_t^i) / q,
+    x_t^i ~ q(x_t | x_{t−1}^a),
+    w_t^i ∝ w_{t−1}^a p(x_t^i | x_{t−1}^a) p(z_t | x_t^i) / q(x_t^i | x_{t−1}^a).
 
-a being the index of its ancestor, the particle of step t − 1 that it is moved from, z_t the
-measurements of step t, and q the transition or a proposal. The weights of a step, before they are
-normalised, sum to an estimate of p(z_t | z_0..t−1); the product of these estimates over the steps
-estimates p(z_0..t) without bias (Del Moral, Feynman–Kac formulae, 2004, section 7.4).
+Here a is the index of its *ancestor*, the particle of step t − 1 that it is moved from, z_t are the
+measurements of step t, and q is the transition or a proposal. The weights of a step, before they
+are normalised, sum to an estimate of p(z_t | z_0..t−1); the product of these estimates over the
+steps estimates p(z_0..t) without bias (Del Moral, Feynman–Kac formulae, 2004, section 7.4).
 
-The *place* of a particle is its index along the last axis of a cloud's arrays, which have the
-particles of all runs, those of run 0 first. `Some` holds the particles at which CPDs are evaluated:
-their states at the step and at the step before, and their runs. `Drawing` holds the generators of
-these particles' random numbers.
+A *cloud* has the particles of all runs at one step, with their weights; d is the number of the
+components of a state. The *place* of a particle is its index along the last axis of a cloud's
+arrays, which have the particles of run 0 first. `Some` holds the particles at which CPDs are
+evaluated: their states at the step and at the step before, and their runs. `Drawing` holds the
+generators of these particles' random numbers.
 """
 
 from dataclasses import replace
@@ -58,9 +60,11 @@ class ParticleChain:
     A forward sweep calls `start` once, `predict` at each later step, and `take` at every step.
 
     model: The network with its evidence.
-    particles: The user's choice of particles: their number, proposal, resampling and so on.
+    particles: The user's choice of particles: their number, proposal, resampling and so on. Its
+        `start`, if there is one, is a proposal over cells: one state variable is drawn at step 0
+        from the cells at which that step's measurements are likely, instead of from its prior.
     record: The record of the sweep, in which resampling, injection and impossible steps are noted.
-    guide: Steers draws towards their step's measurements; None without a proposal.
+    guide: Steers draws towards their step's measurements; None if the user gave no proposal.
     """
 
     def __init__(
@@ -88,17 +92,16 @@ class ParticleChain:
     def start(self) -> Cloud:
         """The particles of step 0, before they are weighed by its measurements.
 
-        They are drawn from the prior. If `Particles.start` is given, its state is drawn from cells
-        by the step's measurements instead.
+        They are drawn from the prior, except for the state of the user's `start`, if there is one.
         """
         counts = np.full(self.model.bound.runs, self.particles.n)
         return self._prior(counts, self.generators(0), self._placed(self.particles.n))
 
     def _placed(self, count: int) -> Placed | None:
-        """Draw the state of `Particles.start` from its cells, `count` times in each run.
+        """Draw the state of the user's `start` from its cells, `count` times in each run.
 
-        The measurements of step 0 choose the cells. None is returned without a `start`, or if no
-        sensor with measurements at step 0 depends on this state alone.
+        None is returned if there is no `start`, or if no sensor with measurements at step 0 depends
+        on this state alone.
         """
         cells = self.particles.start
         if cells is None or not cells.sensors(self.model, 0):
@@ -114,8 +117,9 @@ class ParticleChain:
     ) -> Cloud:
         """Draw the particles of step 0 from the prior, `counts` (runs,) of them in each run.
 
-        With `placed`, the values of its variable are taken from there, and the weight of a particle
-        is the prior's density at its value over the proposal's; otherwise weights are equal.
+        placed: Draws of one variable from a proposal over cells, which are taken for its values.
+            A particle's weight is then proportional to the ratio of the prior's density at its
+            value to the proposal's. None draws all variables from the prior, with equal weights.
         """
         starts = np.concatenate([[0], np.cumsum(counts)])
         states = np.zeros((self.model.size, int(starts[-1])), dtype=self.particles.dtype)
@@ -172,10 +176,12 @@ class ParticleChain:
         """Choose the particles that are moved to a step, resampling some runs.
 
         A run is resampled if its effective number of particles is below the threshold; all runs
-        are, with a threshold of 1 or KLD-sampling. Returns three arrays: the place in `cloud` of
-        each chosen particle, (particles,), or None if all are taken as they are; the place at which
-        each run begins among the chosen particles, and the end, (runs + 1,); and the chosen
-        particles' log-weights, (particles,), equal in a resampled run.
+        are, with a threshold of 1 or KLD-sampling. Returns
+
+        - the place in `cloud` of each chosen particle, (particles,); None if no run is resampled,
+          so that all particles are chosen as they are;
+        - the place at which each run begins among the chosen particles, and the end, (runs + 1,);
+        - the log-weights of the chosen particles, (particles,), equal in a resampled run.
         """
         due = cloud.effective < self.particles.threshold * cloud.counts
         number = self.particles.number
@@ -205,6 +211,7 @@ class ParticleChain:
     ) -> Cloud:
         """The particles of a step, drawn until their likelihoods sum to the user's threshold.
 
+        cloud: The particles of the step before, given its measurements.
         number: The user's threshold, and the bounds of a run's number of particles.
 
         A particle's likelihood is counted as a share of the largest that the measurements could
@@ -257,10 +264,11 @@ class ParticleChain:
         return number.drawn(states, self.model, lambda count: indices(draw(weights, count, rng)))
 
     def take(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
-        """Weigh a cloud by its step's measurements, and estimate ln p(z_t | z_0..t−1), (runs,).
+        """Weigh a cloud by its step's measurements, and estimate their log-density.
 
-        With an `Injection`, some particles of runs whose likelihoods have dropped are then replaced
-        by draws elsewhere.
+        Returns the cloud given the measurements, and ln p(z_t | z_0..t−1), (runs,), which is zero
+        at a step without measurements. With an `Injection`, some particles of runs whose
+        measurements have become less likely are then replaced by draws elsewhere.
         """
         if not self.model.read(step):
             return cloud, np.zeros(cloud.runs)
@@ -270,10 +278,11 @@ class ParticleChain:
         return known, log_density
 
     def _weighed(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
-        """Weigh a cloud by a step's measurements, and estimate ln p(z_t | z_0..t−1), (runs,).
+        """Weigh a cloud by a step's measurements, and estimate their log-density.
 
-        If no particle of a run explains the measurements, `Particles.impossible` decides: they are
-        refused by an EvidenceError, or ignored, or the run is restarted from the prior; in the last
+        Returns the weighed cloud, and the estimates of ln p(z_t | z_0..t−1), (runs,). If no
+        particle of a run explains the measurements, the user's settings decide: an EvidenceError is
+        raised, or the measurements are ignored, or the run is restarted from the prior; in the last
         two cases the run's estimate is −∞. An EvidenceError is raised, too, if after a restart no
         particle from the prior explains the measurements.
         """
@@ -375,8 +384,8 @@ class ParticleChain:
     def _refuse(self, step: int, run: int, besides: str = "") -> NoReturn:
         """Raise the EvidenceError for measurements that none of a run's particles explains.
 
-        besides: Words after "none of the particles" in its text, which begin and end with a comma;
-            or none.
+        besides: Words to be put after "none of the particles" in the error's text, beginning and
+            ending with a comma; "" if there are none.
         """
         run += self.model.bound.first_run
         read = self.model.read(step)

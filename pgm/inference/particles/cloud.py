@@ -1,6 +1,7 @@
 """The particles of all runs at one step, and the blocks in which they are worked on.
 
-A particle's place is its index along the last axis, over all runs: those of run 0 come first.
+A particle's *place* is its index along the last axis of a cloud's arrays. This axis has the
+particles of all runs, those of run 0 first.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ BLOCK = 2**14
 class Block(NamedTuple):
     """Particles that are worked on together: whole runs, or a part of one run.
 
-    first, last: Their places, from the first up to, but without, the last.
-    runs: The numbers of the runs.
+    first, last: The particles' places are `first` to `last` − 1.
+    runs: The numbers of the runs that the particles are of.
     """
 
     first: int
@@ -41,8 +42,9 @@ class Cloud:
     states: The components of the slice's variables, (d, particles).
     log_weights: The logarithms of weights that sum to one in each run, (particles,).
     starts: The place at which each run begins, and the end, (runs + 1,).
-    ancestors: The place of each particle's ancestor in the cloud of the step before, (particles,);
-        None where each ancestor has the same place as its particle.
+    ancestors: The place of each particle's ancestor in the cloud of the step before, (particles,).
+        None if each ancestor has the same place as its particle, or ancestors are not kept, as at
+        step 0 and after an injection.
     averages: The logarithms of the long-term and short-term averages of the measurements'
         likelihood, by which an `Injection` replaces particles, (2, runs); None without an
         `Injection`, or before the first measurements.
@@ -56,7 +58,7 @@ class Cloud:
 
     @property
     def runs(self) -> int:
-        """Number of runs."""
+        """How many runs the cloud has particles of."""
         return len(self.starts) - 1
 
     @cached_property
@@ -92,10 +94,10 @@ class Cloud:
         return values if self.runs == 1 else np.repeat(values, self.counts)
 
     def normalised(self, log_weights: Array) -> tuple[Cloud, Array]:
-        """The cloud with new log-weights, normalised in each run, and the logarithms of their sums.
+        """The cloud with other weights, normalised in each run, and the logarithms of their sums.
 
-        `log_weights` (particles,) need not be normalised. The second result, (runs,), is the
-        logarithm of the sum of each run's weights as given.
+        log_weights: The logarithms of the weights, (particles,), not yet normalised. The second
+            result, (runs,), is the logarithm of their sum in each run.
         """
         largest = np.maximum.reduceat(log_weights, self.starts[:-1])
         each = log_weights - self.spread(largest)
@@ -117,7 +119,10 @@ class Cloud:
         return blocks(self.starts)
 
     def run(self, run: int) -> Cloud:
-        """The cloud of one run alone; its `ancestors` are still places in the cloud of all runs."""
+        """The cloud of one run alone, without `averages`.
+
+        Its `ancestors` are still places in the step before's cloud of all runs.
+        """
         place = self.of(run)
         ancestors = None if self.ancestors is None else self.ancestors[place]
         starts = np.array([0, place.stop - place.start])

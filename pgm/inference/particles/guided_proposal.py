@@ -1,18 +1,21 @@
 r"""Guided proposals: particles drawn where the measurements of their step are.
 
-The transition of a particle is a function of white noise w, drawn from N(0, I): x_t = f(x_{t−1}) +
-L w, CPD by CPD, L being the root of the CPD's noise covariance. For each particle, a lineariser
-makes Gaussian beliefs of its next slice x_t, before and after the measurements of step t. As
-x_t ≈ μ⁻ + A w, the belief after them is a Gaussian belief of w, too:
+A particle moves to its next slice x_t by white noise w, drawn from N(0, I). Each CPD of the
+transition takes its own components of w; its child is the CPD's mean plus L times these components,
+L being the lower triangular root of the CPD's noise covariance.
 
-.. math:: q(w) = N(w;\, A^{-1}(μ^+ - μ^-),\, A^{-1} P^+ A^{-T}), \qquad P^- = A A^T,
+For each particle, a lineariser makes two Gaussian beliefs of x_t: N(μ⁻, P⁻) before the measurements
+of step t, and N(μ⁺, P⁺) after them. With the lower triangular root A of P⁻ = A Aᵀ, the slice is
+x_t ≈ μ⁻ + A w. The belief after the measurements is therefore a Gaussian belief of w, too:
 
-μ⁻, P⁻ and μ⁺, P⁺ being the mean and covariance of the slice before and after its measurements, and
-A, like L, lower triangular. A proposal draws w from q, passes it through the transition as it
-is, and multiplies the particle's weight by N(w; 0, I) / q(w). Weights are exact, however bad the
-linearisation, and a component without noise stays a function of the others. m is the number of
-particles, n that of the slice's components. The *inputs* of the transition are the values of its
-observed parents, with a row for each step.
+.. math:: q(w) = N(w;\, A^{-1}(μ^+ - μ^-),\, A^{-1} P^+ A^{-T}).
+
+A proposal draws w from q, passes it through the transition as it is, not linearised, and multiplies
+the particle's weight by N(w; 0, I) / q(w). Weights are exact, however bad the linearisation. A
+component without noise of its own, where the diagonal of A is zero, stays a function of the others.
+
+m is the number of particles, n that of the components of a slice, and of w. The *inputs* of the
+transition are the values of its observed parents, with a row for each step.
 """
 
 from __future__ import annotations
@@ -46,7 +49,14 @@ _ROUNDING = 1e-6
 
 
 class Guide:
-    """The guided proposals of a model: for each particle a Gaussian near p(x_t | x_{t−1}, z_t)."""
+    """The guided proposals of a model: for each particle a Gaussian near p(x_t | x_{t−1}, z_t).
+
+    z_t are the measurements of step t.
+
+    graph: The compiled network.
+    model: The network with its evidence, as it is evaluated at particles.
+    lineariser: The user's choice, by which the Gaussians are made.
+    """
 
     def __init__(self, graph: DynamicGraph, model: ParticleModel, lineariser: Lineariser) -> None:
         self.graph, self.model, self.lineariser = graph, model, lineariser
@@ -66,11 +76,11 @@ class Guide:
 
         row: The row of the step's inputs.
         some: The particles, with their states at the step before.
-        drawing: The particles' generators.
+        drawing: The generators of the particles' random numbers.
 
-        Returns a `Drawing` that gives out w where `drawing` would give out random noise, and
-        ln N(w; 0, I) / q(w) of each particle, (m,). A NumericalError is raised if q is not finite,
-        or singular: weights would be infinite.
+        Returns a source of noise by which the transition's CPDs draw, which gives out w instead of
+        random numbers; and ln N(w; 0, I) / q(w) of each particle, (m,). A NumericalError is raised
+        if q is not finite, or singular: weights would be infinite.
         """
         before, after = self._moments(row, some)
         lower = roots.root(before.cov)
@@ -97,8 +107,8 @@ class Guide:
     def _moments(self, row: int, some: Some) -> tuple[Moments, Moments]:
         """The moments of each particle's slice, before and after the step's measurements.
 
-        Means are (m, n), covariances (m, n, n). The text of a LinearisationError or NumericalError
-        tells the proposal and the step.
+        Means μ⁻ and μ⁺ are (m, n), covariances P⁻ and P⁺ (m, n, n). A LinearisationError or
+        NumericalError is raised where the lineariser fails.
 
         row: The row of the step's inputs.
         some: The particles, with their states at the step before.
@@ -122,25 +132,27 @@ class Guide:
         return Moments(*before.by_run), Moments(*after.by_run)
 
     def _plan(self, row: int, some: Some) -> ChainPlan:
-        """The plan of a chain that has the step alone, and each particle as a run of its own.
+        """The plan by which a Gaussian filter makes a single step, each particle being a run.
 
-        A filter of this plan gives the lineariser's belief of each particle's slice.
+        A plan is a chain of CPDs with their evidence and their lineariser. This one has the
+        particles' step as its step 1. At step 0, the filter is to begin from the particles' states
+        before.
 
         row: The row of the step's inputs.
         some: The particles, at the step.
         """
 
         def own(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-            """Values (rows, runs or 1, d) of the runs as values (rows, m or 1, d) of particles."""
+            """Values (rows, runs or 1, d) as (rows, m or 1, d): a particle has those of its run."""
             return values if values.shape[1] == 1 or some.owner is None else values[:, some.owner]
 
         def reading(found: Reading, rows: range) -> Reading:
-            """A sensor's measurements at the step, as those of step 1 of the chain.
+            """A sensor's measurements at the particles' step, as those of step 1 of the plan.
 
-            found: All measurements of the sensor, one in each row.
-            rows: The rows that are of the step.
+            Each particle has the measurements of its run.
 
-            A particle has the measurements of its run.
+            found: All measurements of the sensor, at all steps, one in each row.
+            rows: The rows of those at the particles' step.
             """
             chosen = slice(rows.start, rows.stop)
             return replace(
@@ -168,10 +180,11 @@ class Guide:
 
 
 class Steered(Drawing):
-    """A source of fixed white noise, (components, m), in place of random generators.
+    """A source of fixed white noise, in place of random generators.
 
-    Each CPD that draws is given the next components of it. CPDs whose noise is not Gaussian cannot
-    draw by it.
+    The noise is an array (n, m), with all components of a slice for each particle. The CPDs of a
+    transition draw in turn; each is given as many of its rows as its child has components. CPDs
+    whose noise is not Gaussian cannot draw by it.
     """
 
     def __init__(self, white: States) -> None:
@@ -179,7 +192,10 @@ class Steered(Drawing):
         self._left = white
 
     def white(self, components: int, count: int, dtype: Any) -> States:
-        """The next components of the noise, (components, m), whatever `count` and `dtype` are."""
+        """The next `components` rows of the noise, (components, m).
+
+        `count` and `dtype`, which a random source takes, are ignored.
+        """
         del count, dtype
         found, self._left = self._left[:components].copy(), self._left[components:]
         return found

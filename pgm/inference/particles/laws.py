@@ -2,10 +2,11 @@
 
 A law is a CPD with the values of its observed parents, which have a row for each step of the
 transition, or for each measurement of a sensor. The particles at which it is evaluated are given as
-`some`: their states at a step and at the step before, and their runs. Arrays over these m particles
-have components first, (d, m); functions of users see (m, d). A root L of a noise covariance is
-lower triangular, cov = L Lᵀ; a component has noise of its own where the diagonal of L, its pivot,
-is not zero.
+`some`: their states at a step and at the step before, and their runs. `Drawing` holds the
+generators of these particles' random numbers. Arrays over these m particles have components first,
+(d, m); functions of users see (m, d). A root L of a noise covariance is lower triangular, cov =
+L Lᵀ. A component has *noise of its own* where the diagonal of L, its pivot, is not zero; any other
+component is a function of the parents and of the components with noise of their own.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Some(NamedTuple):
     """Particles at a step, the points at which CPDs are evaluated.
 
     now: The components of the step's slice, as far as they have been drawn, (d, m).
-    before: Those of the slice before, (d, m).
+    before: The components of the slice one step before, (d, m).
     owner: The run of each particle, (m,); None where there is one run.
     """
 
@@ -59,9 +60,10 @@ class Some(NamedTuple):
 
 
 class Drawing:
-    """The generators of random numbers for a block: particles in a row, worked on together.
+    """The generators of random numbers for a block: adjacent particles, worked on together.
 
-    pieces: Slices of the block that follow one another, each of one run, with that run's generator.
+    pieces: Pairs of a slice of the block and a generator. The slices follow one another; each has
+        the particles of one run, and the generator is that run's.
     """
 
     def __init__(self, pieces: Sequence[tuple[slice, np.random.Generator]]) -> None:
@@ -113,7 +115,7 @@ class Law:
     inputs: By observed parent, its values (rows, runs or 1, d).
     places: By hidden variable, where its components stand on the first axis of arrays of states.
     dtype: The type of the states, float64 or float32.
-    first_run: The number of the first run, from which texts of errors count.
+    first_run: The user's number of the first run here, from which texts of errors count.
     """
 
     cpd: CPD
@@ -221,11 +223,11 @@ class GaussianLaw(Law):
     def _within(self, root: Root, row: int, some: Some, child: States) -> Array:
         """The log-densities (m,) of a child (d, m) or (d, 1) under singular noise L w, L = `root`.
 
-        Such noise leaves the child in a subspace about its mean, where components with noise of
-        their own determine all others: the density is that of the former. It is zero, its logarithm
-        −∞, where a child is off the subspace by more than a rounding of the states' type. Residuals
-        of angles are first taken unwrapped; a child that is off then is judged again with its
-        residuals of angles wrapped.
+        Under such noise the child lies in a subspace about its mean, where the components with
+        noise of their own determine all others. Its density is that of those components. Where a
+        child is off the subspace, by more than a rounding of the states' type, the log-density is
+        −∞. Angles are compared with their means unwrapped first, and wrapped if the child is off
+        the subspace then.
         """
         # That of the child alone: a particle is what the law made of another, and others are near.
         mean, error = self.mean(row, some), np.finfo(self.dtype).eps * np.abs(child)
@@ -271,8 +273,10 @@ class GaussianLaw(Law):
         """The value of the user's function, (m, d), for the parents' values, `arguments`.
 
         A value of the states' type and of the shape `due`, (m, d), is returned as it is, so that
-        float32 stays float32. Any other value is converted to a float64 array of that shape; where
-        it cannot be, or the function fails, a ModelError is raised, which `call` makes.
+        float32 stays float32. Any other value is converted to a float64 array of that shape. Where
+        it cannot be, or the function fails, a ModelError is raised.
+
+        call: The CPD and the step that the function is called for, which makes the error's text.
         """
         function = getattr(self.cpd, "function", None)
         if function is None:
@@ -340,10 +344,10 @@ class GaussianLaw(Law):
         return self._root(lower.reshape(-1, *lower.shape[-2:]), None)
 
     def _root(self, lower: Array, step: int | None) -> Root:
-        """The `Root` of lower triangular roots (runs or 1, d, d) of noise covariances.
+        """The `Root` made of the array `lower` (runs or 1, d, d) of lower triangular roots.
 
         NaN, which marks a covariance that is not finite and semidefinite, is refused by a
-        NumericalError of the step; `step` is None if the covariance is the same at all steps.
+        NumericalError, which names the `step`; None if the covariance is the same at all steps.
         """
         if not roots.is_proper(lower):
             raise NumericalError(
@@ -375,8 +379,8 @@ class Root:
     """The lower triangular root L of a noise covariance L Lᵀ, one for all runs or one for each.
 
     lower: The roots, (runs or 1, d, d).
-    diagonal: The standard deviations, (d, runs or 1), where components are independent; otherwise
-        None.
+    diagonal: The standard deviations, (d, runs or 1), if the noise of components is independent;
+        otherwise None.
     regular: Whether all components have noise of their own, in all runs.
     open: How many components have noise of their own, (runs or 1,).
     """
@@ -403,7 +407,7 @@ class Root:
 
     @cached_property
     def constant(self) -> Array:
-        """The log-density at zero residual, (runs or 1,), of regular noise."""
+        """The log-density of regular noise at a residual of zero, (runs or 1,)."""
         count = self.lower.shape[-1]
         found: Array = -np.log(self._pivots).sum(axis=-1) - 0.5 * count * LOG_2PI
         return found
@@ -411,7 +415,7 @@ class Root:
     def log_density(self, residual: States, some: Some) -> Array:
         """The log-densities (m,) of residuals (d, m) under regular noise.
 
-        The array of residuals may be overwritten.
+        residual: The children of the m particles `some`, less their means; may be overwritten.
         """
         which = slice(None) if len(self.lower) == 1 else self.of(some)
         if self.diagonal is not None:
@@ -427,10 +431,11 @@ class Root:
     def within(self, residual: Array, error: Array, some: Some) -> Array:
         """The log-densities (m,) of residuals (d, m) under singular noise.
 
-        They are those of the components with noise of their own.
+        The log-density is that of the components with noise of their own; −∞ where a residual is
+        off the subspace of the noise by more than rounding explains.
 
-        error: By how much rounding may have changed the residuals, (d, m) or (d, 1). Where a
-            residual is further off the subspace of the noise, the log-density is −∞.
+        residual: The children of the m particles `some`, less their means.
+        error: By how much rounding may have changed the residuals, (d, m) or (d, 1).
         """
         lower = self.lower[0] if len(self.lower) == 1 else self.lower[self.of(some)]
         points = (-1, 1, len(residual)) if lower.ndim > 2 else (-1, len(residual))
@@ -444,12 +449,13 @@ class Root:
 
 
 def by_pattern(taken: Mask, owner: Integers | None) -> Iterator[tuple[Mask, Mask | None]]:
-    """Each pattern (d,) of measured components, with the mask (m,) of the particles that have it.
+    """Each pattern of measured components, with the particles in whose runs they were measured.
 
-    taken: The mask of measured components, (runs or 1, d).
+    Yields pairs of a pattern, a mask (d,) of components, and a mask (m,) of particles, which is
+    None for all particles. A pattern without measured components is left out.
+
+    taken: For each run, or for all, the mask of the components measured, (runs or 1, d).
     owner: The run of each particle, (m,); None where there is one run.
-
-    A mask of None means all particles. A pattern without measured components is left out.
     """
     if len(taken) == 1 or owner is None or (taken == taken[0]).all():
         if taken[0].any():

@@ -2,8 +2,12 @@
 
 A law is a CPD with the values of its observed parents, which have a row for each step of the
 transition, or for each measurement of a sensor. The m particles at which it is evaluated are given
-as `some`: their states at a step and at the step before, and their runs. d is the number of
-components of the CPD's child.
+as `some`: their states at a step and at the step before, and their runs. `Drawing` holds the
+generators of these particles' random numbers.
+
+The CPDs that a mixture mixes are its *parts*. *Components* are always those of the CPD's child, d
+in number. A component has *noise of its own* unless it is a function of the parents and of the
+child's other components, as under a singular noise covariance.
 """
 
 from __future__ import annotations
@@ -31,7 +35,7 @@ class MixtureLaw(Law):
     parts: tuple[Law, ...]
 
     def draw(self, row: int, some: Some, drawing: Drawing) -> States:
-        """Draws of the child at particles, (d, m), each from a part drawn by the weights."""
+        """Draws of the child at particles, (d, m), each from a part drawn by the parts' weights."""
         which = np.empty(some.size, dtype=np.intp)
         for place, rng in drawing.pieces:
             which[place] = chosen(self.cpd.weights, (place.stop - place.start,), rng)
@@ -45,8 +49,8 @@ class MixtureLaw(Law):
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all: ln Σ_k w_k p_k.
 
-        w_k is the mixture's weight of part k, p_k the density by its law. Parts that differ in the
-        number of components with noise of their own are refused by a ModelError.
+        w_k is the mixture's weight of part k, p_k the density by its law. Parts of which the
+        child's components with noise of their own differ in number are refused by a ModelError.
 
         taken: The mask (d,) of the components that were measured; None if all were.
         """
@@ -55,10 +59,10 @@ class MixtureLaw(Law):
         return log_mixed(self.cpd.weights, terms)
 
     def open(self, row: int, step: int) -> Integers:
-        """The number of components with noise of their own, at a row, (runs or 1,).
+        """The number of the child's components with noise of their own, at a row, (runs or 1,).
 
-        Parts with different numbers have no density in common, and are refused by a ModelError.
-        `step` is that of the row, for texts of errors.
+        Parts with different numbers of such components have no density in common, and are refused
+        by a ModelError. `step` is that of the row, for texts of errors.
         """
         first, *others = (part.open(row, step) for part in self.parts)
         if any((other != first).any() for other in others):
@@ -98,7 +102,7 @@ def law(
     places: By hidden variable, where its components stand on the first axis of arrays of states,
         (components, m).
     dtype: The type of the states, float64 or float32.
-    first_run: The number of the first run, from which texts of errors count.
+    first_run: The user's number of the first run here, from which texts of errors count.
     """
     rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
     about = rows, places, dtype, first_run

@@ -34,8 +34,9 @@ from pgm.variables import Variable
 class ParticleModel:
     """A network with its evidence, as the laws of its CPDs.
 
+    model, bound: The network, and its evidence.
     dtype: The type of the states, float64 or float32.
-    first: The step before the first row of the transition's inputs.
+    first: The step before that of the first row of the transition's inputs.
 
     places: For each state and hidden control, the slice of its rows in arrays of states.
     size: The number of components of the slice, d.
@@ -96,9 +97,10 @@ class ParticleModel:
         return [s.reading.cpd.child for s in self.sensors if len(s.rows(step))]
 
     def measured(self, step: int) -> Array:
-        """The number of components measured at a step, (runs,), as their sensors' CPDs count them.
+        """The number of components measured at a step, (runs,), over all sensors.
 
-        A range scan counts as the number of beams that its density uses, times a beam's weight.
+        A range scan counts as the number of beams that its density uses, times a beam's weight, so
+        that the number need not be whole.
         """
         found = np.zeros(self.bound.runs)
         for sensor in self.sensors:
@@ -127,7 +129,13 @@ class ParticleModel:
 
 
 class Sensor:
-    """A sensor's law with its measurements; singular noise is refused by a ModelError."""
+    """A sensor's law with its measurements; singular noise is refused by a ModelError.
+
+    law: The sensor's CPD with the values of its observed parents.
+    reading: The measurements and their steps, a row for each measurement.
+
+    values: The measurements in the type of the states, (rows, runs or 1, components).
+    """
 
     def __init__(self, law: Law, reading: Reading) -> None:
         self.law, self.reading = law, reading
@@ -142,11 +150,13 @@ class Sensor:
         return range(first, last)
 
     def add(self, row: int, some: Some, total: Array) -> None:
-        """Add the log-density of one measurement at particles to their totals (m,), in place.
+        """Add the log-density of one measurement at particles to their totals, in place.
 
-        Where not the same components were measured in all runs, each pattern of measured components
-        is worked on by itself. Missing components that the density cannot leave out are refused by
-        an EvidenceError, log-densities that are NaN or plus infinity by a LinearisationError.
+        Runs that differ in which components were measured are evaluated apart. An EvidenceError is
+        raised for a missing component that the density cannot leave out, a LinearisationError for a
+        log-density that is NaN or plus infinity.
+
+        total: The sums so far of log-densities at the particles, (m,).
         """
         rows, taken = self.values[row], self.reading.taken[row]
         patterns = by_pattern(taken, some.owner)
@@ -167,8 +177,10 @@ class Sensor:
     def responsibilities(self, row: int, some: Some) -> Array:
         """The association probabilities (k + 2, m) of a sighting of an unknown thing, by particle.
 
-        They are those of each of the k candidates for the thing, then of a spurious sighting, and
-        of a new thing; NaN where nothing was measured. `row` is that of the sighting.
+        A sighting is a measurement of one of k candidates, such as landmarks; the evidence does not
+        say of which. For each particle, the probabilities are those of the k candidates, then that
+        of a spurious sighting, and that of a new thing; NaN where nothing was measured. `row` is
+        the row of the sighting.
         """
         cpd, reading = self.law.cpd, self.reading
         assert isinstance(cpd, UnidentifiedCPD)

@@ -1,4 +1,8 @@
-"""How many particles a run has: as many as their spread, or the measurements, ask for."""
+"""How many particles a run has: as many as their spread, or the measurements, ask for.
+
+`KLDSampling` counts the bins that the particles occupy; `LikelihoodSampling` sums the particles'
+likelihoods.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +38,8 @@ class KLDSampling(InCode, Immutable):
 
     - ε: the largest divergence KL(drawn ‖ belief) over the bins, in nats;
     - δ: the probability that the divergence is larger all the same;
-    - q_{1−δ}(k): the quantile 1 − δ of 2 n KL(drawn ‖ belief), for any distribution over k bins.
+    - q_{1−δ}(k): a bound below which 2 n KL(drawn ‖ belief) stays with the probability 1 − δ,
+      whatever the distribution over the k bins is.
 
     Parameters
     ----------
@@ -111,9 +116,10 @@ class KLDSampling(InCode, Immutable):
     ) -> Integers:
         """The places of resampled particles, drawn until they are enough for the bins they occupy.
 
-        `states` (d, n) are the particles to draw from, with the components of the model's slice;
-        `draw`, a function of a count, draws so many places among the n, (count,), by the weights.
-        A particle so far from zero that its bin has no number is refused by a ModelError.
+        `states` (d, n) are the n particles to draw from, with the d components of a state. The
+        function `draw`, of a count, draws so many of the places 0 to n − 1 by the particles'
+        weights, (count,). A particle so far from zero that its bin has no number is refused by a
+        ModelError.
         """
         rows, widths = self._rows(model)
         bins = keys(np.asarray(states[rows], dtype=np.float64), widths, model.angles[rows])
@@ -133,7 +139,8 @@ class KLDSampling(InCode, Immutable):
     def _rows(self, model: ParticleModel) -> tuple[list[int], Array]:
         """The rows of the components that are divided into bins, and the widths of their bins.
 
-        A name that is no component's is refused by a ModelError.
+        The rows are those in the model's arrays of states, (d, particles). A name in `widths` that
+        is no component's is refused by a ModelError.
         """
         parts = model.parts
         labels = [part.label for part in parts]

@@ -3,10 +3,11 @@
 *Inputs* are the values of the transition's observed parents. An argument `bound` is the evidence of
 a single call, in one run or several: the inputs of a prediction, or the measurements of an update.
 
-A belief has its particles in `_cloud`, and the filter and network that made them in `_filter` and
-`_model`. Where a step's particles are moved again once its measurements are known, `_before` has
-those of the step before and the inputs that moved them. `behind` is the window of steps that a
-fixed-lag filter of Gaussian beliefs keeps; it is None, since particles have no such window.
+A belief has its weighted particles, a *cloud*, in `_cloud`. `_filter` and `_model` are the filter
+and the network that made them. Where a step's particles are drawn again once its measurements are
+known, `_before` has the particles of the step before, and the inputs that moved them; else it is
+None. `behind` is the window of steps that a fixed-lag filter of Gaussian beliefs keeps; it is None,
+since particles have no such window.
 """
 
 from __future__ import annotations
@@ -204,8 +205,8 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     def _chain(self, bound: BoundEvidence, first: int) -> tuple[ParticleChain, Record]:
         """A particle filter of the steps `first` and `first` + 1, and its record.
 
-        The inputs of the evidence, `bound`, begin at step `first` + 1. The record has the steps 0
-        to `first` + 1.
+        The inputs in `bound`, if there are any, are those of step `first` + 1. The record tells
+        what happens to the particles, and has the steps 0 to `first` + 1.
         """
         model = ParticleModel(self.model, bound, self.belief.dtype, first)
         record = Record(first + 1, bound.runs)
@@ -229,9 +230,11 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     ) -> Cloud:
         """The particles of a belief, or those of a given cloud, in the runs of the evidence.
 
-        Particles of a single run are repeated for each run of the evidence; of a prior belief each
-        run draws its own instead. Several runs, of another number than the evidence's, are refused
-        by an EvidenceError.
+        A single run's particles are repeated for each run of the evidence; but if the belief is the
+        prior, each run draws particles of its own. An EvidenceError is raised if the belief has
+        several runs, and not as many as the evidence.
+
+        cloud: The particles to take instead of the belief's own; None takes those.
         """
         cloud, runs = belief._cloud if cloud is None else cloud, bound.runs
         if cloud.runs == runs:
@@ -275,8 +278,8 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
         model, bound: The network with its evidence, and the evidence.
         log_evidence: ln p of all measurements so far, (runs,).
         record: What has happened at the step.
-        before: The particles of the step before and the inputs that moved them, if they are to be
-            moved again.
+        before: The particles of the step before and the inputs that moved them, if an update is to
+            move them again; None otherwise.
         """
         record.effective[step], record.number[step] = cloud.effective, cloud.counts
         status = record.status(bound.lead).at(step)

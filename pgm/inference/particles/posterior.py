@@ -1,8 +1,8 @@
 """The answer of a particle filter or smoother: beliefs at all steps, log-evidence and status.
 
-A *cloud* has the particles of all runs at one step, with their weights. A posterior has in
-`_clouds` a cloud of each step, in `_filtered` those of the forward sweep, and in `_model` the
-network with its evidence.
+A *cloud* has the particles of all runs at one step, with their weights. A posterior has, of each
+step, a cloud of the answer in `_clouds`, and one of the forward sweep in `_filtered`. `_model` is
+the network with its evidence.
 """
 
 from __future__ import annotations
@@ -92,9 +92,10 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
     def associations(self) -> Found:
         """For each sensor with sightings of unknown things, the probabilities of the candidates.
 
-        A sensor's `Associations` tell of each sighting how probably it is of each candidate for the
-        thing, of a new thing, or spurious. Things are unknown where the evidence gives
-        ``pgm.unknown`` for a parent of the sensor.
+        A sighting is a measurement of a thing, such as a landmark, which is a parent of the sensor.
+        Where the evidence gives ``pgm.unknown`` for this parent, the thing is one of several
+        candidates. A sensor's `Associations` have, for each sighting, the probability of each
+        candidate, of a new thing, and of a spurious sighting.
         """
         lead = self.log_evidence.shape
         return MappingProxyType(

@@ -17,15 +17,16 @@ class Record:
 
     steps: The number of the last step, T.
 
-    clouds: The particles given the measurements up to each step, for the steps given to `keep`.
+    clouds: The weighted particles given the measurements up to each step, one cloud for each call
+        of `keep`.
     log_density: ln p(z_t | z_0..t−1), estimated; z_t are the measurements of step t.
-    effective, number: The number of effective particles, and of all.
+    effective, number: The number of effective particles, 1 / Σ w² with the weights w, and of all.
     resampled: Whether the particles were drawn anew on the way to the step.
     injected: The number of particles that were replaced by draws elsewhere.
     ignored, restarted: Whether no particle explained the step's measurements, so that these were
         ignored, or the run was restarted from the prior.
 
-    All arrays are (T+1, runs), and zero until they are written.
+    The arrays, all but `clouds`, are (T+1, runs), and zero until they are written.
     """
 
     def __init__(self, steps: int, runs: int) -> None:
@@ -37,10 +38,11 @@ class Record:
         self.ignored, self.restarted = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
 
     def keep(self, step: int, predicted: Cloud, known: Cloud, log_density: Array | float) -> None:
-        """Keep a step's cloud given its measurements, and their log-density, (runs,).
+        """Keep a step's cloud given its measurements, and their log-density.
 
-        `known` is that cloud. `predicted` is the cloud before the measurements, which a sweep gives
-        to any record; it is not kept.
+        predicted: The cloud before the measurements, which a sweep gives to any record; not kept.
+        known: The cloud given the measurements.
+        log_density: ln p(z_t | z_0..t−1), (runs,), or 0 at a step without measurements.
         """
         del predicted
         self.clouds.append(known)
@@ -48,9 +50,10 @@ class Record:
         self.effective[step], self.number[step] = known.effective, known.counts
 
     def status(self, lead: tuple[int, ...], unmoved: Array | None = None) -> ParticleStatus:
-        """The status of the sweep, in arrays with the user's leading axes of runs, `lead`, first.
+        """The status of the sweep, in arrays (*lead, T+1), `lead` being the user's axes of runs.
 
-        unmoved: Of a smoother, the share of trajectories that stayed at their ancestor, (T, runs).
+        unmoved: Of a smoother, (T, runs), the share of trajectories that backward simulation left
+            at the ancestors that the filter had given them; None of a filter.
         """
 
         def by_run(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

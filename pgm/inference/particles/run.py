@@ -67,8 +67,9 @@ def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None
 def _require_possible(particles: Particles, model: ParticleModel, kind: Kind) -> None:
     """Refuse particles whose injection or start does not fit the schedule or the evidence.
 
-    An injection with any `kind` but filtered raises a ModelError; a start from cells for which step
-    0 has no measurements raises an EvidenceError.
+    A ModelError is raised if there is an injection and the `kind` of the posterior is not filtered.
+    An EvidenceError is raised if a state is to be drawn from cells at step 0, and no sensor with
+    measurements there depends on this state alone.
     """
     if particles.injection is not None and kind != FILTERED:
         raise ModelError(
@@ -89,8 +90,8 @@ def require_room(size: int, particles: Particles, steps: int, runs: int, kind: K
     """Refuse, by a ModelError, particles that would not fit memory, before any are drawn.
 
     size: The number of components of a particle.
-    steps, runs: How many steps, T + 1, and runs are kept.
-    kind: Filtered, or the kind of a smoother, whose trajectories take room, too.
+    steps, runs: The numbers of steps and of runs whose particles are held at once.
+    kind: The kind of the posterior; unless it is filtered, trajectories take room, too.
     """
     share = np.dtype(particles.dtype).itemsize / 8
     # States, weights and ancestors of the filter; states and weights of trajectories.

@@ -13,8 +13,8 @@ def stream(seed: int, run: int, step: int, purpose: int = FORWARD) -> np.random.
 
     purpose: The number of what is drawn: FORWARD the particles of a filter, RESTARTED those of a
         run that begins anew from the prior, BACKWARD the trajectories of a smoother, STARTED and
-        INJECTED states from a proposal over cells. A fixed-lag smoother that draws the belief of a
-        step takes BACKWARD + k for its draws k steps later.
+        INJECTED states from a proposal over cells. A fixed-lag smoother draws the belief of a step
+        t by trajectories of its own; at step t + k it draws them with the purpose BACKWARD + k.
     """
     key = np.random.SeedSequence(seed, spawn_key=(run, step, purpose))
     return np.random.Generator(np.random.SFC64(key))

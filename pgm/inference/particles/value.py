@@ -1,4 +1,4 @@
-"""A user's choice of particles: their number, proposal and resampling."""
+"""A user's choice of particles: how many there are, and how they are drawn and replaced."""
 
 from typing import Any
 
@@ -93,8 +93,8 @@ class Injection(InCode, Immutable):
         Parameters
         ----------
         before : ndarray or None
-            The logarithms after the step before, (2, runs), NaN in runs without any measurement so
-            far; None before the first measurements of all runs.
+            Those of the step before, (2, runs), NaN in runs without any measurement so far; None
+            before the first measurements of all runs.
         log_density : ndarray
             ln p of the step's measurements given those before, (runs,).
         measured : ndarray
@@ -111,12 +111,14 @@ class Injection(InCode, Immutable):
         return np.where(measured > 0, later, before)
 
     def shares(self, averages: Array) -> Array:
-        """The share of particles to be replaced, (runs,): 1 − exp(short − long), from 0 to `most`.
+        """The share of particles to be replaced in each run, (runs,), from 0 to `most`.
+
+        It is max(0, 1 − f_t / s_t), or `most` if that is less.
 
         Parameters
         ----------
         averages : ndarray
-            The logarithms of the long-term and short-term averages, (2, runs).
+            The logarithms of the long-term average s_t and the short-term average f_t, (2, runs).
         """
         with np.errstate(invalid="ignore"):
             found = -np.expm1(averages[1] - averages[0])
@@ -143,8 +145,8 @@ class Particles(InCode, Immutable):
     - w_t^i: their weights, w_{t−1}^i p(z_t | x_t^i), normalised;
     - z: the measurements, z_t those of step t.
 
-    This is the bootstrap filter: the weights are the density of the measurements. With a `proposal`
-    q particles are guided, drawn from q(x_t | x_{t−1}^i, z_t), and their weights are
+    This is the bootstrap filter: the weights are the density of the measurements. If there is a
+    `proposal`, q, particles are drawn from q(x_t | x_{t−1}^i, z_t) instead, and their weights are
     w_{t−1}^i p(x_t^i | x_{t−1}^i) p(z_t | x_t^i) / q. Weights are carried from step to step, as
     logarithms, until the effective number of particles falls below a share of their number,
     1 / Σ w² < threshold n; the particles are then drawn anew in proportion to the weights. Errors
