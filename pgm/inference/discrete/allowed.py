@@ -27,11 +27,11 @@ def beliefs_of(
 ) -> TreeBeliefs | AllowedBeliefs:
     """The calibrated beliefs of all clusters of a graph without loops, given the evidence.
 
-    If the evidence of some run has probability zero, `ImpossibleEvidence` is raised. With `allow`,
-    such runs are instead calibrated without evidence, and the result is an `AllowedBeliefs`, which
-    answers NaN for these runs, and −∞ for ln p(evidence). `room` limits how many table entries,
-    times runs, are computed at once, and how many are kept. Tables too large for memory raise
-    `GraphError`.
+    The result is a `TreeBeliefs` if the evidence of every run is possible. Else, without `allow`,
+    `ImpossibleEvidence` is raised. With `allow` the lost runs are calibrated without evidence, and
+    the result is an `AllowedBeliefs`, which answers NaN for them, and −∞ for ln p(evidence). `room`
+    limits how many table entries, times runs, are computed at once, and how many are kept for later
+    answers. Tables too large for memory raise `GraphError`.
     """
     try:
         return TreeBeliefs.of(graph, evidence, room)
@@ -91,7 +91,7 @@ class AllowedBeliefs:
         return self._where_lost(-np.inf, self.possible.log_evidence())
 
     def log_total(self, cluster: int) -> Array:
-        """The log-probability of the evidence in the tree of `cluster`, ([runs]); −∞ in lost runs.
+        """The value ln p(evidence in the tree that has `cluster`), ([runs]); −∞ in lost runs.
 
         A lost run has −∞ even if the evidence is impossible only in another tree of the graph.
         """

@@ -96,10 +96,10 @@ def one_hot(states: Integers, size: int) -> Array:
 def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
     """The index that fixes those variables of a table that have one observed state for all runs.
 
-    `scope` are the table's variables, and the index has one element for each of them. Where the
-    observed state is given once for all runs it is that state, so that the table loses the axis;
-    else it is a full slice, which keeps the axis, even if the variable is observed by an array of
-    states.
+    `scope` are the table's variables, and the index has one element for each of them. The element
+    is the observed state if this is given once for all runs, so that the table loses the axis. Else
+    the element is a full slice, which keeps the axis: for a hidden variable, and for one that is
+    observed by an array of states.
     """
     states = evidence.states
     return tuple(s if isinstance(s := states.get(v), int) else slice(None) for v in scope)

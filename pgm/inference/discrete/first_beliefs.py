@@ -41,11 +41,11 @@ class FirstBeliefs:
 
     @classmethod
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> FirstBeliefs | None:
-        """The beliefs of a graph without loops, if nothing was asked of it before; else None.
+        """The beliefs of a graph without loops, if this is the graph's first question; else None.
 
         The evidence must have no axes of runs. None is also returned if a number underflows or the
-        evidence has probability zero, so that the caller makes a plan, which calibrates with
-        logarithms or finds out which evidence contradicts itself. `room` limits the memory of the
+        evidence has probability zero. The caller then makes a plan, which calibrates with
+        logarithms, or finds out which evidence contradicts itself. `room` limits the memory of the
         plan that is made later if a joint, message or belief is asked for. Tables that are too
         large raise `GraphError`.
         """
@@ -82,7 +82,7 @@ class FirstBeliefs:
         return self._planned.read(reader)
 
     def log_total(self, cluster: int) -> Array:
-        """The log-probability of the evidence in the tree of `cluster`, ()."""
+        """The value ln p(evidence in the tree that has `cluster`), ()."""
         return self._planned.log_total(cluster)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
@@ -106,8 +106,9 @@ def _first(graph: ClusterGraph) -> bool:
 
 
 def _asked(graph: ClusterGraph) -> bool:
-    """True, to mark a graph as asked.
+    """The constant True, which a graph keeps to tell that it has had its first question.
 
-    ``graph.derived`` calls this function, and keeps the result with the graph, as it keeps plans.
+    ``graph.derived(_asked)`` calls this function once, and keeps the result with the graph, as it
+    keeps plans.
     """
     return True

@@ -198,12 +198,12 @@ class _Tree:
     def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
         """Send the messages to the roots; returns the clusters' tables, and ln p(evidence).
 
-        The table of a cluster is the product of its factors, the messages from its children among
-        them, as a matrix (joint states of own variables, joint states of shared ones). The sum of
-        its rows, the message to the parent, is written to `columns`, and is appended to the
-        parent's factors with an axis for each shared variable; ``shapes[k]`` are the sizes of these
-        axes for cluster k. A root's table keeps an axis for each variable and is divided by its
-        sum.
+        The tables are listed by the clusters' numbers. Each is the product of the cluster's
+        factors, the messages from its children among them, as a matrix (joint states of own
+        variables, joint states of shared ones). The sum of the matrix's rows is the message to the
+        parent. It is written to `columns`, and is appended to the parent's factors with an axis for
+        each shared variable; ``shapes[k]`` are the sizes of these axes for cluster k. A root's
+        table keeps an axis for each variable and is divided by its sum.
         """
         tables: list[Array] = [NOTHING] * len(self.order)
         log_evidence = 0.0
@@ -274,9 +274,10 @@ class _Tree:
         return self._normalised(hidden, [_to((place,), *homes[place]) for place in hidden])
 
     def _normalised(self, hidden: Sequence[int], sums: Sequence[Array]) -> dict[Discrete, Array]:
-        """The marginals of hidden variables, (states,) each: their `sums` divided by the totals.
+        """The marginals of hidden variables, (states,) each, by the variables.
 
-        `hidden` are the variables' numbers; `sums` has for each an array (states,).
+        `hidden` are the variables' numbers. `sums` has for each of them an array (states,), its
+        marginal but for rounding, which is divided by its total.
         """
         if not hidden:
             return {}

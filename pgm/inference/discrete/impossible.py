@@ -2,8 +2,9 @@
 
 On a graph without loops messages are sent to the roots of the trees, as a `TreePlan` lays out.
 *Tops* are the scales that are taken out of the messages, and out of the roots' tables: if one of
-them is zero, so is the probability of the evidence. In shapes, [runs] is an axis that a single run
-lacks.
+them is zero, so is the probability of the evidence. On a graph with loops a message or belief that
+is zero for all its states tells the same. A run is one set of evidence of a batch; in shapes,
+[runs] is an axis that a single run lacks.
 """
 
 import math

@@ -5,9 +5,9 @@ A message goes from a cluster to a neighbour, over their sepset. Arrays end in t
 messages, in *columns*: one for each joint state of a message's sepset.
 
 Messages have numbers: 2e goes along sepset e from the cluster of lower number to the other, 2e + 1
-back. A *round* is a set of messages that are computed together, all from the messages before it. It
-is laid out in *groups*, clusters of equally many neighbours and entries, with the messages that
-they send. A group's messages of equal shape are an *outlet*.
+back. A *round* is a set of messages that are computed together, all from the messages before the
+round. Its senders are divided into *groups* of clusters with equally many neighbours and entries.
+Those messages of a group that have equally many columns are an *outlet*.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class TableMessages:
     def bounded(self) -> bool:
         """Whether changes of messages are bounded: True, for a probability changes by one at most.
 
-        Therefore no run counts as diverged because the changes of its messages grow.
+        Changes cannot grow without limit, so that their growth does not count as divergence.
         """
         return True
 
@@ -80,7 +80,8 @@ class TableMessages:
         """Compute a round's new messages from the current ones, which only `accept` replaces.
 
         Returns the largest change of a probability of each message, (messages, runs), in the order
-        in which the round was laid out. A message that is zero throughout raises `EvidenceError`.
+        in which the method `round` was given the messages. A message that is zero throughout raises
+        `EvidenceError`.
         """
         count = sum(outlet.order.size for group in round for outlet in group.outlets)
         change = np.empty((count, self.runs))
@@ -124,10 +125,11 @@ class TableMessages:
     def _require_possible(self, totals: Array, clusters: Integers) -> None:
         """Raise `EvidenceError` if a sum is zero, which tells that the evidence is impossible.
 
-        `totals`, (rows, runs), are the logarithms of the sums: of messages, of clusters' beliefs,
-        or of products of the two messages over a sepset, one a row. `clusters`, (rows,), has for
-        each row the number of the sender, or of the cluster whose belief it is. The error names the
-        cluster of the first row that is −∞ in the first run with such a row.
+        `totals`, (rows, runs), are logarithms of sums. Each row is for a message, for the belief of
+        a cluster, or for the product of the two messages over a sepset. `clusters`, (rows,), has
+        for each row the number of the cluster to be named: the message's sender, the belief's
+        cluster, or the cluster of lower number at the sepset. The error names the first run in
+        which a sum is zero, and the cluster of the first sum that is zero in this run.
         """
         empty = totals == -np.inf
         if empty.any():
@@ -189,9 +191,9 @@ class TableMessages:
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
     """Raise `GraphError` if the computation of messages would take too much memory.
 
-    A cluster's *products* are a table for each message that it sends. In a single run the products
-    of all clusters may take a gibibyte at most. In all runs together the tables of all clusters,
-    with the products of that cluster which has most, may take a gibibyte at most.
+    A cluster's *products* are as many tables as it sends messages, each of its own table's size.
+    Two amounts may be a gibibyte at most: in one run, the products of all clusters; in all runs
+    together, the tables of all clusters with the products of that cluster which has most.
     """
     # A cluster's table is multiplied by the messages of all neighbours but each in turn: where
     # these meet it is laid out for all clusters, the products are made for some at once.

@@ -33,11 +33,11 @@ Kept = tuple[bool, ...]
 
 @dataclass(frozen=True, eq=False)
 class Outlet:
-    """Messages of equally many columns that the clusters of a group send.
+    """Messages that the clusters of a group send, all of equally many columns.
 
-    index: (summands, messages · columns): indices into the first axis of the group's products.
-        Each column of a message is the sum of the products that one column of `index` has. All
-        columns of the first message come first, then those of the second, and so on.
+    index: (summands, messages · columns): for each column of each message, the products of which it
+        is the sum, as indices into the first axis of the group's products. All columns of the first
+        message come first, then those of the second, and so on.
     columns: (messages, columns): the indices of the messages' columns in the array of all messages.
     order: (messages,): the place of each message in the round, from 0.
     senders: (messages,): the numbers of the clusters that send the messages.
@@ -53,10 +53,11 @@ class Outlet:
 class Group:
     """Clusters with equally many neighbours and entries, computed in one batch, and their messages.
 
-    entries: (clusters · entries,): where the entries of the clusters' tables stand in the flat
-        storage.
+    In shapes, clusters · entries is the number of table entries of all clusters of the group.
+
+    entries: (clusters · entries,): the index of each entry in the flat array of all tables.
     incoming: (neighbours, clusters · entries): for each entry, the column of each neighbour's
-        message by which the entry is multiplied.
+        message by which the entry is multiplied, as an index into the array of all messages.
     outlets: The messages that the clusters send in the round, those of equally many columns
         together.
     """
@@ -98,9 +99,9 @@ class LoopyPlan:
     def lay_out(self, messages: Sequence[int], runs: int) -> list[Group]:
         """The groups of clusters that send some messages, which are given by number.
 
-        The clusters of a group have equally many neighbours and entries. There are as many of them
-        as keep the products of the group, (neighbours · entries of the group, runs), at 2²² numbers
-        (`limits.BATCH`) or fewer, but at least one.
+        The clusters of a group have equally many neighbours and entries. A group takes as many
+        clusters as will keep its products, (neighbours · entries of the group, runs), at 2²²
+        numbers (`limits.BATCH`) or fewer; it takes one cluster even if that has more.
         """
         asked: dict[int, list[tuple[int, int]]] = {}
         for order, message in enumerate(messages):
@@ -147,8 +148,8 @@ class LoopyPlan:
     def _incoming(self, cluster: int) -> Integers:
         """For each message to a cluster, the column that multiplies each entry of its table.
 
-        The columns are (messages, entries), in the order of the senders among the cluster's
-        neighbours.
+        The result, (messages, entries), has indices into the array of all messages. The messages
+        are in the order of the cluster's neighbours, which send them.
         """
         return np.array(
             [
@@ -160,11 +161,14 @@ class LoopyPlan:
     def _shape(self, cluster: int, message: int) -> tuple[Integers, Integers]:
         """How entries of a cluster's table correspond to columns of a message from or to it.
 
-        Returns two arrays of indices. The first, (summands, columns), has in each column the
-        entries, counted from the table's first, that sum to this column of the message. The second,
-        (entries,), is for each entry the column, counted from the message's first, whose states
-        agree with it. Both depend on the shape of the table and on the axes of the sepset alone,
-        and are cached by these.
+        Returns two arrays of indices, in which entries are counted from the table's first, and
+        columns from the message's first:
+
+        - (summands, columns): for each column of the message, the entries that have its states;
+        - (entries,): for each entry, the column that has its states.
+
+        Both depend on the shape of the table and on the axes of the sepset alone, and are cached by
+        these.
         """
         scope, sepset = self.storage.scopes[cluster], self.sepsets[message]
         kept = tuple(v in sepset for v in scope)

@@ -1,13 +1,15 @@
 """The most probable assignment of a discrete network.
 
 Messages with maxima in place of sums go to the root of each tree, and the states of the maxima are
-traced back from there. A cluster's table is a matrix, with a *column* for each joint state of the
-variables that the cluster shares with its parent (a root has one column), and a *row* for each
-joint state of its other variables. A *stack* is some clusters of like shape and depth, whose
-matrices stand side by side in one. *Tops*, (tops, runs), are logarithms that sum to
-ln p(assignment, evidence): that of a root is the largest in its table, all others are 0. The *home*
-of a variable is the smallest cluster that holds it; ``plan.storage.homes`` maps variables to homes,
-and results have the variables in its order.
+traced back from there. A *plan* is the layout of a graph's tables and messages. A cluster's table
+is a matrix, with a *column* for each joint state of the variables that the cluster shares with its
+parent (a root has one column), and a *row* for each joint state of its other variables. A *stack*
+is some clusters of like shape and depth, whose matrices stand side by side in one. Tables and
+messages have logarithms as entries. *Tops*, (tops, runs), sum to ln p(assignment, evidence): there
+is one for each cluster, or several. That of a root is the largest entry of its table after all
+messages came in; all others are 0. The *home* of a variable is the smallest cluster that holds it.
+The mapping ``plan.storage.homes`` gives the home of each variable, and arrays (variables, runs)
+have the variables in the order of this mapping. A run is one set of evidence of a batch.
 """
 
 from __future__ import annotations
@@ -257,7 +259,11 @@ def most_probable(
 
 
 def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable:
-    """The most probable path of a dynamic network of tables through all steps (Viterbi)."""
+    """The most probable path of a dynamic network of tables through all steps (Viterbi).
+
+    For steps 0 to T its `assignment` has the indices of each hidden variable's states,
+    (*runs, T+1); of a control, which has no step 0, (*runs, T). *runs are the user's axes of runs.
+    """
     bound = bind_chain(graph.model, evidence, graph.steps)
     require_chain(graph, "tables")
     plan = SlicePlan(graph.layout)
@@ -275,9 +281,10 @@ def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable
 class _Search:
     """A search for the most probable assignment of some runs, in pieces that fit into memory.
 
+    graph: The cluster graph of the network, without loops.
     evidence: The evidence of these runs.
     runs: The number of runs of the whole call, of which other workers may search the rest. The plan
-        is chosen by this number, so that all workers have the same one.
+        is chosen by this number, so that all workers have the same plan.
     batch: The limit on the table entries, times runs, that are computed at once.
     """
 
@@ -288,10 +295,10 @@ class _Search:
 
 
 def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
-    """Search consecutive parts of the runs, one part for each worker.
+    """Search all runs of `search`, divided into consecutive parts, one part for each worker.
 
-    Returns a pair for each part: the most probable states, (variables, runs of the part), as
-    indices, and the tops, (tops, runs of the part).
+    Returns a pair for each part, in the order of the runs: the most probable states, (variables,
+    runs of the part), as indices; and the tops, (tops, runs of the part).
     """
     runs = search.runs
     edges = [runs * k // workers.count for k in range(workers.count + 1)]
@@ -380,7 +387,8 @@ def _decode(plan: TreePlan, entry: Integers) -> Integers:
     """The states of all variables, (variables, runs), in the order of ``plan.storage.homes``.
 
     `entry`, (clusters, runs), is for each cluster the index of the most probable entry of its
-    table, counted row by row of the matrix. Each variable's state is read from its home's entry.
+    table, counted row by row of the cluster's matrix. Each variable's state is read from its home's
+    entry.
     """
     homes = plan.storage.homes
     scopes = {home: plan.storage.places[home].scope for home in homes.values()}

@@ -83,9 +83,10 @@ class Place:
     def merged(self, wanted: States) -> Merged:
         """The shape of this contiguous table with neighbouring axes merged.
 
-        Axes that follow one another are merged if their variables are all in `wanted`, or none is:
-        a sum of the table to the wanted variables, or its product with an array over them, then has
-        few axes. `wanted` are some of the table's variables, in the order of that array's axes.
+        The table is to be summed to the variables `wanted`, or multiplied by an array over them.
+        Axes that follow one another are merged if their variables are all wanted, or none is, so
+        that the sum or product has few axes. The order of `wanted` is that of the axes of the sum's
+        result, or of the array.
         """
         stored = self.stored
         runs = [list(same) for _, same in groupby(stored, wanted.__contains__)]

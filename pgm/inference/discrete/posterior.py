@@ -44,11 +44,11 @@ class DiscretePosterior(Posterior):
 
     On a tree, runs of equal evidence are computed once. Runs that differ are computed in pieces
     that fit into memory, or one by one if a piece would have fewer than 64 runs. Half the
-    ``memory`` given to `pgm.infer`, by default 128 MiB, is for computing a piece, whose tables take
-    a fourth of that half; the other half is for calibrated tables that the posterior keeps. Of
-    batches whose tables do not fit there, marginals and log-evidence alone are kept, and each call
-    of `joint`, `belief` or `message` computes the runs again: ask once for a joint of several
-    variables. An answer of more than a gibibyte is refused with a `GraphError`.
+    ``memory`` given to `pgm.infer`, by default 128 MiB, is for computing a piece: a fourth of this
+    half for its tables, the rest for intermediate results. The other half is for calibrated tables
+    that the posterior keeps. Of a batch whose tables take more, marginals and log-evidence alone
+    are kept, and each call of `joint`, `belief` or `message` computes the runs again: ask once for
+    a joint of several variables. An answer of more than a gibibyte is refused with a `GraphError`.
 
     `status` tells the iterations and residuals of the schedule, and whether each run converged.
     """
@@ -121,14 +121,15 @@ class DiscretePosterior(Posterior):
             limits.require_runs(math.prod(sizes(scope)), runs, what)
 
     def message(self, source: int | Cluster, target: int | Cluster) -> Table:
-        """The message from one cluster to a neighbour, over their sepset, unnormalised.
+        """The message from one cluster to a neighbour, over their sepset.
 
         The table has an axis for each variable of the sepset, except for variables observed in one
         state given for all runs; a variable observed by an array of states, one for each run, has
-        an axis. After `Flooding`, `Sequential` or `Residual` a message sums to one. After exact
-        inference on a tree nothing is divided out of it: it is the sender's potential times the
+        an axis. After exact inference on a tree the message is the sender's potential times the
         messages to the sender from its other neighbours, summed over the variables outside the
-        sepset. Its entries are the table's values times exp(log-scale).
+        sepset, without any normalisation. The returned table has values and a log-scale: the
+        message is the values times exp(log-scale). After `Flooding`, `Sequential` or `Residual` the
+        message is divided by its sum.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         if j not in self.graph.neighbours(i):

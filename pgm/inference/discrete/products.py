@@ -70,8 +70,9 @@ class BlockProduct:
     view: The shape of the table with merged axes: neighbouring axes are merged if their variables
         are all in the sepset, or none is.
     source: The slice of the message's columns in an array of all messages.
-    wide: For a single run the message is repeated in memory along the axes of `view` from this one
-        on, lest NumPy's loops over the last axes be short; the number of axes if that is not done.
+    wide: The first of those last axes of `view` along which the message of a single run is repeated
+        in memory before it is multiplied. This is done if the very last axis is short, for NumPy
+        would then loop over a few entries at a time. Else `wide` is the number of axes of `view`.
     """
 
     children: Integers
@@ -83,7 +84,11 @@ class BlockProduct:
 
     @classmethod
     def of(cls, child: int, place: Place, sepset: States, first: int) -> BlockProduct:
-        """The product of a large table and a child's message, whose columns begin at `first`."""
+        """The product of a large table and a child's message, whose columns begin at `first`.
+
+        `child` is the child's number, `place` the table's place in flat storage, and `sepset` has
+        the variables of the message, in the order of its columns.
+        """
         source = slice(first, first + math.prod(sizes(sepset)))
         view = place.merged(sepset)
         wide = len(view.shape)

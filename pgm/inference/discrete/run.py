@@ -32,8 +32,10 @@ def run(
 
     The schedules `Flooding`, `Sequential` and `Residual` send messages on a graph of any shape;
     with them `memory` and ``impossible="allow"`` are refused with a `GraphError`. Any other
-    schedule, or None, stands for exact inference on a graph without loops.
+    schedule, or None, stands for exact inference; the graph must then have no loops.
 
+    evidence: Of each observed variable, its state, or an array with a state for each run; or soft
+        weights of its states.
     memory: How many bytes the tables of all runs may take; None for 256 MiB.
     impossible: What is done with runs whose evidence has probability zero: ``"raise"`` refuses the
         evidence, ``"allow"`` gives such runs beliefs of NaN and a log-evidence of −∞.

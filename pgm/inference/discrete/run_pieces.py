@@ -36,15 +36,18 @@ def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[Bou
     """The evidence in consecutive parts, each of as many runs as a tree calibrates at once.
 
     `entries` is the number of entries of the tree's tables in one run, `batch` the limit on entries
-    times runs. A part of a batch that is one run alone has no states −1: the variables that this
-    run does not observe are left out.
+    times runs. Where a part of a batch has one run alone, the variables that this run does not
+    observe are left out of its evidence, so that the evidence has no states −1.
     """
     for piece in pieces(evidence, at_once(entries, batch)):
         yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
 
 
 def _of_one(evidence: BoundStates) -> BoundStates:
-    """The evidence of one run, without the variables whose state is −1, "not observed"."""
+    """The evidence of one run, without the variables whose state is −1, "not observed".
+
+    States in arrays of length one become whole numbers; soft evidence stays as it is.
+    """
     known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
     observed = {v: state for v, state in known.items() if state >= 0}
     return BoundStates(evidence.lead, observed, evidence.weights)

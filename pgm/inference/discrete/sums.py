@@ -130,8 +130,9 @@ class Marginals:
     where: Of each variable, the slice of its marginal.
     first, widths: (variables,): of each marginal, its first index and its number of states.
     count: The number of states of all variables together.
-    matrix: (length of the storage, count): of zeros and ones, whose product with the tables is the
-        marginals; None where it would have more than 4096 entries (`SMALL`).
+    matrix: (length of the storage, count): zeros and ones. The tables of a single run, as one row,
+        times this matrix are the marginals. None where it would have more than 4096 entries
+        (`SMALL`).
     """
 
     sums: Sequence[Sum]
@@ -197,14 +198,17 @@ ENTRIES, SUMS = 128, 8
 class AxisSums:
     """A sum over some axes of a table.
 
-    For plain numbers of a single run, the sum over the last axes, over as many as can be, is one
-    product with a matrix of zeros and ones, which has at most 128 rows (`ENTRIES`) and 8 columns
-    (`SUMS`). The axes before them are summed first, one by one.
+    Axes are summed one by one, or by one call if many entries lie behind the last of them. Of plain
+    numbers of a single run, the axes at the table's end, a *block*, are instead summed by one
+    product with a matrix; the summed axes before the block are summed first. The block begins at
+    the first summed axis from which on there are at most 128 entries (`ENTRIES`) and 8 sums
+    (`SUMS`).
 
     shape: The shape of the table, without the axis of runs.
     axes: The axes that are summed, in ascending order.
-    last: That matrix, (entries of the last axes, sums); None if it would be too large.
-    front: Those of `axes` that are summed before the product; all, if `last` is None.
+    last: (entries of the block, sums): that matrix, of zeros and ones; None if no block is small
+        enough.
+    front: Those of `axes` that come before the block; all, if `last` is None.
     """
 
     shape: tuple[int, ...]
@@ -246,9 +250,10 @@ class AxisSums:
 
 
 def _one_by_one(table: Array, axes: Sequence[int], semiring: Semiring) -> Array:
-    """Sum a table over axes, given in ascending order, by one call for each.
+    """A table summed over axes, which are given in ascending order, by one call for each.
 
-    Each call adds whole blocks of the axes behind the one that is summed, in long loops.
+    The first axis is summed first: each call then adds whole blocks, of the entries along all axes
+    behind the one that is summed, so that NumPy's loops are long. The result lacks these axes.
     """
     for gone, axis in enumerate(axes):
         table = semiring.total(table, axis - gone, None)

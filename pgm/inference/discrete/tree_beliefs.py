@@ -30,9 +30,9 @@ from pgm.variables import Discrete
 class TreeBeliefs:
     """The calibrated beliefs of a graph without loops.
 
-    Runs of equal evidence are computed once. Their tables are kept if they fit; else marginals
-    alone are, and the tables are calibrated anew, some runs at a time, whenever they are read. In
-    fields with an underscore, runs are the different runs alone.
+    Runs of equal evidence are computed once. The tables of all different runs are kept if they fit
+    into a limit. Else the marginals alone are kept, and the tables are calibrated anew, some runs
+    at a time, whenever they are read. In fields with an underscore, runs are the different runs.
 
     plan: The layout of the passes of messages.
     storage: Where each cluster's table stands in the flat array of calibrated tables.
@@ -132,7 +132,7 @@ class TreeBeliefs:
         return self._distinct.spread(np.asarray(self._log_tops.sum(axis=0)))
 
     def log_total(self, cluster: int) -> Array:
-        """The log-probability of the evidence in the tree of `cluster`, ([runs])."""
+        """The value ln p(evidence in the tree that has `cluster`), ([runs])."""
         mine = self.plan.tree_of_top == self.plan.forest.roots[cluster]
         return self._distinct.spread(np.asarray(self._log_tops[mine].sum(axis=0)))
 

@@ -1,15 +1,19 @@
 """The two passes of messages over a tree of tables: towards the roots, and back.
 
 A *stack* is some clusters of like shape and depth, computed together; a set of stacks is an integer
-with a bit for each (see `tree_plan`). The *entries* are those of all clusters' tables; a *column*
-is an entry of the message from a cluster to its parent, or of their sepset. In shapes, [runs] is an
-axis that a single run lacks.
+with a bit for each. The *entries* are those of all clusters' tables; a *column* is an entry of the
+message from a cluster to its parent, or of their sepset. In shapes, [runs] is an axis that a single
+run lacks. All arrays hold entries of the semiring: numbers, or logarithms.
 
-Each message to a parent is divided by its largest entry, its *top*, lest products underflow. So is
-the table of a *hub*, a cluster of many children, whenever a few of the children's messages were
-multiplied into it. A root's top is the sum of its table, so that the product of all tops of a tree
-is p(evidence). With logarithms nothing is divided, and all tops are ln 1 = 0 except the roots'. All
-arrays hold entries of the semiring: numbers, or logarithms.
+A stack is *active* if its clusters send messages to their parents. The messages of other stacks'
+clusters would be one everywhere, and are not sent: there is no evidence in these clusters or below
+them, and their potentials are p(cluster | sepset with the parent).
+
+Each message to a parent is divided by its largest entry, its *top*, lest products underflow. The
+table of a *hub*, a cluster of many children, is divided by its largest entry in the same way,
+whenever a few of the children's messages were multiplied into it; this is one more top. A root's
+top is the sum of its table, so that the product of all tops of a tree is p(evidence in the tree).
+With logarithms nothing is divided, and all tops are ln 1 = 0 except the roots'.
 """
 
 import math
@@ -31,12 +35,12 @@ class Entry:
 
     tables: (entries + columns, [runs]): the tables of the clusters, then room for the sepsets'.
     potentials: (entries, [1]): the clusters' potentials without evidence, the same in all runs.
+        They are read for the stacks that are not entered or not active; where all are both, this
+        may be `tables` itself.
     entered: The set of the stacks whose `tables` hold potentials times evidence. The tables of the
         other stacks are not filled yet: no evidence enters them, and the pass to the roots takes
         their entries from `potentials`.
-    active: The set of the stacks that send messages to the roots. The messages of the other stacks
-        would be one everywhere: there is no evidence in or below their clusters, whose potentials
-        are p(cluster | sepset with the parent).
+    active: The set of the active stacks, which send messages to the roots.
     """
 
     tables: Array
@@ -49,6 +53,8 @@ class Entry:
 class Collected:
     """The messages of the pass to the roots, and the scales taken out of them.
 
+    Messages and tops of stacks that are not active are one.
+
     messages: (columns, [runs]): each message before it is divided by its top.
     tops: (tops, [runs]): the scales; the product of a tree's tops is p(evidence in the tree).
     """
@@ -58,10 +64,12 @@ class Collected:
 
 
 def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
-    """Send the messages to the roots, from children to parents.
+    """Send the messages to the roots, from children to parents; returns them, and all tops.
 
-    A message is the sum of the cluster's table times the messages of the cluster's children. The
-    tables of active stacks in ``entry.tables`` become these products, in place.
+    `entry` has the tables with the evidence entered, and the set of active stacks. In place, the
+    table of each cluster in an active stack becomes the potential times the cluster's evidence and
+    the messages from its children. The sum of this product over the variables that the parent does
+    not have is the message to the parent.
     """
     tables, potentials, active = entry.tables, entry.potentials, entry.active
     tail = tables.shape[1:]
@@ -104,11 +112,12 @@ def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
 def distribute(plan: TreePlan, entry: Entry, done: Collected, semiring: Semiring) -> None:
     """Send the messages back: tables and sepsets become probabilities given the evidence.
 
-    ``entry.tables`` is changed in place, from the roots down. The table of a sepset is the parent's
-    table, summed over the variables outside the sepset. The child's table is multiplied by the
-    ratio of the sepset's table to the message that the child sent to the parent; if the child is
-    not active and sent none, its table becomes p(cluster | sepset) times the sepset's table.
-    ``done.messages`` are overwritten.
+    `entry` and `done` are what `collect` was given and returned. ``entry.tables`` is changed in
+    place, from the roots down; a root's table is divided by its sum. The table of a sepset is the
+    parent's table, summed over the variables outside the sepset. The table of a child that sent a
+    message is multiplied by the ratio of the sepset's table to this message. That of a child which
+    sent none becomes p(cluster | sepset) times the sepset's table. ``done.messages`` are
+    overwritten.
     """
     tables = entry.tables
     tail = tables.shape[1:]
@@ -142,9 +151,9 @@ def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
     """The potentials of all clusters, with the evidence of some runs entered, for `collect`.
 
     With numbers, a cluster's potential is p(cluster | sepset with its parent) without evidence, and
-    only the stacks of roots, and those on the ways from the evidence to the roots, are active: they
-    send messages. With logarithms, or in graphs of more than 2²⁶ table entries (`HELD`), potentials
-    are products of CPDs, and all stacks are active.
+    only the stacks of roots, and those on the ways from the evidence to the roots, are active. With
+    logarithms, or in graphs of more than 2²⁶ table entries (`HELD`), potentials are products of
+    CPDs, and all stacks are active.
 
     Raises
     ------
@@ -223,10 +232,11 @@ class Calibrated:
 
 
 def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
-    """Calibrate the tables with evidence, in numbers, or in logarithms if a number underflows.
+    """The tables of clusters and sepsets given the evidence of some runs, and the tops' logarithms.
 
-    In a network so small that the plan has the joint of all its variables, the tables of a single
-    run without soft evidence are summed from this joint instead, without messages.
+    They are computed in numbers, and again in logarithms if a number underflows. In a network so
+    small that the plan has the joint of all its variables, the tables of a single run without soft
+    evidence are summed from this joint instead, without messages.
     """
     if evidence.runs == 1 and not evidence.weights and plan.enumeration is not None:
         tables, total = plan.enumeration.given(evidence.states)
@@ -241,9 +251,10 @@ def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
 
 
 def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Calibrated:
-    """The calibrated tables after both passes of messages in one semiring.
+    """The tables and the tops' logarithms after both passes of messages in one semiring.
 
-    With logarithms, messages are not sent back if the evidence of any run is impossible.
+    Where the semiring is of numbers, the caller lets an underflow raise `FloatingPointError`. With
+    logarithms, messages are not sent back if the evidence of any run is impossible.
     """
     entry = enter(plan, evidence, semiring)
     done = collect(plan, entry, semiring)

@@ -1,11 +1,12 @@
 """The plan of the passes of messages over a tree of tables, laid out once for a graph.
 
-Each tree is rooted at its centre. A *column* is an entry of the message from a
-cluster to its parent: a joint state of their sepset; a root has one column, of an empty sepset. A
-table is a matrix of its columns, each with a *row* for each joint state of the other variables, and
-a message is the sum of the rows. Clusters of equal depth, with equally many rows and children and
-with parents of like shape, form a *stack*: their tables are the columns of one matrix, so that the
-messages of a stack are one sum. A set of stacks is an integer with a bit for each.
+Each tree is rooted at its centre. A cluster's table is a matrix, with a *column* for each joint
+state of the sepset with the parent (a root has one column, of an empty sepset), and a *row* for
+each joint state of the other variables. The message to the parent is the sum of the rows: it has
+one entry for each column. Clusters of equal depth form a *stack* if they have equally many rows and
+children, and their parents' tables have equally many entries for each column. The tables of a stack
+stand side by side in one matrix, so that the messages of a stack are one sum. A set of stacks is an
+integer with a bit for each.
 
 Flat storage holds the *entries* of all clusters' tables, then the columns of all sepsets. *Tops*
 are scales taken out of messages, and of the tables of *hubs*, clusters of more than 32 (`CHUNK`)
@@ -119,15 +120,16 @@ class Stack:
     bit: The one bit that stands for the stack in sets of stacks.
     entries: The slice of flat storage that has the clusters' tables.
     columns: The slice of an array of all messages that has the clusters' messages to their parents.
-    tops: The slice of an array of all scales that has those of the stack: first one for the message
-        of each cluster; then, if the clusters are hubs, whose tables are rescaled several times,
-        one for each cluster and rescaling.
+    tops: The slice of an array of all scales that has those of the stack: first one for each
+        cluster's message. If the clusters are hubs, their tables are rescaled several times, and
+        each time adds one for each cluster.
     shape: The shape of all tables as one matrix: (rows, columns), or (columns, rows) where `axis`
         is 1.
     axis: The axis of `shape` that has the rows, over which messages sum.
     first, widths: (clusters,): of each cluster, its first column in the stack and the number of its
         columns.
-    absorbed: The products of the tables and the messages from the clusters' children.
+    absorbed: The products that multiply the messages from the clusters' children into the tables,
+        a few messages to each table at a time.
     senders: Of each of these products, the set of the stacks that send its messages.
     down: The sum of the parents' tables to the sepsets of the stack's clusters; None for roots.
     """
@@ -290,8 +292,9 @@ def plan_for(graph: ClusterGraph, runs: int, batch: int) -> TreePlan:
     """The plan of a graph without loops for evidence of some runs.
 
     `batch` is the limit on table entries, times runs, that are computed at once. A graph keeps two
-    plans: one for runs that are computed one by one, as where fewer than 64 fit into this limit;
-    and one for batches, in which tables of 512 entries count as large, in place of 8192.
+    plans. One is for a single run, and for runs that are computed one by one because fewer than 64
+    fit into the limit: there a table counts as large from 8192 entries on. The other is for runs
+    that are computed many at once: there a table counts as large from 512 entries on.
     """
     if runs == 1 or at_once(sum(graph.sizes), batch) == 1:
         return graph.derived(make_plan, LARGE)
@@ -377,9 +380,10 @@ class _Planner:
         """Variables of a cluster, `scope`, in the order in which its table has them.
 
         In a large table the variables of each child's sepset stand together, where that can be, and
-        those of the largest sepset last: products with its message, and sums to it, then have few
-        axes, the last of them long. In other tables variables keep the order of `scope`. `sepsets`
-        are those of all clusters with their parents.
+        those of the largest sepset stand last. The product of the table and a child's message, and
+        the sum of the table to the sepset, then have few axes, the last of them long. In other
+        tables variables keep the order of `scope`. `sepsets` are those of all clusters with their
+        parents.
         """
         if not self._large(cluster):
             return scope
@@ -409,7 +413,10 @@ class _Planner:
         return start + rows * columns, column + columns
 
     def _stack(self, clusters: list[int], storage: Storage, tops: int) -> Stack:
-        """The stack of some clusters, whose tables have been placed; its scales start at `tops`."""
+        """The stack of some clusters, whose scales start at `tops` in the array of all scales.
+
+        The clusters' tables have been placed; `storage` tells the places of all tables.
+        """
         rows = self._rows(clusters[0])
         widths = np.array([self.width[k] for k in clusters])
         columns = int(widths.sum())
