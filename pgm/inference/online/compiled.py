@@ -188,6 +188,7 @@ class CompiledSteps:
                     due = general(belief, values)
                     if _tried(kind, found, due):
                         return after
+                    self.left[_JUDGED] += 1
                     return self.adopted(due)
         self.left[why] += 1
         return self.adopted(general(belief, values))
