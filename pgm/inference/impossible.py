@@ -34,9 +34,9 @@ class ImpossibleEvidence(EvidenceError):
     """The error for evidence of probability zero in some runs, which `lost`, (runs,), marks.
 
     On a chain a run is marked if its measurements up to the error's `step` have probability zero.
-    `lead` is the shape of the user's axes of runs: the error's `run` is the first that is marked,
-    or None if `lead` is empty. `where` has the error's other attributes by name, as `PgmError`
-    takes them.
+    `lead` is the shape of the user's axes of runs. The error's `run` is the first marked one, as
+    its number among all runs, counted through along these axes; None if there are no such axes. `where`
+    has the error's other attributes by name, as `PgmError` takes them.
     """
 
     def __init__(self, message: str, lost: Mask, lead: tuple[int, ...], **where: Any) -> None:

@@ -115,9 +115,10 @@ def by_variable(
 ) -> list[str | Listing]:
     """A listing of beliefs, with a row for each component; a discrete variable has one row.
 
-    Of more than twelve variables only the first and the last are shown. The columns are the first
-    two runs. If there are no variables, or an axis of runs has length zero, the result is empty. If
-    rows are cut off, a line with the number of variables follows.
+    Of more than twelve variables the first few and the last few are shown. The columns are runs
+    from the beginning and the end of the axes of runs, two at the most. If there are no variables, or an
+    axis of runs has length zero, the result is empty. If rows are cut off, a line with the number
+    of variables follows.
     """
     picked = [place for place in places(runs, RUNS) if place is not None][:RUNS]
     rows: list[Sequence[str] | None] = []

@@ -44,7 +44,8 @@ class Update(NamedTuple):
 
     `mean` is (n, runs) and `cov` (n, n, runs); `log_density` (runs,) is ln N(r; 0, S). `pivots` is
     (d, runs). Of `unit` (d, d, runs) only the entries below the diagonal are those of U. `mild`:
-    whether the measurement is known to be mild in all runs.
+    whether the measurement is known to be mild in all runs, so that no digits can have been lost.
+    Where it is not, the covariance has been found by Joseph's form already.
     """
 
     mean: Array

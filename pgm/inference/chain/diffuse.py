@@ -54,7 +54,10 @@ class Diffuse(NamedTuple):
 
     @property
     def unknown(self) -> Mask:
-        """The mask (..., n) of components of infinite variance: their row of O is not zero."""
+        """The mask (..., n) of components of infinite variance: their row of O is not exactly zero.
+
+        Rounding has been cleared from O when the belief was made.
+        """
         return np.asarray(np.any(self.open, axis=-1))
 
     @property

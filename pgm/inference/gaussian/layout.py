@@ -38,8 +38,8 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 
     A CPD needs evidence of those parents that are inputs, or that its noise depends on. If such a
     parent has none, the CPD's child is left out, unless it is observed; the parent is left out too
-    if it is an input. But a variable stays if an observed variable, or another variable that stays,
-    depends on it. `evidence` are the variables with evidence.
+    if it is an input. But a variable stays if any variable that is not left out, observed or
+    not, depends on it. `evidence` are the variables with evidence.
     """
     inputs = set(network.inputs)
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}

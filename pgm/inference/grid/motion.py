@@ -233,7 +233,7 @@ class _Maker:
         return tuple(spans), [Sweep(moves, self.nodes)] if moves else []
 
     def _within(self, spread: Spread) -> Spread:
-        """The `spread`, but along angles with very wide noise its variance is infinite.
+        """The same `spread`, with an infinite variance along angles whose noise is very wide.
 
         An infinite variance stands for equal probability of all cells; noise is very wide with a
         standard deviation of more than three circles. Along an interval a standard deviation of

@@ -40,6 +40,8 @@ class Record:
     def keep(self, step: int, predicted: Cloud, known: Cloud, log_density: Array | float) -> None:
         """Keep a step's cloud given its measurements, and their log-density.
 
+        The number of its particles, and their effective number, are written, too.
+
         predicted: The cloud before the measurements, which a sweep gives to any record; not kept.
         known: The cloud given the measurements.
         log_density: ln p(z_t | z_0..t−1), (runs,), or 0 at a step without measurements.
