@@ -35,8 +35,8 @@ class ImpossibleEvidence(EvidenceError):
 
     On a chain a run is marked if its measurements up to the error's `step` have probability zero.
     `lead` is the shape of the user's axes of runs. The error's `run` is the first marked one, as
-    its number among all runs, counted through along these axes; None if there are no such axes. `where`
-    has the error's other attributes by name, as `PgmError` takes them.
+    its number among all runs, counted through along these axes; None if there are no such axes.
+    `where` has the error's other attributes by name, as `PgmError` takes them.
     """
 
     def __init__(self, message: str, lost: Mask, lead: tuple[int, ...], **where: Any) -> None:

@@ -116,9 +116,9 @@ def by_variable(
     """A listing of beliefs, with a row for each component; a discrete variable has one row.
 
     Of more than twelve variables the first few and the last few are shown. The columns are runs
-    from the beginning and the end of the axes of runs, two at the most. If there are no variables, or an
-    axis of runs has length zero, the result is empty. If rows are cut off, a line with the number
-    of variables follows.
+    from the beginning and the end of the axes of runs, two at the most. If there are no variables,
+    or an axis of runs has length zero, the result is empty. If rows are cut off, a line with the
+    number of variables follows.
     """
     picked = [place for place in places(runs, RUNS) if place is not None][:RUNS]
     rows: list[Sequence[str] | None] = []
