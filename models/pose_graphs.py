@@ -22,7 +22,6 @@ import numpy.typing as npt
 import pgm
 from models import motion
 from pgm.cpds import CPD
-from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.recordings import Edges, PoseGraph
 
 Array = npt.NDArray[np.float64]
@@ -86,7 +85,7 @@ class PoseGraphNetwork:
         means |= dict(zip(self.poses, poses, strict=True))
         return means | dict(zip(self.landmarks, landmarks, strict=True))
 
-    def means(self, posterior: GaussianPosterior) -> tuple[Array, Array]:
+    def means(self, posterior: pgm.Posterior) -> tuple[Array, Array]:
         """Poses (N, 3) and landmarks (L, 2) of a posterior."""
         return (
             np.array([posterior[x].mean for x in self.poses]),

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+from warnings import warn
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile import (
@@ -36,6 +37,7 @@ from pgm.cpds import (
 from pgm.display.notebook import hand_in as _hand_in
 from pgm.errors import (
     ArrayError,
+    BeliefWarning,
     ConvergenceWarning,
     EvidenceError,
     EvidenceWarning,
@@ -55,18 +57,16 @@ from pgm.factors import AffineGaussian, CanonicalForm, Gaussian, Table
 from pgm.inference import (
     Associations,
     Audit,
+    BeliefFamily,
     Calibration,
     CellProposal,
-    ChainPosterior,
     Filtering,
     FixedLag,
     Flooding,
     Grid,
     GridBelief,
-    GridPosterior,
     GridStatus,
     Injection,
-    KeptPosterior,
     Kind,
     KLDSampling,
     LevenbergMarquardt,
@@ -75,12 +75,9 @@ from pgm.inference import (
     MostProbable,
     OnlineBelief,
     OnlineFilter,
-    OnlineGrid,
     OnlineGridBelief,
     OnlineParticleBelief,
-    OnlineParticles,
     ParticleBelief,
-    ParticlePosterior,
     Particles,
     ParticleStatus,
     Posterior,
@@ -88,8 +85,8 @@ from pgm.inference import (
     Residual,
     Sequential,
     Smoothing,
-    StatePosterior,
     Status,
+    Threshold,
     audit,
     filter,
     infer,
@@ -154,6 +151,22 @@ _LATER = {
 }
 
 
+# Names of the version before, each with the one that stands for it.
+_MOVED = {
+    **dict.fromkeys(
+        (
+            "ChainPosterior",
+            "GridPosterior",
+            "KeptPosterior",
+            "ParticlePosterior",
+            "StatePosterior",
+        ),
+        "Posterior",
+    ),
+    **dict.fromkeys(("OnlineGrid", "OnlineParticles", "OnlineTables"), "OnlineFilter"),
+}
+
+
 def _pictures() -> Callable[[Any], str]:
     from pgm.plot.diagrams.notebook import svg
 
@@ -179,6 +192,9 @@ if not TYPE_CHECKING:  # to type checkers it would say that every name exists
         for module, names in _LATER.items():
             if name in names:
                 return getattr(import_module(module), name)
+        if name in _MOVED:
+            warn(f"pgm.{name} is pgm.{_MOVED[name]} now", DeprecationWarning, stacklevel=2)
+            return globals()[_MOVED[name]]
         raise AttributeError(f"module 'pgm' has no attribute {name!r}")
 
 
@@ -195,12 +211,13 @@ __all__ = [
     "Audit",
     "Balanced",
     "BayesianNetwork",
+    "BeliefFamily",
+    "BeliefWarning",
     "Bethe",
     "Calibration",
     "CanonicalForm",
     "Cauchy",
     "CellProposal",
-    "ChainPosterior",
     "Cluster",
     "ClusterGraph",
     "Comparison",
@@ -224,7 +241,6 @@ __all__ = [
     "GraphError",
     "Grid",
     "GridBelief",
-    "GridPosterior",
     "GridStatus",
     "GridWarning",
     "Huber",
@@ -232,7 +248,6 @@ __all__ = [
     "JoinGraph",
     "JunctionTree",
     "KLDSampling",
-    "KeptPosterior",
     "Kind",
     "Kronecker",
     "LevenbergMarquardt",
@@ -251,12 +266,9 @@ __all__ = [
     "NumericalError",
     "OnlineBelief",
     "OnlineFilter",
-    "OnlineGrid",
     "OnlineGridBelief",
     "OnlineParticleBelief",
-    "OnlineParticles",
     "ParticleBelief",
-    "ParticlePosterior",
     "ParticleStatus",
     "ParticleWarning",
     "Particles",
@@ -272,7 +284,6 @@ __all__ = [
     "Sequential",
     "Smoothing",
     "Stamped",
-    "StatePosterior",
     "StatisticalRegression",
     "Status",
     "StochasticMinFill",
@@ -280,6 +291,7 @@ __all__ = [
     "Table",
     "TableCPD",
     "Taylor",
+    "Threshold",
     "Timeline",
     "TruncatedLeastSquares",
     "Unscented",

@@ -104,6 +104,10 @@ class ParticleWarning(UserWarning):
     """A particle filter's answer that rests on few particles; the status says on how many."""
 
 
+class BeliefWarning(UserWarning):
+    """A belief family's own figure beyond its threshold; ``status.numbers`` has all of them."""
+
+
 def levels_to_user() -> int:
     """The number of calls up to a user's own line, for a warning to point at."""
     frame, levels = sys._getframe(1), 1

@@ -15,10 +15,9 @@ MODEL = pgm.DynamicBayesianNetwork(
 )
 # What a call makes, or hands out, is not made by users.
 RESULTS = {
-    *("Associations", "Audit", "Balanced", "Bethe", "ChainPosterior", "Cluster", "Comparison"),
-    *("Cubature", "Fit", "FitStatus", "GridBelief", "GridPosterior", "GridStatus"),
+    *("Associations", "Audit", "Balanced", "Bethe", "Cluster", "Comparison"),
+    *("Cubature", "Fit", "FitStatus", "GridBelief", "GridStatus"),
     *(
-        "KeptPosterior",
         "LTRIP",
         "Lineariser",
         "Lost",
@@ -27,9 +26,9 @@ RESULTS = {
         "OnlineBelief",
         "Oracle",
     ),
-    *("OnlineGrid", "OnlineGridBelief", "OnlineParticleBelief", "OnlineParticles"),
-    *("ParticleBelief", "ParticlePosterior", "ParticleStatus", "Poses", "Posterior"),
-    *("Rejections", "StatePosterior", "StatisticalRegression", "Status", "Taylor", "Timeline"),
+    *("OnlineGridBelief", "OnlineParticleBelief", "BeliefFamily", "Threshold"),
+    *("ParticleBelief", "ParticleStatus", "Poses", "Posterior"),
+    *("Rejections", "StatisticalRegression", "Status", "Taylor", "Timeline"),
     *("WeightedMinFill", "Cells", "Dropped", "Edges", "PoseGraph", "Row"),
 }
 MODULES = (
@@ -46,7 +45,9 @@ CALLED = {
 
 
 def is_marked(thing):
-    own = vars(thing) if inspect.isclass(thing) else {}
+    own = {}
+    for each in reversed(inspect.getmro(thing) if inspect.isclass(thing) else ()):
+        own |= {k: v for k, v in vars(each).items() if k in ("__new__", "__init__")}
     made = getattr(own.get("__new__"), "__func__", None) or own.get("__init__")
     return hasattr(made if inspect.isclass(thing) else thing, "__wrapped__")
 

@@ -60,7 +60,8 @@ class Case:
     @property
     def network(self) -> pgm.BayesianNetwork:
         """What all graphs are of."""
-        return self.exact.graph.network
+        network: pgm.BayesianNetwork = self.exact.graph.network
+        return network
 
     @property
     def hidden(self) -> list[pgm.Variable]:

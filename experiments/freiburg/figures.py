@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 PLANE = {"xlabel": "east [m]", "ylabel": "north [m]"}
 
 
-def path(log: Log, posterior: pgm.ChainPosterior, reckoned: Array) -> Figure:
+def path(log: Log, posterior: pgm.Posterior, reckoned: Array) -> Figure:
     """Filter and smoother beside each other, over the path by odometry alone."""
     figure, axes = plt.subplots(
         1, 2, figsize=(12, 6.5), sharex=True, sharey=True, layout="constrained"
@@ -36,9 +36,7 @@ def path(log: Log, posterior: pgm.ChainPosterior, reckoned: Array) -> Figure:
     return figure
 
 
-def filters(
-    log: Log, posteriors: Mapping[str, pgm.ChainPosterior], reference: pgm.Gaussian
-) -> Figure:
+def filters(log: Log, posteriors: Mapping[str, pgm.Posterior], reference: pgm.Gaussian) -> Figure:
     """The filtered path of each lineariser, over the reference's."""
     figure, axes = plt.subplots(
         2, 3, figsize=(13, 9.0), sharex=True, sharey=True, layout="constrained"
@@ -66,7 +64,7 @@ def filters(
     return figure
 
 
-def divergence(reference: pgm.Gaussian, posteriors: Mapping[str, pgm.ChainPosterior]) -> Figure:
+def divergence(reference: pgm.Gaussian, posteriors: Mapping[str, pgm.Posterior]) -> Figure:
     """KL from the reference over the steps, the first belief apart, which all of them know."""
     figure, ax = plt.subplots(figsize=(11, 4.5), layout="constrained")
     for colour, (label, posterior) in zip(PALETTE, posteriors.items(), strict=False):
@@ -92,7 +90,9 @@ def compared(table: pgm.Comparison) -> Figure:
 
 
 def beliefs(
-    posteriors: Mapping[str, pgm.ChainPosterior], particles: Particles, steps: Sequence[int]
+    posteriors: Mapping[str, pgm.Posterior],
+    particles: Particles,
+    steps: Sequence[int],
 ) -> Figure:
     """Particles and the filters' ellipses at some steps."""
     figure, axes = plt.subplots(

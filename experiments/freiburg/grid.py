@@ -30,7 +30,7 @@ class Gridded:
         Of filter and smoother together.
     """
 
-    posterior: pgm.GridPosterior
+    posterior: pgm.Posterior
     seconds: float
 
 
@@ -61,7 +61,7 @@ def gridded(log: Log) -> Gridded:
     return Gridded(posterior, time.perf_counter() - began)
 
 
-def compared(log: Log, posterior: pgm.GridPosterior, *, grouped: bool = False) -> pgm.Comparison:
+def compared(log: Log, posterior: pgm.Posterior, *, grouped: bool = False) -> pgm.Comparison:
     """Every lineariser, as filter and as smoother, beside the grid.
 
     Parameters

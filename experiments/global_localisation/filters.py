@@ -43,7 +43,7 @@ class Followed:
     seconds: float
 
 
-def online(way: Way) -> pgm.OnlineParticles | pgm.OnlineGrid:
+def online(way: Way) -> pgm.OnlineFilter:
     """The online filter of a way."""
     network, belief = way
     return pgm.OnlineFilter(network, belief=belief)
@@ -85,7 +85,7 @@ def follow(way: Way, drives: Drives) -> Followed:
     robot = online(way)
     first = robot.initial()
     with unwarned():
-        if isinstance(robot, pgm.OnlineGrid):
+        if isinstance(robot.belief, pgm.Grid):
             for run in range(shape[0]):
                 alone = drives.some(slice(run, run + 1))
                 for t, held in enumerate(beliefs(robot, first, alone)):

@@ -106,7 +106,7 @@ def run(
     )
 
 
-def compared(start: str, drive: Drive, oracle: pgm.Grid | pgm.GridPosterior) -> pgm.Comparison:
+def compared(start: str, drive: Drive, oracle: pgm.Grid | pgm.Posterior) -> pgm.Comparison:
     """Every lineariser from one start, as filter and smoother, beside the oracle and the truth."""
     return pgm.compare(
         problem.network(start),
@@ -117,7 +117,7 @@ def compared(start: str, drive: Drive, oracle: pgm.Grid | pgm.GridPosterior) -> 
     )
 
 
-def found_at(posterior: pgm.GridPosterior) -> int:
+def found_at(posterior: pgm.Posterior) -> int:
     """The first step where the filtered grid's deviation in the plane is below half a metre.
 
     The last step, where it never is.
@@ -163,7 +163,7 @@ def in_a_line(status: object) -> str:
     return "; ".join(line.strip() for line in repr(status).splitlines())
 
 
-def of_grid(posterior: pgm.GridPosterior, table: pgm.Comparison) -> dict[str, Any]:
+def of_grid(posterior: pgm.Posterior, table: pgm.Comparison) -> dict[str, Any]:
     """The grid's own figures."""
     return {
         "cells": repr(posterior.grid),

@@ -29,8 +29,8 @@ def moments(found: int, steps: int) -> list[int]:
 
 
 def maps(
-    oracle: pgm.GridPosterior,
-    gaussians: Mapping[str, pgm.ChainPosterior],
+    oracle: pgm.Posterior,
+    gaussians: Mapping[str, pgm.Posterior],
     drive: Drive,
     steps: Sequence[int],
 ) -> Figure:
@@ -83,8 +83,8 @@ def ellipses(ax: Axes, gaussians: Mapping[str, pgm.Gaussian]) -> None:
 
 
 def animate(
-    oracle: pgm.GridPosterior,
-    gaussians: Mapping[str, pgm.ChainPosterior],
+    oracle: pgm.Posterior,
+    gaussians: Mapping[str, pgm.Posterior],
     drive: Drive,
     path: Path,
 ) -> None:

@@ -117,7 +117,7 @@ def solve(
     iterations: int,
 ) -> Outcome:
     """Filter or smooth all runs, and judge the belief."""
-    kinds: dict[str, Callable[..., pgm.ChainPosterior]] = {
+    kinds: dict[str, Callable[..., pgm.Posterior]] = {
         "filter": pgm.filter,
         "smoother": pgm.smooth,
     }

@@ -164,7 +164,7 @@ class Gridded:
     """
 
     first: int
-    grid: pgm.GridPosterior
+    grid: pgm.Posterior
     followed: dict[str, Followed]
 
     @property

@@ -69,7 +69,7 @@ class Outcome:
         Time of the filter, all simulations at once.
     """
 
-    posterior: pgm.ChainPosterior
+    posterior: pgm.Posterior
     divergence: Array
     unwrapped: float
     indefinite: float
@@ -108,7 +108,7 @@ class Trial:
     setting: Setting
     network: pgm.DynamicBayesianNetwork
     sample: Sample
-    best: pgm.ChainPosterior
+    best: pgm.Posterior
 
     @classmethod
     def draw(cls, setting: Setting, runs: int, truth_samples: int, seed: int) -> Trial:

@@ -39,7 +39,7 @@ class Audited:
     trusted: float
 
 
-def distance(posterior: pgm.ChainPosterior, truth: Truth) -> Array:
+def distance(posterior: pgm.Posterior, truth: Truth) -> Array:
     """How far a result is from exact, (runs,) [nats], in what an audit judges.
 
     KL(exact moments ‖ belief) of the pose after the step, of a smoother that of both poses

@@ -44,7 +44,7 @@ class Rule:
     lag: float = 0
 
     @unsettled()
-    def solve(self, case: Case, lineariser: pgm.Lineariser | None = None) -> pgm.ChainPosterior:
+    def solve(self, case: Case, lineariser: pgm.Lineariser | None = None) -> pgm.Posterior:
         """The beliefs of all simulations of a case at once."""
         rule = lineariser or self.lineariser
         if self.lag == 0:

@@ -227,7 +227,10 @@ def _tables(record: Record, drive: Drive, results: dict[str, Any]) -> None:
 
 
 def _pictures(
-    record: Record, drive: Drive, shown: dict[str, pgm.ChainPosterior], rankings: dict[str, Any]
+    record: Record,
+    drive: Drive,
+    shown: dict[str, pgm.Posterior],
+    rankings: dict[str, Any],
 ) -> None:
     """The path, errors over time, and who of the sensors fits the model least."""
     record.figure(

@@ -23,7 +23,6 @@ from experiments.recordings.methods import LINEARISERS
 from experiments.recordings.setting_file import located, plain_name
 from experiments.recordings.toml_table import TomlTable
 from models.pose_graphs import PoseGraphNetwork, pose_graph_network, squared_errors
-from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.recordings import read_pose_graph
 
 Array = npt.NDArray[np.float64]
@@ -166,7 +165,6 @@ def solve(
             start=made.start(*start),
             lineariser=lineariser,
         )
-    assert isinstance(posterior, GaussianPosterior)
     poses, landmarks = made.means(posterior)
     covs = np.array([posterior[x].cov[:2, :2] for x in made.poses])
     errors = squared_errors(made.graph, poses, landmarks)

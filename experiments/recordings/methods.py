@@ -34,19 +34,19 @@ class Method:
     """
 
     about: str
-    run: Callable[..., pgm.ChainPosterior]
+    run: Callable[..., pgm.Posterior]
     noise: RobustNoise | None = None
 
-    def __call__(self, drive: Drive, lineariser: pgm.Lineariser) -> pgm.ChainPosterior:
+    def __call__(self, drive: Drive, lineariser: pgm.Lineariser) -> pgm.Posterior:
         """The posterior of a drive."""
         return self.run(drive.network(noise=self.noise), drive.evidence, lineariser=lineariser)
 
 
-def _smooth(**settings: Any) -> Callable[..., pgm.ChainPosterior]:
+def _smooth(**settings: Any) -> Callable[..., pgm.Posterior]:
     return lambda model, evidence, **more: pgm.smooth(model, evidence, **settings, **more)
 
 
-def _filter(**settings: Any) -> Callable[..., pgm.ChainPosterior]:
+def _filter(**settings: Any) -> Callable[..., pgm.Posterior]:
     return lambda model, evidence, **more: pgm.filter(model, evidence, **settings, **more)
 
 

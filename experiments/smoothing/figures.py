@@ -57,7 +57,7 @@ def coverage(beliefs: dict[str, Beliefs], truth: Array) -> Figure:
     return _closed(figure)
 
 
-def innovations(posteriors: dict[str, pgm.ChainPosterior], times: Array) -> Figure:
+def innovations(posteriors: dict[str, pgm.Posterior], times: Array) -> Figure:
     """NIS of the filter over time, and the whiteness of its innovations."""
     figure, axes = _grid(2, posteriors, (12.0, 6.4), sharex=False)
     for column, posterior in zip(axes.T, posteriors.values(), strict=True):

@@ -19,10 +19,12 @@ from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import as_scope, labels, listed
-from pgm.inference import Filtering, FixedLag, Grid, Kind, Smoothing
+from pgm.inference import Filtering, FixedLag, Kind, Smoothing
 from pgm.inference.argument_checks import require_lineariser
+from pgm.inference.belief_family import BeliefFamily, require_family
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.engine import send
+from pgm.inference.options import Call
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Cubature, Lineariser, Taylor, Unscented
 from pgm.networks import DynamicBayesianNetwork
@@ -31,6 +33,7 @@ from pgm.variables import Variable
 
 OverTime = Filtering | FixedLag | Smoothing
 Truth = Mapping[Variable, Any]
+Method = Lineariser | BeliefFamily[Any]
 
 LINEARISERS: tuple[Lineariser, ...] = (Taylor(), Unscented(), Cubature())
 SCHEDULES: tuple[OverTime, ...] = (Filtering(), Smoothing())
@@ -42,9 +45,9 @@ def compare(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     *,
-    linearisers: Mapping[str, Lineariser] | Sequence[Lineariser] = LINEARISERS,
+    linearisers: Mapping[str, Method] | Sequence[Method] = LINEARISERS,
     schedules: Mapping[str, OverTime] | Sequence[OverTime] = SCHEDULES,
-    oracle: Grid | Oracle | Truth | None = None,
+    oracle: BeliefFamily[Any] | Oracle | Truth | None = None,
     truth: Truth | None = None,
     states: Iterable[Variable] | None = None,
     steps: int | None = None,
@@ -75,13 +78,15 @@ def compare(
         As for `infer`; leading axes are runs, over which rows are averaged.
     linearisers : mapping of str to Lineariser, or sequence of Lineariser, optional
         A mapping names them; those of a sequence are called by their class, or all they show
-        where two are of one. `Taylor()`, `Unscented()` and `Cubature()` without.
+        where two are of one. `Taylor()`, `Unscented()` and `Cubature()` without. A `BeliefFamily`
+        may stand among them: it is compared by the mean and covariance of its beliefs.
     schedules : mapping of str to schedule, or sequence of them, optional
         `Filtering`, `FixedLag` or `Smoothing`; a filter and a smoother without.
     oracle : Grid, posterior over time, or mapping, optional
-        A `Grid` is run on the same model, as filter for filters, as smoother for smoothers. A
-        posterior, a grid's, particles' or any `Oracle`, is taken as it is, its forward sweep for
-        filters; it must have beliefs of each kind that the schedules leave. A mapping is a truth.
+        A `Grid`, or another `BeliefFamily`, is run on the same model, as filter for filters, as
+        smoother for smoothers. A posterior, a grid's, particles' or any `Oracle`, is taken as it
+        is, its forward sweep for filters; it must have beliefs of each kind that the schedules
+        leave. A mapping is a truth.
     truth : mapping of Variable to array_like, optional
         By state, (*runs, T+1, d), or (T+1, d) of all runs; NaN where it is not known.
     states : collection of Variable, optional
@@ -111,7 +116,10 @@ def compare(
     """
     methods = _named(linearisers, "linearisers", "linearisers=[pgm.Taylor()]", _class)
     for method in methods.values():
-        require_lineariser(method)
+        if isinstance(method, BeliefFamily):
+            require_family(method, model)
+        else:
+            require_lineariser(method)
     plans = _named(schedules, "schedules", "schedules=[pgm.Filtering()]", _word)
     for plan in plans.values():
         _require_schedule(plan)
@@ -148,21 +156,25 @@ def compare(
 def _run(
     compared: Compared,
     named: tuple[str, str],
-    lineariser: Lineariser,
+    method: Method,
     schedule: OverTime,
     found: Mapping[tuple[Kind, Variable], Reference],
     truth: Mapping[Variable, Array],
 ) -> list[Row]:
     count, kind = compared.graph.steps + 1, schedule.kind
     names = {state: Name(*named, state, kind) for state in compared.states}
+    family, call = None, Call(schedule, keep=compared.states)
+    if isinstance(method, BeliefFamily):
+        family, call = method, Call(schedule)
+    else:
+        call = call._replace(lineariser=method)
     began = time.perf_counter()
     try:
         posterior = send(  # of runs that did not settle the rows tell
             compared.graph,
             compared.evidence,
-            schedule=schedule,
-            lineariser=lineariser,
-            keep=compared.states,
+            call,
+            family,
         )
     except FAILURES as error:
         seconds = time.perf_counter() - began
@@ -182,7 +194,10 @@ def _run(
         reference = found.get((kind, state))
         oracle = None if reference is None else reference.gaussian
         try:
-            rows.append(judge(name, posterior[state], oracle, truth.get(state), **rest))
+            belief = posterior[state]
+            if not isinstance(belief, Gaussian):
+                belief = belief.gaussian()
+            rows.append(judge(name, belief, oracle, truth.get(state), **rest))
         except FAILURES as error:
             rows.append(failed(name, count, truth.get(state), error, **rest))
     return rows
@@ -250,7 +265,7 @@ def _require_schedule(schedule: Any) -> None:
         )
 
 
-def _parted(oracle: Any, truth: Any) -> tuple[Grid | Oracle | None, Truth | None]:
+def _parted(oracle: Any, truth: Any) -> tuple[BeliefFamily[Any] | Oracle | None, Truth | None]:
     if truth is not None and not isinstance(truth, Mapping):
         raise ModelError(
             f"truth= maps states to their values (..., T+1, d), not {type(truth).__name__}"
@@ -305,10 +320,10 @@ def _truths(
     return found
 
 
-def _title(oracle: Grid | Oracle | None) -> str:
-    grid = isinstance(oracle, Grid) or hasattr(oracle, "grid")
+def _title(oracle: BeliefFamily[Any] | Oracle | None) -> str:
+    grid = isinstance(oracle, BeliefFamily) or hasattr(oracle, "grid")
     return "oracle: grid" if grid else "oracle"
 
 
-def _described(oracle: Grid | Oracle) -> str:
-    return titled(oracle if isinstance(oracle, Grid) else getattr(oracle, "grid", oracle))
+def _described(oracle: BeliefFamily[Any] | Oracle) -> str:
+    return titled(oracle if isinstance(oracle, BeliefFamily) else getattr(oracle, "grid", oracle))

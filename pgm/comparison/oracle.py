@@ -14,14 +14,13 @@ from pgm.factors.scope import listed
 from pgm.inference import (
     Filtering,
     FixedLag,
-    Grid,
     GridBelief,
-    GridPosterior,
     Kind,
-    ParticleBelief,
+    Posterior,
     Smoothing,
     infer,
 )
+from pgm.inference.belief_family import BeliefFamily
 from pgm.inference.belief_kind import FILTERED, SMOOTHED
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
@@ -31,7 +30,7 @@ from pgm.variables import Variable
 class Oracle(Protocol):
     """An oracle as a comparison takes it: marginals over time, which say of which kind.
 
-    A `ChainPosterior` is one, a `GridPosterior`, a `ParticlePosterior`, or anything of a user's
+    A `Posterior` over time is one, of any beliefs, or anything of a user's
     own. Where it has ``filtered``, which is an oracle too, that stands for filters.
 
     Attributes
@@ -88,7 +87,7 @@ class Compared(NamedTuple):
 
 def require_oracle(oracle: Any, kinds: Iterable[Kind]) -> None:
     """Refuse an object that is no oracle, or an oracle without beliefs of a kind compared."""
-    if isinstance(oracle, Grid):
+    if isinstance(oracle, BeliefFamily):
         return
     if not isinstance(oracle, Oracle) or not isinstance(oracle.kind, Kind):
         raise ModelError(
@@ -105,7 +104,9 @@ def require_oracle(oracle: Any, kinds: Iterable[Kind]) -> None:
             )
 
 
-def references(oracle: Grid | Oracle, compared: Compared) -> dict[tuple[Kind, Variable], Reference]:
+def references(
+    oracle: BeliefFamily[Any] | Oracle, compared: Compared
+) -> dict[tuple[Kind, Variable], Reference]:
     """The oracle's beliefs, of each kind and state; a grid is run here.
 
     oracle: As `require_oracle` lets it pass.
@@ -115,20 +116,22 @@ def references(oracle: Grid | Oracle, compared: Compared) -> dict[tuple[Kind, Va
         evidence = getattr(posterior, "log_evidence", None)
         mean = np.nan if evidence is None else float(np.mean(evidence))
         name = str(getattr(posterior, "log_evidence_kind", ""))
-        status = posterior.status._title if isinstance(posterior, GridPosterior) else ""
+        status = posterior.status._title if hasattr(posterior, "grid") else ""
         for state in compared.states:
             gaussian, apart = _gaussian(posterior[state], state, compared)
             found[kind, state] = Reference(gaussian, apart, seconds, mean, name, status)
     return found
 
 
-def _of_each_kind(oracle: Grid | Oracle, compared: Compared) -> Iterable[tuple[Kind, Any, float]]:
-    if not isinstance(oracle, Grid):
+def _of_each_kind(
+    oracle: BeliefFamily[Any] | Oracle, compared: Compared
+) -> Iterable[tuple[Kind, Any, float]]:
+    if not isinstance(oracle, BeliefFamily):
         for kind in compared.kinds:
             # A filtered posterior is its own forward sweep.
             yield kind, (oracle if kind == oracle.kind else oracle.filtered), np.nan  # type: ignore[attr-defined]
         return
-    ran: dict[Kind, GridPosterior] = {}
+    ran: dict[Kind, Posterior[Any]] = {}
     # The smoother first: the filter's beliefs come with it.
     for kind in sorted(compared.kinds, key=lambda kind: -kind.lag):
         seconds = np.nan
@@ -151,14 +154,14 @@ def _schedule(kind: Kind) -> Filtering | FixedLag | Smoothing:
 
 def _gaussian(belief: Any, state: Variable, compared: Compared) -> tuple[Gaussian, Array]:
     count = compared.graph.steps + 1
-    if isinstance(belief, GridBelief):
+    if isinstance(belief, Gaussian):
+        gaussian, apart = belief, np.zeros(belief.mean.shape[:-1])
+    elif isinstance(belief, GridBelief):
         gaussian = belief.gaussian()
         apart = non_gaussianity(belief)
-    elif isinstance(belief, ParticleBelief):
+    elif hasattr(belief, "gaussian"):
         gaussian = belief.gaussian()
         apart = np.full(gaussian.mean.shape[:-1], np.nan)  # draws have no density to integrate
-    elif isinstance(belief, Gaussian):
-        gaussian, apart = belief, np.zeros(belief.mean.shape[:-1])
     else:
         raise ModelError(
             f"the oracle's marginal of {state!r} is a {type(belief).__name__}; a pgm.Gaussian, "

@@ -12,7 +12,7 @@ from pgm.display import titled
 from pgm.errors import ModelError, NumericalError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
-from pgm.inference import GridBelief, Innovations, ParticleBelief
+from pgm.inference import Innovations
 from pgm.kernels import roots, solving
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner
@@ -20,7 +20,7 @@ from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner
 
 def check_gaussian(belief: Any) -> Gaussian:
     """The Gaussian; refuses anything else."""
-    if isinstance(belief, GridBelief | ParticleBelief):
+    if not isinstance(belief, Gaussian) and hasattr(belief, "gaussian"):
         raise ModelError(
             f"a belief is a Gaussian, not {titled(belief)}; belief.gaussian() has its mean and "
             "covariance"

@@ -9,31 +9,28 @@ networks, `audit` estimates how far a Gaussian posterior is from the exact one, 
 
 from pgm.inference.associations import Associations
 from pgm.inference.audit import Audit, audit
+from pgm.inference.belief_family import BeliefFamily
 from pgm.inference.belief_kind import Kind
 from pgm.inference.chain.innovations import Innovations
-from pgm.inference.chain.kept_posterior import KeptPosterior
 from pgm.inference.chain.marginals import Marginals
-from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
 from pgm.inference.grid.belief import GridBelief
-from pgm.inference.grid.online import OnlineGrid, OnlineGridBelief
-from pgm.inference.grid.posterior import GridPosterior
+from pgm.inference.grid.family import Grid
+from pgm.inference.grid.online import OnlineGridBelief
 from pgm.inference.grid.status import GridStatus
-from pgm.inference.grid.value import Grid
 from pgm.inference.lost import Lost
-from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cell_proposal import CellProposal
+from pgm.inference.particles.family import Particles
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
-from pgm.inference.particles.online import OnlineParticleBelief, OnlineParticles
-from pgm.inference.particles.posterior import ParticlePosterior
+from pgm.inference.particles.online import OnlineParticleBelief
+from pgm.inference.particles.settings import Injection
 from pgm.inference.particles.status import ParticleStatus
-from pgm.inference.particles.value import Injection, Particles
 from pgm.inference.posterior import Posterior
 from pgm.inference.query import query
 from pgm.inference.rejections import Rejections
@@ -47,25 +44,23 @@ from pgm.inference.schedule import (
     Sequential,
     Smoothing,
 )
-from pgm.inference.status import Status
+from pgm.inference.status import Status, Threshold
 
 __all__ = [
     "Associations",
     "Audit",
+    "BeliefFamily",
     "Calibration",
     "CellProposal",
-    "ChainPosterior",
     "Filtering",
     "FixedLag",
     "Flooding",
     "Grid",
     "GridBelief",
-    "GridPosterior",
     "GridStatus",
     "Injection",
     "Innovations",
     "KLDSampling",
-    "KeptPosterior",
     "Kind",
     "LevenbergMarquardt",
     "LikelihoodSampling",
@@ -74,12 +69,9 @@ __all__ = [
     "MostProbable",
     "OnlineBelief",
     "OnlineFilter",
-    "OnlineGrid",
     "OnlineGridBelief",
     "OnlineParticleBelief",
-    "OnlineParticles",
     "ParticleBelief",
-    "ParticlePosterior",
     "ParticleStatus",
     "Particles",
     "Posterior",
@@ -88,8 +80,8 @@ __all__ = [
     "Schedule",
     "Sequential",
     "Smoothing",
-    "StatePosterior",
     "Status",
+    "Threshold",
     "audit",
     "filter",
     "infer",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -92,7 +92,7 @@ def _diverged(status: Status, schedule: Loopy) -> bool:
     return bool(grown.any()) or status.iterations < schedule.iterations
 
 
-def _of_messages(posterior: Posterior, status: Status, schedule: Loopy) -> str:
+def _of_messages(posterior: Posterior[Any], status: Status, schedule: Loopy) -> str:
     """The warning's text where messages on a graph have diverged or not settled, with advice."""
     last, of = _last(status)
     if _diverged(status, schedule):
@@ -127,7 +127,7 @@ def _shrink_steadily(status: Status) -> bool:
     return len(last) > _STEADY and bool((last[1:] < last[:-1]).all())
 
 
-def _has_hubs(posterior: Posterior) -> bool:
+def _has_hubs(posterior: Posterior[Any]) -> bool:
     """Whether the posterior's graph has a hub, as a Bethe graph has.
 
     A hub is a cluster of one variable alone that has two or more neighbours.

@@ -27,25 +27,22 @@ The options of all functions are these, in a few words; `filter` and `infer` tel
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, TypedDict, Unpack, overload
+from typing import TYPE_CHECKING, Any
 
 from pgm.arguments import public
 from pgm.compile import Balanced, compile
 from pgm.compile.machine import Choice
 from pgm.evidence import Evidence
 from pgm.inference.argument_checks import require_lineariser
-from pgm.inference.chain.kept_posterior import KeptPosterior
-from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.belief_family import BeliefFamily
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.convergence import told
 from pgm.inference.damping import Damping
-from pgm.inference.engine import PointMasses, TemporalPosterior, require_tables, runner
+from pgm.inference.families import family_of
 from pgm.inference.gates import Gate
-from pgm.inference.grid.posterior import GridPosterior
-from pgm.inference.grid.value import Grid
 from pgm.inference.impossible import RAISE
-from pgm.inference.particles.posterior import ParticlePosterior
-from pgm.inference.particles.value import Particles
+from pgm.inference.options import OVER_TIME, Call, require
+from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import TOLERANCE, Filtering, FixedLag, Smoothing
 from pgm.inference.starting_points import Start
 from pgm.linearisers import TAYLOR, Lineariser
@@ -55,69 +52,6 @@ from pgm.variables import Variable
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
-
-
-class _Options(TypedDict, total=False):
-    """The options that `filter` takes with every kind of belief; for each see the module."""
-
-    lineariser: Lineariser
-    steps: int | None
-    iterations: int
-    tolerance: float
-    damping: Damping
-    gate: Gate
-    progress: Progress
-    impossible: str
-
-
-class _SmootherOptions(_Options, total=False):
-    """The options that `smooth` takes with every kind of belief; for each see the module."""
-
-    start: Start | None
-    lag: int | None
-    method: Balanced | None
-
-
-@overload
-def filter(
-    model: DynamicBayesianNetwork,
-    evidence: Evidence,
-    *,
-    keep: None = None,
-    executor: Executor | None = None,
-    belief: None = None,
-    compiled: Choice = None,
-    **options: Unpack[_Options],
-) -> ChainPosterior: ...
-
-
-@overload
-def filter(
-    model: DynamicBayesianNetwork,
-    evidence: Evidence,
-    *,
-    keep: Variable | Iterable[Variable],
-    executor: Executor | None = None,
-    belief: None = None,
-    compiled: Choice = None,
-    **options: Unpack[_Options],
-) -> KeptPosterior: ...
-
-
-@overload
-def filter(
-    model: DynamicBayesianNetwork, evidence: Evidence, *, belief: Grid, **options: Unpack[_Options]
-) -> GridPosterior: ...
-
-
-@overload
-def filter(
-    model: DynamicBayesianNetwork,
-    evidence: Evidence,
-    *,
-    belief: Particles,
-    **options: Unpack[_Options],
-) -> ParticlePosterior: ...
 
 
 @public
@@ -133,11 +67,11 @@ def filter(
     gate: Gate = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
-    belief: PointMasses | None = None,
+    belief: BeliefFamily[Any] | None = None,
     compiled: Choice = None,
     progress: Progress = False,
     impossible: str = RAISE,
-) -> TemporalPosterior:
+) -> Posterior[Any]:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
     .. math:: p(x_t \mid \text{measurements up to } t), \quad t = 0, \ldots, T
@@ -178,11 +112,11 @@ def filter(
 
     Returns
     -------
-    ChainPosterior
+    ChainOutcome
         ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
-        `KeptPosterior` with ``keep``. Of a network of tables a `StatePosterior`, whose
+        `KeptOutcome` with ``keep``. Of a network of tables a `StateOutcome`, whose
         ``posterior[x]`` is a `Table` of probabilities (..., T+1, size). With ``belief`` a
-        `GridPosterior`, whose ``posterior[x]`` is a `GridBelief`, or a `ParticlePosterior` of
+        `GridOutcome`, whose ``posterior[x]`` is a `GridBelief`, or a `ParticleOutcome` of
         `ParticleBelief`s.
 
     Warns
@@ -203,66 +137,9 @@ def filter(
     (array([0., 2.]), array([1., 1.]))
     """
     schedule = Filtering(iterations, tolerance, damping, gate)
-    posterior = send_over_time(
-        model,
-        evidence,
-        schedule,
-        lineariser=lineariser,
-        steps=steps,
-        keep=keep,
-        executor=executor,
-        belief=belief,
-        compiled=compiled,
-        progress=progress,
-        impossible=impossible,
-    )
+    call = Call(schedule, lineariser, None, keep, executor, None, impossible)
+    posterior = send_over_time(model, evidence, call, steps, None, belief, compiled, progress)
     return told(posterior, schedule)
-
-
-@overload
-def smooth(
-    model: DynamicBayesianNetwork,
-    evidence: Evidence,
-    *,
-    keep: None = None,
-    executor: Executor | None = None,
-    belief: None = None,
-    compiled: Choice = None,
-    **options: Unpack[_SmootherOptions],
-) -> ChainPosterior: ...
-
-
-@overload
-def smooth(
-    model: DynamicBayesianNetwork,
-    evidence: Evidence,
-    *,
-    keep: Variable | Iterable[Variable],
-    executor: Executor | None = None,
-    belief: None = None,
-    compiled: Choice = None,
-    **options: Unpack[_SmootherOptions],
-) -> KeptPosterior: ...
-
-
-@overload
-def smooth(
-    model: DynamicBayesianNetwork,
-    evidence: Evidence,
-    *,
-    belief: Grid,
-    **options: Unpack[_SmootherOptions],
-) -> GridPosterior: ...
-
-
-@overload
-def smooth(
-    model: DynamicBayesianNetwork,
-    evidence: Evidence,
-    *,
-    belief: Particles,
-    **options: Unpack[_SmootherOptions],
-) -> ParticlePosterior: ...
 
 
 @public
@@ -281,11 +158,11 @@ def smooth(
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
-    belief: PointMasses | None = None,
+    belief: BeliefFamily[Any] | None = None,
     compiled: Choice = None,
     progress: Progress = False,
     impossible: str = RAISE,
-) -> TemporalPosterior:
+) -> Posterior[Any]:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
     .. math:: p(x_t \mid \text{all measurements}), \quad t = 0, \ldots, T
@@ -333,7 +210,7 @@ def smooth(
 
     Returns
     -------
-    ChainPosterior, or another
+    ChainOutcome, or another
         ``posterior[x]`` has the smoothed means (..., T+1, d) of a state, (..., T, d) of a hidden
         control. For tables, and with ``keep`` or ``belief``, it is of another class; see `filter`.
 
@@ -356,48 +233,30 @@ def smooth(
     """
     rest = iterations, tolerance, damping, gate
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
-    posterior = send_over_time(
-        model,
-        evidence,
-        schedule,
-        lineariser=lineariser,
-        steps=steps,
-        start=start,
-        method=method,
-        keep=keep,
-        executor=executor,
-        belief=belief,
-        compiled=compiled,
-        progress=progress,
-        impossible=impossible,
-    )
+    call = Call(schedule, lineariser, start, keep, executor, None, impossible)
+    posterior = send_over_time(model, evidence, call, steps, method, belief, compiled, progress)
     return told(posterior, schedule)
 
 
 def send_over_time(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
-    schedule: Filtering | FixedLag | Smoothing,
-    *,
-    lineariser: Lineariser = TAYLOR,
+    call: Call,
     steps: int | None = None,
-    start: Start | None = None,
     method: Balanced | None = None,
-    keep: Variable | Iterable[Variable] | None = None,
-    executor: Executor | None = None,
-    belief: PointMasses | None = None,
+    belief: BeliefFamily[Any] | None = None,
     compiled: Choice = None,
     progress: Progress = False,
-    impossible: str = RAISE,
-) -> TemporalPosterior:
-    """Compile a network, run a schedule on it, and return the posterior.
+) -> Posterior[Any]:
+    """Compile a network and run a call's schedule on it; the other arguments are of `smooth`.
 
     No `ConvergenceWarning` is given here: `filter` and `smooth` give it themselves.
     """
-    require_lineariser(lineariser)
+    require_lineariser(call.lineariser)
     bound = bind_chain(model, evidence, steps, identities=True, compiled=compiled)
     graph = compile(model, bound.steps, method=method, compiled=compiled)
-    require_tables(graph, impossible, belief)
-    run = runner(graph.model, belief, impossible)
+    family = family_of(graph.model, belief)
+    call = call._replace(compiled=graph.layout.compiled or None)
+    require(call.asked, graph, OVER_TIME, family)
     with reporting(progress):
-        return run(graph, bound, schedule, lineariser, start, keep, executor)
+        return Posterior(family.infer(graph, bound, call))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from pgm.display import Shown, Summary, few, number
-from pgm.errors import PrecisionWarning, levels_to_user
+from pgm.arguments import public
+from pgm.display import InCode, Shown, Summary, few, number
+from pgm.errors import BeliefWarning, PrecisionWarning, levels_to_user
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 
@@ -35,6 +37,12 @@ LAST_PLACE = (
 )
 
 
+def spread(values: Array) -> str:
+    """Figures as text: the least to the largest, or one where they are equal."""
+    low, high = float(values.min(initial=np.inf)), float(values.max(initial=-np.inf))
+    return number(low, 4) if low == high else f"{number(low, 4)} to {number(high, 4)}"
+
+
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
     """The correct decimal digits −log₁₀ e of means with errors e, in standard deviations.
 
@@ -44,6 +52,41 @@ def digits(error: Array, lead: tuple[int, ...]) -> Array:
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)
     return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))
+
+
+@public
+@dataclass(frozen=True)
+class Threshold(InCode):
+    """The limit of a belief family's own figure, beyond which the user is warned.
+
+    Attributes
+    ----------
+    limit : float
+    below : bool
+        Whether figures below the limit are bad; else those above it.
+    remedy : str
+        What to do, for the warning.
+
+    Examples
+    --------
+    >>> print(pgm.Threshold(10.0, below=True, remedy="take more members"))
+    less than 10
+    """
+
+    limit: float
+    below: bool = False
+    remedy: str = "look at the beliefs"
+
+    def passed(self, values: Array) -> Mask:
+        """Where figures are beyond the limit."""
+        return values < self.limit if self.below else values > self.limit
+
+    def worst(self, values: Array) -> float:
+        """The figure furthest beyond the limit."""
+        return float(values.min() if self.below else values.max())
+
+    def __str__(self) -> str:
+        return f"{'less' if self.below else 'more'} than {self.limit:g}"
 
 
 class Status(Shown, Immutable):
@@ -84,6 +127,9 @@ class Status(Shown, Immutable):
         compiled: ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call
         left it to NumPy, with the reasons; ``"by NumPy: ..."``, where it was not due. Else empty.
 
+    numbers : mapping of str to ndarray
+        A belief family's own figures, by name, (*runs, steps) each; also as attributes.
+
     Examples
     --------
     >>> from pgm.examples import squares, z
@@ -99,7 +145,9 @@ class Status(Shown, Immutable):
     edge_residuals: Array | None
     digits: Array | None
     compilation: str
+    numbers: Mapping[str, Array]
     _cause: str
+    _warns: Mapping[str, Threshold]
 
     def __init__(
         self,
@@ -111,9 +159,11 @@ class Status(Shown, Immutable):
         edge_residuals: Array | None = None,
         compilation: str = "",
         *,
+        numbers: Mapping[str, Array] = MappingProxyType({}),
         _cause: str = FAR_APART,
+        _warns: Mapping[str, Threshold] = MappingProxyType({}),
     ) -> None:
-        for record in (residuals, converged, digits, edge_residuals):
+        for record in (residuals, converged, digits, edge_residuals, *numbers.values()):
             if record is not None:
                 record.flags.writeable = False
         self._set(
@@ -124,8 +174,30 @@ class Status(Shown, Immutable):
             edge_residuals=edge_residuals,
             digits=digits,
             compilation=compilation,
+            numbers=MappingProxyType(dict(numbers)),
             _cause=_cause,
+            _warns=MappingProxyType(dict(_warns)),
         )
+
+    def __getattr__(self, name: str) -> Any:
+        # A family's own figures.
+        found = self.__dict__.get("numbers", {})
+        if name not in found:
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        return found[name]
+
+    def with_numbers(self, numbers: Mapping[str, Array], warns: Mapping[str, Threshold]) -> Status:
+        """The same status with a family's own figures, by name, and what warns of some of them."""
+        return self._with(numbers=numbers, _warns=warns)
+
+    def warn_of_numbers(self, whose: str) -> None:
+        """Give a `BeliefWarning` for each figure beyond its threshold; `whose` begins its text."""
+        for name, threshold in self._warns.items():
+            if name in self.numbers and threshold.passed(self.numbers[name]).any():
+                worst = threshold.worst(self.numbers[name])
+                message = f"{whose}: {name} is {worst:.3g} at its worst (status.{name}), "
+                message += f"{threshold}: {threshold.remedy}"
+                warnings.warn(message, BeliefWarning, stacklevel=levels_to_user())
 
     @classmethod
     def of(cls, residuals: list[Array], converged: Mask, lead: tuple[int, ...]) -> Status:
@@ -191,7 +263,8 @@ class Status(Shown, Immutable):
     def _with(self, **changes: Any) -> Status:
         """The same status with the attributes in `changes` replaced, by name."""
         names = ("iterations", "residuals", "converged", "by_edge", "edge_residuals", "digits")
-        same = {name: getattr(self, name) for name in (*names, "compilation", "_cause")}
+        more = ("compilation", "numbers", "_cause", "_warns")
+        same = {name: getattr(self, name) for name in (*names, *more)}
         return Status(**same | changes)
 
     @property
@@ -200,7 +273,8 @@ class Status(Shown, Immutable):
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
         left = self.compilation.startswith(("not compiled", "compiled, but"))
-        return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''})"
+        own = "".join(f"; {name} {spread(each)}" for name, each in self.numbers.items())
+        return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''}{own})"
 
     def _summary(self) -> Summary:
         if len(self.residuals) < 2 or not self.residuals[0].size:

@@ -18,6 +18,7 @@ from pgm.inference.chain.families import family_beliefs
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.dynamic import send_over_time
 from pgm.inference.markov.counts import expected_counts
+from pgm.inference.options import Call
 from pgm.kernels.arrays import Array
 from pgm.learning.gaussian import GaussianStep
 from pgm.learning.steps import ParameterStep, TableStep
@@ -201,9 +202,8 @@ class Learner:
             schedule, lineariser = Smoothing(), TAYLOR
         for evidence, steps in zip(self.evidence(point), self.steps, strict=True):
             # Whether smoothers have settled is told at the end of the search, once.
-            posteriors.append(
-                send_over_time(point.model, evidence, schedule, steps=steps, lineariser=lineariser)
-            )
+            call = Call(schedule, lineariser)
+            posteriors.append(send_over_time(point.model, evidence, call, steps))
         total = float(sum(np.sum(each.log_evidence) for each in posteriors))
         prior = sum(
             block.log_prior(cpd)
@@ -226,13 +226,13 @@ class Learner:
         point, slopes = expected.point, [np.zeros(0)]
         cpds, new = self._cpds(point), []
         if point.model.discrete:
-            every = [expected_counts(each, cpds) for each in expected.posteriors]
+            every = [expected_counts(each._outcome, cpds) for each in expected.posteriors]
             for block, cpd in zip(self.blocks, cpds, strict=True):
                 counts = np.sum([each[cpd] for each in every], axis=0)
                 new.append(block.maximised(cpd, counts))
                 slopes.append(block.gradient(cpd, counts))
             return self._with(point, new, {}), np.concatenate(slopes)
-        families = [family_beliefs(each) for each in expected.posteriors]
+        families = [family_beliefs(each._outcome) for each in expected.posteriors]
         known = dict(point.parameters)
         for variable, step in self.parameters.items():
             beliefs = [

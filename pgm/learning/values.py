@@ -231,7 +231,7 @@ class Fit(Shown, Immutable):
         With the values of parameters put in.
     log_evidence : ndarray
         (iterations + 1,): of all recordings and runs together, from the start on. It never falls.
-    posterior : ChainPosterior or StatePosterior, or tuple of these
+    posterior : Posterior, or tuple of these
         The posterior of each recording, smoothed with the model.
     status : FitStatus
 

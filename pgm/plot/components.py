@@ -12,13 +12,13 @@ from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
-from pgm.inference import ParticleBelief
 from pgm.kernels.arrays import Array
 
 
 def as_gaussian(belief: Any) -> Gaussian:
     """A belief as a Gaussian; particles by their mean and covariance; others are refused."""
-    return belief.gaussian() if isinstance(belief, ParticleBelief) else check_gaussian(belief)
+    drawn = getattr(belief, "states", None) is not None
+    return belief.gaussian() if drawn else check_gaussian(belief)
 
 
 def one_run(belief: Any) -> Gaussian:

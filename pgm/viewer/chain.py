@@ -8,11 +8,11 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.errors import NumericalError
 from pgm.evidence import Reading
-from pgm.inference import ChainPosterior
 from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.chain.backward import Beliefs, Reverse, pairs
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.messages import first_potential
+from pgm.inference.chain.outcome import ChainOutcome
 from pgm.kernels.arrays import Array, Integers, block, cut, quiet
 from pgm.kernels.canonical import Canonical
 from pgm.kernels.moments import Conditional
@@ -103,7 +103,7 @@ _MOST = 20_000_000
 
 @quiet()
 def page(
-    posterior: ChainPosterior, numbers: Numbers, runs: list[Run], span: range, limits: Limits
+    posterior: ChainOutcome, numbers: Numbers, runs: list[Run], span: range, limits: Limits
 ) -> dict[str, Any]:
     """The structure of the page, its numbers added."""
     layout, plan = posterior.graph.layout, posterior._planned
@@ -148,7 +148,7 @@ def page(
 
 
 def _moments(
-    posterior: ChainPosterior, forward: Forward | Filtered, rows: Integers, place: int
+    posterior: ChainOutcome, forward: Forward | Filtered, rows: Integers, place: int
 ) -> dict[str, Array]:
     """Beliefs and forward messages of a run at some steps, a row a step.
 
@@ -170,7 +170,7 @@ def _moments(
     return found
 
 
-def _pairs(posterior: ChainPosterior, rows: Integers, place: int) -> dict[str, Array]:
+def _pairs(posterior: ChainOutcome, rows: Integers, place: int) -> dict[str, Array]:
     """The states before each step within its cluster's belief: moments, covariances with the slice.
 
     Their moments are left out after smoothing, when they are those of the slice before. NaN at
@@ -205,7 +205,7 @@ def _pairs(posterior: ChainPosterior, rows: Integers, place: int) -> dict[str, A
 
 
 def _information(
-    posterior: ChainPosterior, numbers: Numbers, rows: Integers, place: int
+    posterior: ChainOutcome, numbers: Numbers, rows: Integers, place: int
 ) -> dict[str, Any]:
     """The messages back to some steps, and the potentials: K, h and g of a run, a row a step."""
 

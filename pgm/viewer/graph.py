@@ -13,9 +13,7 @@ from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.factors.scope import Scope
-from pgm.inference import Posterior
-from pgm.inference.discrete.posterior import DiscretePosterior
-from pgm.inference.gaussian.posterior import GaussianPosterior
+from pgm.inference.outcome import NETWORK, TABLES
 from pgm.variables import Variable
 from pgm.viewer.numbers import (
     SHOWN,
@@ -35,7 +33,7 @@ from pgm.viewer.placing import place
 _MOST = 26
 
 
-def page(posterior: Posterior, numbers: Numbers, runs: list[Run], limits: Limits) -> dict[str, Any]:
+def page(posterior: Any, numbers: Numbers, runs: list[Run], limits: Limits) -> dict[str, Any]:
     """The structure of the page, its numbers added."""
     graph, writer = posterior.graph, Writer(posterior, numbers, runs, limits)
     shown, note = _shown(graph, limits)
@@ -120,15 +118,15 @@ def _shown(graph: ClusterGraph, limits: Limits) -> tuple[list[int], str | None]:
     return sorted(seen), note
 
 
-def _evidence(posterior: Posterior, run: int) -> dict[Variable, str]:
+def _evidence(posterior: Any, run: int) -> dict[Variable, str]:
     found: dict[Variable, str] = {}
-    if isinstance(posterior, GaussianPosterior):
+    if posterior.form == NETWORK:
         model = posterior._model
         for group, rows in zip(model.layout.groups, model.readings, strict=True):
             if rows is not None:
                 own = rows[:, run if rows.shape[1] > 1 else 0]
                 found |= {c.child: listed(row) for c, row in zip(group.cpds, own, strict=True)}
-    elif isinstance(posterior, DiscretePosterior):
+    elif posterior.form == TABLES:
         for v, states in posterior._beliefs.evidence.states.items():
             each = np.reshape(states, -1)
             state = int(each[run if each.size > 1 else 0])
@@ -137,7 +135,7 @@ def _evidence(posterior: Posterior, run: int) -> dict[Variable, str]:
 
 
 def _residuals(
-    posterior: Posterior, numbers: Numbers, edges: list[Edge], place: int
+    posterior: Any, numbers: Numbers, edges: list[Edge], place: int
 ) -> dict[str, Any] | None:
     """The change along each edge: in each iteration, where that was kept, and left at the end."""
     status = posterior.status
@@ -175,9 +173,7 @@ class Writer:
     scopes: The variables without evidence of each cluster whose belief was written.
     """
 
-    def __init__(
-        self, posterior: Posterior, numbers: Numbers, runs: list[Run], limits: Limits
-    ) -> None:
+    def __init__(self, posterior: Any, numbers: Numbers, runs: list[Run], limits: Limits) -> None:
         self.posterior, self.numbers, self.runs, self.limits = posterior, numbers, runs, limits
         self.variables: list[dict[str, Any]] = []
         self.scopes: dict[int, Scope] = {}
@@ -250,9 +246,10 @@ class Writer:
         return found | {"form": "largest", "at": at, "count": _LARGEST, "entries": flat.size}
 
 
-def _hidden(posterior: Posterior, cluster: Cluster) -> Scope:
-    if isinstance(posterior, GaussianPosterior):
-        return posterior._plan.layout.scopes[cluster.index]
+def _hidden(posterior: Any, cluster: Cluster) -> Scope:
+    if posterior.form == NETWORK:
+        found: Scope = posterior._plan.layout.scopes[cluster.index]
+        return found
     assert isinstance(posterior.graph, DynamicGraph)
     slice_ = posterior.graph.layout.slice
     return tuple(v for v in cluster.scope if v.template in slice_)

@@ -7,9 +7,10 @@ import numpy as np
 
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
-from pgm.inference import GridPosterior, KeptPosterior, ParticlePosterior, StatePosterior
 from pgm.inference.belief_kind import FILTERED, SMOOTHED
 from pgm.inference.markov.joints import potential
+from pgm.inference.markov.outcome import StateOutcome
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 from pgm.viewer.chain import head, readings, sighted
@@ -20,7 +21,7 @@ _MOST = 20_000_000
 
 
 def page(
-    posterior: StatePosterior, numbers: Numbers, runs: list[Run], span: range, limits: Limits
+    posterior: StateOutcome, numbers: Numbers, runs: list[Run], span: range, limits: Limits
 ) -> dict[str, Any]:
     """The structure of the page, its numbers added."""
     found = head(posterior.graph, posterior.kind, span, posterior._plan.slice)
@@ -55,7 +56,7 @@ def page(
 
 
 class _Chain:
-    def __init__(self, posterior: StatePosterior, steps: list[int]) -> None:
+    def __init__(self, posterior: StateOutcome, steps: list[int]) -> None:
         self.posterior, self.steps = posterior, steps
         self.plan, self.chain = posterior._plan, posterior._chain
         self.width = math.prod(self.plan.shape)
@@ -125,11 +126,6 @@ class _Chain:
 
 
 _DRAWS = 60
-_WHY = {
-    GridPosterior: "a grid sends probabilities of cells from slice to slice, and keeps no messages",
-    ParticlePosterior: "particles are drawn from slice to slice: there are no messages to show",
-    KeptPosterior: "keep= kept marginals alone: no messages; leave it out to have them",
-}
 
 
 def marginal_page(
@@ -146,7 +142,7 @@ def marginal_page(
             beliefs[variable] = belief
     found = head(graph, posterior.kind, span, beliefs)
     found["steps"]["base"] = span[0]
-    sensors = readings(_readings(posterior))
+    sensors = readings(posterior.readings)
     log_evidence = np.asarray(posterior.log_evidence)
     rows = []
     for run in runs:
@@ -156,7 +152,7 @@ def marginal_page(
         draws = _drawn(own, span, limits)
         if draws is not None:
             arrays["draws"] = draws
-        kept = isinstance(posterior, KeptPosterior)
+        kept = isinstance(posterior.status, Status)
         rows.append(
             {
                 "run": list(run),
@@ -166,8 +162,7 @@ def marginal_page(
                 "sensors": sighted(numbers, sensors, span, place),
             }
         )
-    why = next(why for kind, why in _WHY.items() if isinstance(posterior, kind))
-    return found | {"family": "moments", "words": {"messages": why}, "runs": rows}
+    return found | {"family": "moments", "words": {"messages": posterior.silent}, "runs": rows}
 
 
 def _of_run(belief: Any, variable: Variable, posterior: Any, run: Run, span: range) -> Any:
@@ -186,14 +181,6 @@ def _moments(beliefs: dict[Variable, Any], span: range) -> dict[str, Array]:
         cov[:late, own, own] = np.nan
         mean[late:, own], cov[late:, own, own] = belief.mean, belief.cov
     return {"mean": mean, "cov": lower(cov)}
-
-
-def _readings(posterior: Any) -> Any:
-    if isinstance(posterior, GridPosterior):
-        return posterior._bound.readings
-    if isinstance(posterior, ParticlePosterior):
-        return [sensor.reading for sensor in posterior._model.sensors]
-    return ()
 
 
 def _drawn(beliefs: dict[Variable, Any], span: range, limits: Limits) -> Array | None:

@@ -15,25 +15,23 @@ import numpy as np
 from pgm.arguments import public
 from pgm.compile import DynamicGraph
 from pgm.errors import GraphError
-from pgm.inference import (
-    ChainPosterior,
-    GridPosterior,
-    KeptPosterior,
-    ParticlePosterior,
-    Posterior,
-    StatePosterior,
-)
-from pgm.inference.chain.balanced import BalancedPosterior
+from pgm.inference import Posterior
+from pgm.inference.outcome import CHAIN, MARGINALS, SLICES
 from pgm.viewer import chain, graph, states
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.scripts import script
 
-Viewable = Posterior | GridPosterior | ParticlePosterior
+# The pages of beliefs over time, by the form in which these are kept.
+_OVER_TIME: dict[str, Any] = {
+    CHAIN: chain.page,
+    SLICES: states.page,
+    MARGINALS: states.marginal_page,
+}
 
 
 @public
 def view(
-    posterior: Viewable,
+    posterior: Posterior[Any],
     path: str | PathLike[str],
     *,
     run: int | Sequence[int] | Sequence[Run] | None = None,
@@ -48,7 +46,7 @@ def view(
 
     Parameters
     ----------
-    posterior : Posterior, GridPosterior or ParticlePosterior
+    posterior : Posterior
         Grids and particles have beliefs and no messages.
     path : str or path-like
         The file's path, like ``"run.html"``; an old one is replaced.
@@ -84,7 +82,7 @@ def view(
 
 
 @public
-def html(posterior: Viewable) -> str:
+def html(posterior: Posterior[Any]) -> str:
     """The page of a posterior in a frame, for notebooks: small, and says so where it is cut."""
     whole = assembled(*_content(posterior, None, None, CELL))
     return (
@@ -97,27 +95,22 @@ def html(posterior: Viewable) -> str:
 def _content(
     posterior: Any, run: Any, steps: tuple[int, int] | None, limits: Limits
 ) -> tuple[dict[str, Any], Numbers]:
-    if not isinstance(posterior, Posterior | GridPosterior | ParticlePosterior):
+    if not isinstance(posterior, Posterior):
         raise GraphError(
             f"view shows a posterior, as pgm.infer, filter and smooth return, not "
             f"{type(posterior).__name__}"
         )
+    outcome = posterior._outcome
     lead = np.asarray(posterior.log_evidence).shape
     runs, few = chosen_runs(run, lead, limits)
     numbers = Numbers()
-    cut = None
-    if isinstance(posterior.graph, DynamicGraph) and not isinstance(posterior, BalancedPosterior):
+    if outcome.form in _OVER_TIME:
         span, cut = chosen_steps(steps, posterior.graph.steps, limits)
-        if isinstance(posterior, ChainPosterior):
-            make: Any = chain.page
-        else:
-            make = states.page if isinstance(posterior, StatePosterior) else states.marginal_page
-        found = make(posterior, numbers, runs, span, limits)
+        found = _OVER_TIME[outcome.form](outcome, numbers, runs, span, limits)
     elif steps is not None:
         raise GraphError("steps=(first, last) cuts a chain; this graph has no steps: leave it out")
     else:
-        assert isinstance(posterior, Posterior)
-        found = graph.page(posterior, numbers, runs, limits)
+        found = graph.page(outcome, numbers, runs, limits)
         cut = found["cut"]
     found["notes"] = [note for note in (few, cut) if note]
     found["evidence"] = str(posterior.log_evidence_kind)
@@ -125,11 +118,12 @@ def _content(
     return found, numbers
 
 
-def _named(posterior: Any) -> str:
-    if isinstance(posterior, KeptPosterior | GridPosterior | ParticlePosterior):
-        return {KeptPosterior: "chain", GridPosterior: "grid"}.get(type(posterior), "particles")
+def _named(posterior: Posterior[Any]) -> str:
+    outcome = posterior._outcome
+    if outcome.form in _OVER_TIME:
+        return outcome.called
     if isinstance(posterior.graph, DynamicGraph):
-        return "balanced tree" if isinstance(posterior, BalancedPosterior) else "chain"
+        return "balanced tree"
     return "cluster tree" if posterior.graph.is_tree else "cluster graph with loops"
 
 

@@ -125,6 +125,7 @@ def cpds():
         "tables": pgm.TableCPD(DAY, (DAY.previous, WET), table=np.full((40, 2, 40), 1 / 40)),
         "structured": pgm.TableCPD(DAY, DAY.previous, table=pgm.shifts(40, {1: 1.0})),
         "product": pgm.TableCPD(DAY, DAY.previous, table=pgm.Kronecker([np.eye(8), np.eye(5)])),
+        "threshold": pgm.Threshold(10.0, below=True, remedy="take more members"),
         "function": pgm.TableCPD(WET, RAIN, table=lambda u: np.eye(2), inputs=U),
     }
 

@@ -18,8 +18,8 @@ with warnings.catch_warnings():
 # Names decide how wide these are.
 NAMED = ("hostile", "small: ", "online filter", "online lag", "posterior of", "discrete posterior")
 VOID = {"br", "hr", "img"}
-# Lineariser is a protocol, Posterior and StatisticalRegression are bases.
-BASES = {"Lineariser", "Posterior", "StatisticalRegression"}
+# Lineariser is a protocol, BeliefFamily and StatisticalRegression are bases.
+BASES = {"BeliefFamily", "Lineariser", "StatisticalRegression"}
 
 
 class Markup(HTMLParser):
@@ -58,7 +58,7 @@ def test_text_is_short(value, request):
 
 
 # Posteriors are pages of the viewer, which has tests of its own.
-PAGES = (pgm.Posterior, pgm.GridPosterior, pgm.ParticlePosterior)
+PAGES = (pgm.Posterior,)
 ELEMENTS = {name: value for name, value in VALUES.items() if not isinstance(value, PAGES)}
 
 

@@ -89,7 +89,7 @@ def test_after_filtering_nobody_knows_what_comes_later(steps):
         due = ahead[first, first + 1] * vacuous(graph.states_at(last))
         assert_form(found, due, 1e-9, posterior.joint(*found.scope).std)
         incoming[child].append(found)
-    known = np.cumsum(posterior._forward.log_density)
+    known = np.cumsum(posterior._outcome._forward.log_density)
     for i, messages in incoming.items():
         found = posterior.belief(i)
         scale = posterior.joint(*found.scope).std

@@ -169,7 +169,7 @@ def test_a_step_of_means_alone_is_the_smoother_s():
     evidence, start = drive((2,), seed=6)
     model = network(SIGHT.cpd())
     graph = pgm.compile(model, T, method=pgm.Balanced())
-    plan = pgm.infer(graph, evidence, start=start)._plan
+    plan = pgm.infer(graph, evidence, start=start)._outcome._plan
     reference = np.moveaxis(start[x], 0, 1)
     found = newton.step(plan, reference)
     due = parallel.filtered(plan, reference)
@@ -208,7 +208,7 @@ def test_a_singular_noise_has_no_normal_equations(part):
     else:
         model = network(SIGHT.cpd(), prior=prior, transition=move)
     graph = pgm.compile(model, T, method=pgm.Balanced())
-    plan = pgm.infer(graph, evidence, start=start)._plan
+    plan = pgm.infer(graph, evidence, start=start)._outcome._plan
     assert newton.step(plan, start[x][:, None]) is None
     one, other = both(model, evidence, start=start, schedule=pgm.Smoothing(3, tolerance=0.0))
     assert_equal(one, other, [x])

@@ -33,8 +33,8 @@ def both(monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(certificate, "suffices", lambda *_: False)
             careful = question()
-        assert ordinary._careful is None
-        assert careful._careful is not None
+        assert ordinary._outcome._careful is None
+        assert careful._outcome._careful is not None
         return ordinary, careful
 
     return asked

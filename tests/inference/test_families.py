@@ -13,7 +13,7 @@ def test_a_part_of_the_runs_is_linearised_by_itself():
     inputs = {u: controls(rng, 5), m: pgm.constant(LANDMARKS[0])}
     evidence = model.sample(inputs, runs=3, rng=rng).evidence
     posterior = pgm.smooth(model, evidence, lineariser=pgm.Cubature(), compiled=False)
-    families = [family for family in posterior._plan.families if family.approximate]
+    families = [family for family in posterior._outcome._plan.families if family.approximate]
     assert families
     for family in families:
         whole, part = family.noise.copy(), family.of(slice(0, 2))

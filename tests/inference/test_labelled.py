@@ -148,6 +148,6 @@ def test_tables_without_time():
 
 def test_without_xarray(monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
-    told = r"ChainPosterior\.to_xarray\(\) needs xarray: pip install 'sepset\[frames\]'"
+    told = r"Posterior\.to_xarray\(\) needs xarray: pip install 'sepset\[frames\]'"
     with pytest.raises(ImportError, match=told):
         pgm.smooth(MODEL, evidence()).to_xarray()

@@ -50,9 +50,9 @@ def test_parts_that_fit_a_cache(monkeypatch, rule, most):
 
 def test_a_filter_keeps_beliefs_alone_until_more_is_asked_for():
     posterior = filtered()
-    assert isinstance(posterior._swept, forward.Filtered)
+    assert isinstance(posterior._outcome._swept, forward.Filtered)
     assert_each_alone(posterior, kinds=("filtered",))
-    assert "whole" not in vars(posterior._swept)
+    assert "whole" not in vars(posterior._outcome._swept)
     joint = posterior.joint(x.at(2), x.at(3))
     innovations = posterior.innovations[SIGHT.z]
     for run in (0, MANY - 1):

@@ -70,7 +70,7 @@ def test_potentials_of_singular_noise_are_refused():
 @pytest.mark.parametrize("runs", [(), (3,)])
 def test_messages_back_by_a_scan_are_those_step_by_step(runs):
     posterior = pgm.smooth(posteriors.robot(), posteriors.drive(120, runs))
-    plan, forward = posterior._plan, posterior._forward
+    plan, forward = posterior._outcome._plan, posterior._outcome._forward
     last = np.zeros((plan.runs, 3, 3)), np.zeros((plan.runs, 3)), np.zeros(plan.runs)
     stepwise = messages._stepwise(plan, forward, last)
     scanned = messages._scanned(plan, forward, last)

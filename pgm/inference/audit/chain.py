@@ -35,8 +35,8 @@ from pgm.inference.audit.proposal import Path, Proposal
 from pgm.inference.belief_kind import SMOOTHED
 from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse
+from pgm.inference.chain.outcome import ChainOutcome
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
@@ -83,7 +83,7 @@ class ChainDraws:
     onward: Conditional
 
     @classmethod
-    def make(cls, posterior: ChainPosterior) -> ChainDraws:
+    def make(cls, posterior: ChainOutcome) -> ChainDraws:
         """Prepare to draw from the smoothed joint of a posterior's last linearisation.
 
         A NumericalError is raised for a nonlinear sensor that was read and has singular noise, and

@@ -9,22 +9,24 @@ import numpy as np
 from pgm.arguments import public
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
+from pgm.factors import Gaussian
 from pgm.inference.audit.batches import estimate
 from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.innovation_checks import checks
 from pgm.inference.audit.result import Audit
 from pgm.inference.audit.tree import TreeDraws
-from pgm.inference.chain.kept_posterior import KeptPosterior
-from pgm.inference.chain.posterior import ChainPosterior
-from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs
+from pgm.inference.outcome import BALANCED, CHAIN, NETWORK, SLICES, TABLES
 from pgm.inference.posterior import Posterior
 from pgm.progress import Progress, reporting
+
+# The draws from beliefs of each form.
+_DRAWS: dict[str, Any] = {CHAIN: ChainDraws, BALANCED: ChainDraws, NETWORK: TreeDraws}
 
 
 @public
 def audit(
-    posterior: Posterior,
+    posterior: Posterior[Gaussian],
     *,
     samples: int = 1000,
     rng: np.random.Generator | int,
@@ -74,7 +76,8 @@ def audit(
 
     Parameters
     ----------
-    posterior : ChainPosterior or GaussianPosterior
+    posterior : Posterior
+        Of Gaussian beliefs.
         The posterior of a filter or smoother, or of a tree.
     samples : int
         S, the number of draws from q for each run, 2 or more; there are as many defensive draws.
@@ -111,34 +114,33 @@ def audit(
     >>> found.correction.round(2), found.standard_error.round(3)
     (np.float64(0.01), np.float64(0.002))
     """
-    draws: ChainDraws | TreeDraws
     if not is_whole(samples) or samples < 2:
         raise ModelError(f"samples is the number of draws, 2 or more; not {samples!r}")
     generator = as_generator(rng)
-    if isinstance(posterior, ChainPosterior):
-        for cpd in posterior.graph.model.prior:
-            cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
-        draws = ChainDraws.make(posterior)
-    elif isinstance(posterior, GaussianPosterior):
-        draws = TreeDraws.make(posterior)
-    else:
+    outcome = posterior._outcome if isinstance(posterior, Posterior) else None
+    if outcome is None or outcome.form not in _DRAWS:
         raise ModelError(_advice(posterior))
+    if outcome.form != NETWORK:
+        for cpd in outcome.graph.model.prior:
+            cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
+    draws: ChainDraws | TreeDraws = _DRAWS[outcome.form].make(outcome)
     known = posterior.log_evidence
     require_runs(8 * samples, known.size, "the weights of an audit")
     with reporting(progress):
         mixture, compared = estimate(draws, known.size, samples, generator)
-    seen = checks(posterior.innovations) if isinstance(posterior, ChainPosterior) else {}
+    seen = {} if outcome.form == NETWORK else checks(posterior.innovations)
     return Audit(mixture, known, compared, seen, draws.modes)
 
 
 def _advice(posterior: Any) -> str:
     """The text of the error for an argument that is no Gaussian posterior with all its beliefs."""
-    if isinstance(posterior, KeptPosterior):
-        return (
-            f"{posterior._title} has kept marginals alone; leave keep= out to have what is audited"
-        )
-    if isinstance(posterior, Posterior):
+    if isinstance(posterior, Posterior) and posterior._outcome.form in (SLICES, TABLES):
         return f"{posterior._title} is of a discrete network; of a tree its log-evidence is exact"
+    if isinstance(posterior, Posterior):
+        return (
+            f"{posterior._title} has kept marginals alone; leave keep= out, and belief=, to have "
+            "what is audited"
+        )
     return (
         f"audit takes a posterior of pgm.filter, pgm.smooth or pgm.infer, not "
         f"{type(posterior).__name__}"

@@ -25,7 +25,7 @@ from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
 from pgm.inference.audit.proposal import Path, Proposal
 from pgm.inference.audit.tree_density import TreeDensity
-from pgm.inference.gaussian.posterior import GaussianPosterior
+from pgm.inference.gaussian.outcome import GaussianOutcome
 from pgm.kernels.arrays import Array, block
 from pgm.kernels.moments import Conditional
 
@@ -58,7 +58,7 @@ class TreeDraws:
     cov: Array
 
     @classmethod
-    def make(cls, posterior: GaussianPosterior) -> TreeDraws:
+    def make(cls, posterior: GaussianOutcome) -> TreeDraws:
         """Prepare to draw from the joint of a posterior; a GraphError if its graph has loops.
 
         A NumericalError is raised for a nonlinear sensor that was read and has singular noise, for
@@ -80,7 +80,7 @@ class TreeDraws:
         return cls._make(posterior, relative=True)
 
     @classmethod
-    def _make(cls, posterior: GaussianPosterior, *, relative: bool) -> TreeDraws:
+    def _make(cls, posterior: GaussianOutcome, *, relative: bool) -> TreeDraws:
         """Prepare to draw, with densities that are `relative` or not, and look for other modes."""
         model = posterior._model
         layout, runs = model.layout, model.runs

@@ -8,6 +8,7 @@ The tree's leaves are the clusters 0 to T of the chain of slices. Every other cl
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from pgm.factors import CanonicalForm
 from pgm.inference.belief_kind import FILTERED, SMOOTHED
 from pgm.inference.chain.backward import transition
 from pgm.inference.chain.messages import absorbed
-from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.outcome import ChainOutcome
+from pgm.inference.outcome import BALANCED
 from pgm.kernels import canonical
 from pgm.kernels.arrays import block
 from pgm.kernels.canonical import Canonical
@@ -26,7 +28,7 @@ from pgm.kernels.prefixes import take
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BalancedPosterior(ChainPosterior):
+class BalancedOutcome(ChainOutcome):
     """The beliefs of a balanced cluster tree after a schedule of messages.
 
     Beliefs over variables and slices are found as on the chain of slices; messages and beliefs of
@@ -36,6 +38,8 @@ class BalancedPosterior(ChainPosterior):
     """
 
     graph: BalancedGraph
+
+    form: ClassVar[str] = BALANCED
 
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.

@@ -15,7 +15,7 @@ from pgm.cpds import CPD
 from pgm.inference.chain import backward
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Beliefs
-from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.outcome import ChainOutcome
 from pgm.inference.family import Family
 from pgm.kernels.arrays import Array, Index, Mask, block, quiet
 
@@ -37,7 +37,7 @@ class FamilyBelief(NamedTuple):
 
 
 @quiet()
-def family_beliefs(posterior: ChainPosterior) -> dict[CPD, FamilyBelief]:
+def family_beliefs(posterior: ChainOutcome) -> dict[CPD, FamilyBelief]:
     """The belief of each family that has rows, by CPD, from a smoothed posterior."""
     plan, beliefs = posterior._plan, posterior._beliefs
     layout, places = plan.layout, plan.layout.state_places
@@ -72,7 +72,7 @@ def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
     return FamilyBelief(family, mean, cov, None, None)
 
 
-def _pairs(posterior: ChainPosterior) -> Beliefs:
+def _pairs(posterior: ChainOutcome) -> Beliefs:
     """The smoothed moments of the pairs (states at t − 1, slice at t), t = 1..T: (T, runs, ...)."""
     beliefs, careful = posterior._beliefs, posterior._careful
     if careful is None:

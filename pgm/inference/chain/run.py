@@ -36,13 +36,13 @@ from pgm.inference.chain import (
     smoother,
 )
 from pgm.inference.chain.backward import Beliefs, Reverse
-from pgm.inference.chain.balanced import BalancedPosterior
+from pgm.inference.chain.balanced import BalancedOutcome
 from pgm.inference.chain.careful import Careful
 from pgm.inference.chain.compiled import sweep as compiled
 from pgm.inference.chain.fixed_lag import Lagged, Windows
 from pgm.inference.chain.forward import Filtered, Forward
+from pgm.inference.chain.outcome import ChainOutcome
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.starting_points import Start, over_runs, require_hidden
@@ -73,7 +73,7 @@ class Solver(ABC):
             )
 
     @abstractmethod
-    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
+    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainOutcome:
         """The posterior computed in float64.
 
         `start` (T+1, runs, n) are means of the slices for the first linearisation, None if the user
@@ -82,7 +82,7 @@ class Solver(ABC):
         """
 
     @abstractmethod
-    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
+    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainOutcome:
         """The posterior computed in pairs of float64.
 
         `start` (T+1, runs, n) are means of the slices for the first linearisation, None if the user
@@ -101,7 +101,7 @@ class Solver(ABC):
         careful: Careful | None = None,
         windows: Windows | None = None,
         error: Array | None = None,
-    ) -> ChainPosterior:
+    ) -> ChainOutcome:
         """The posterior made of these results, its status completed.
 
         `kind` tells which measurements its beliefs know, and `swept` is the forward pass. After
@@ -116,14 +116,14 @@ class Solver(ABC):
             status = status._losing(error, FAR_APART)
         parts = kind, plan, swept, smoothed, reverse, careful, windows
         if isinstance(self.graph, BalancedGraph):
-            return BalancedPosterior(self.graph, status, *parts)
-        return ChainPosterior(self.graph, status, *parts)
+            return BalancedOutcome(self.graph, status, *parts)
+        return ChainOutcome(self.graph, status, *parts)
 
 
 class FilterSolver(Solver):
     """The solver for filtering: forward messages only."""
 
-    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
+    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainOutcome:
         """The filtered posterior: step by step, or by a parallel scan on a balanced tree."""
         ahead: Forward | Filtered
         if self.balanced:
@@ -137,7 +137,7 @@ class FilterSolver(Solver):
             ahead, status = forward.run(plan, self.schedule)
         return self._posterior(plan, FILTERED, ahead, status)
 
-    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
+    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainOutcome:
         """The filtered posterior step by step, each belief in pairs of float64."""
         if self.balanced:
             self._refuse_nonlinear(plan)
@@ -174,11 +174,11 @@ class LagSolver(Solver):
                 f"{titled(graph)} is not: compile without pgm.Balanced()"
             )
 
-    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
+    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainOutcome:
         """The posterior by one forward pass and one pass back over the lag, or window by window."""
         return self._lagged(plan, fixed_lag.smooth)
 
-    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
+    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainOutcome:
         """The posterior in pairs of float64, except where windows slide.
 
         Each window then chooses float64 or pairs for itself.
@@ -187,7 +187,7 @@ class LagSolver(Solver):
 
     def _lagged(
         self, plan: ChainPlan, once: Callable[[ChainPlan, FixedLag], tuple[Lagged, Status]]
-    ) -> ChainPosterior:
+    ) -> ChainOutcome:
         """The posterior of a fixed lag: by sliding windows where there is anything to iterate.
 
         If not, `once(plan, schedule)` linearises once, and returns the beliefs with their status.
@@ -217,14 +217,14 @@ class SmootherSolver(Solver):
             schedule = Smoothing(schedule.iterations, schedule.tolerance)
         super().__init__(graph, schedule)
 
-    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
+    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainOutcome:
         """The smoothed posterior: sweeps forward and back, or parallel scans if balanced."""
         smooth = smoother.scan if self.balanced else smoother.smooth
         found, status = smooth(plan, self.schedule, start)
         ahead = parallel.whole(found.forward)
         return self._posterior(plan, SMOOTHED, ahead, status, found.beliefs, found.reverse)
 
-    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
+    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainOutcome:
         """The smoothed posterior: sweeps in pairs of float64, iterated."""
         found, status = smoother.carefully(plan, self.schedule, start, reckoned=self.balanced)
         swept = found.careful
@@ -271,7 +271,7 @@ def run(
     lineariser: Lineariser,
     start: Start | None,
     room: Room | None = None,
-) -> ChainPosterior:
+) -> ChainOutcome:
     """The posterior of a chain given its evidence, by a schedule, smoothing if that is None.
 
     `start` maps hidden variables to means for the first linearisation; an EvidenceError refuses it
@@ -302,7 +302,7 @@ def _solved(
     given: Array | None,
     room: Room | None,
     judge: Judge,
-) -> ChainPosterior:
+) -> ChainOutcome:
     """The posterior in float64, or, where that fails or loses too many digits, in pairs of float64.
 
     `given` (T+1, runs, n) are the means of the slices at which to linearise first, None if the user
@@ -331,7 +331,7 @@ def _solved(
     return _told(found)
 
 
-def _told(posterior: ChainPosterior) -> ChainPosterior:
+def _told(posterior: ChainOutcome) -> ChainOutcome:
     """The posterior, its status completed by two losses of digits, if there are any.
 
     They are the rounding of sigma points close together (`close_points`) and of the last places of
@@ -354,7 +354,7 @@ def _told(posterior: ChainPosterior) -> ChainPosterior:
     return posterior if status is posterior.status else replace(posterior, status=status)
 
 
-def _refuse_infinite(posterior: ChainPosterior) -> None:
+def _refuse_infinite(posterior: ChainOutcome) -> None:
     """Raise NumericalError if moments or log-densities are not finite, or a variance is negative.
 
     A flat prior's infinite variances are allowed. Negative variances are looked for only in passes

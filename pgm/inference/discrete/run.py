@@ -13,7 +13,7 @@ from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.inference.discrete.allowed import beliefs_of
 from pgm.inference.discrete.first_beliefs import FirstBeliefs
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs, TableMessages
-from pgm.inference.discrete.posterior import DiscretePosterior
+from pgm.inference.discrete.outcome import DiscreteOutcome
 from pgm.inference.impossible import ALLOW, RAISE, allows
 from pgm.inference.limits import Room
 from pgm.inference.loopy import run_loopy
@@ -27,7 +27,7 @@ def run(
     schedule: Schedule | None,
     memory: float | None = None,
     impossible: str = RAISE,
-) -> DiscretePosterior:
+) -> DiscreteOutcome:
     """The posterior of a discrete network, computed by messages on its cluster graph.
 
     The schedules `Flooding`, `Sequential` and `Residual` send messages on a graph of any shape;
@@ -57,17 +57,17 @@ def run(
             )
         messages = TableMessages(graph, bound, schedule.damping)
         status = run_loopy(messages, schedule, bound.lead)
-        return DiscretePosterior(graph, status, LoopyBeliefs.of(messages))
+        return DiscreteOutcome(graph, status, LoopyBeliefs.of(messages))
     room = Room.of(memory, graph)
     first = None if bound.lead else FirstBeliefs.of(graph, bound, room)
     if first is not None:
-        return DiscretePosterior(graph, ONCE, first)
+        return DiscreteOutcome(graph, ONCE, first)
     return of_tree(graph, bound, room, allow=allow)
 
 
 def of_tree(
     graph: ClusterGraph, bound: BoundStates, room: Room, *, allow: bool = False
-) -> DiscretePosterior:
+) -> DiscreteOutcome:
     """The exact posterior of a graph without loops.
 
     `bound` is the evidence, checked, in arrays by run. `room` limits how many table entries, times
@@ -76,7 +76,7 @@ def of_tree(
     memory raise `GraphError`.
     """
     beliefs = beliefs_of(graph, bound, room, allow=allow)
-    return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
+    return DiscreteOutcome(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
 
 
 def _calibrated(lead: tuple[int, ...]) -> Status:

@@ -26,7 +26,7 @@ from pgm.inference.gaussian.certificate import SAFE_DIGITS, cause, kept_digits
 from pgm.inference.gaussian.layout import Layout, barren, known_parents
 from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
-from pgm.inference.gaussian.posterior import GaussianPosterior
+from pgm.inference.gaussian.outcome import GaussianOutcome
 from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.gaussian.tree import TreePlan, calibrate
 from pgm.inference.iteration import Anchor, iterate
@@ -48,7 +48,7 @@ def run(
     schedule: Schedule | None,
     lineariser: Lineariser,
     start: Start | None,
-) -> GaussianPosterior:
+) -> GaussianOutcome:
     """The posterior of a Gaussian network given evidence, by the messages of a schedule.
 
     Without a schedule the graph, a tree, is calibrated. `start` has the means of hidden variables
@@ -87,7 +87,7 @@ def _solved(
     at: Array | None,
     again: bool,
     judge: Judge,
-) -> GaussianPosterior:
+) -> GaussianOutcome:
     """The posterior in float64, or, where float64 fails or keeps too few digits, in decimals.
 
     `again` says whether the calculation may be repeated in decimals, which small networks allow.
@@ -104,7 +104,7 @@ def _solved(
             found = _sent(plan, buffer, schedule)
         else:
             done, status = _iterated(model, lambda: calibrate(plan, buffer), schedule)
-            found = GaussianPosterior(graph, status, plan, model, done)
+            found = GaussianOutcome(graph, status, plan, model, done)
         digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
         enough = digits >= SAFE_DIGITS or (loopy and not found.status.converged.all())
         if enough or not again:
@@ -118,7 +118,7 @@ def _solved(
     done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
     assert done.digits is not None
     status = _told(status, model, done.beliefs, 10.0**-done.digits)
-    return GaussianPosterior(graph, status, plan, model, done)
+    return GaussianOutcome(graph, status, plan, model, done)
 
 
 def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) -> Status:
@@ -148,7 +148,7 @@ def _plan(
     return TreePlan(Layout(graph, observed, absent))
 
 
-def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
+def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianOutcome:
     """The posterior by rounds of messages, on a graph that may have loops.
 
     Rounds are sent until no message changes by more than the schedule's tolerance, or its
@@ -157,7 +157,7 @@ def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
     graph, model = plan.layout.graph, buffer.model
     messages = RowMessages.make(buffer, plan.places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
-    return GaussianPosterior(graph, status, plan, model, messages.calibrated(), messages)
+    return GaussianOutcome(graph, status, plan, model, messages.calibrated(), messages)
 
 
 @dataclass(frozen=True, eq=False)

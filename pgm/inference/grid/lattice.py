@@ -18,7 +18,7 @@ import numpy as np
 
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, listed
-from pgm.inference.grid.value import Extent, Grid
+from pgm.inference.grid.settings import Extent, GridSettings
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import Span
@@ -176,7 +176,7 @@ def spanned(used: Mask, periodic: bool) -> Span:
     return Span(first, cells - int(gaps[widest]) + 1)
 
 
-def resolve(grid: Grid, states: Scope) -> Lattice:
+def resolve(grid: GridSettings, states: Scope) -> Lattice:
     """The lattice of a grid over some states, each component of which has to have exactly one axis.
 
     Names that fit no component or several, a component named twice and one left out are refused by

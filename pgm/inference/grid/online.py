@@ -26,9 +26,9 @@ from pgm.inference.grid.belief import GridBelief, scope_axes
 from pgm.inference.grid.cut_off import Tails
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.run import require_room
+from pgm.inference.grid.settings import GridSettings
 from pgm.inference.grid.slices import GridModel, GridSlices, Tested, Worst
 from pgm.inference.grid.status import GridStatus
-from pgm.inference.grid.value import Grid
 from pgm.inference.online import step_evidence
 from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import at_a_step
@@ -124,6 +124,8 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
 
     model: DynamicBayesianNetwork
     belief: Any
+    # The options of `OnlineFilter`, beside the belief, by which the same steps are made.
+    options: ClassVar[Mapping[str, Any]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         # What was tested or compiled is not part of the value.
@@ -201,7 +203,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         raise NotImplementedError
 
 
-class OnlineGrid(PointFilter[OnlineGridBelief]):
+class GridSteps(PointFilter[OnlineGridBelief]):
     """A filter on a grid for one step at a time; made by ``OnlineFilter(model, belief=grid)``.
 
     Runs are worked through one at a time.
@@ -210,7 +212,7 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
     ----------
     model : DynamicBayesianNetwork
         A model of continuous CPDs.
-    belief : Grid
+    belief : GridSettings
         The grid; it must not ask for `refine`, which runs again over recorded evidence.
 
     Raises
@@ -229,9 +231,9 @@ class OnlineGrid(PointFilter[OnlineGridBelief]):
     array([2.])
     """
 
-    belief: Grid
+    belief: GridSettings
 
-    def __init__(self, model: DynamicBayesianNetwork, belief: Grid) -> None:
+    def __init__(self, model: DynamicBayesianNetwork, belief: GridSettings) -> None:
         if belief.refine is not None:
             raise ModelError(
                 f"{belief!r} asks for refine=, which runs again over recorded evidence: find the "

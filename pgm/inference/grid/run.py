@@ -18,10 +18,10 @@ from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference.belief_kind import SMOOTHED, Kind
 from pgm.inference.grid.lattice import Lattice, resolve
-from pgm.inference.grid.posterior import GridPosterior
+from pgm.inference.grid.outcome import GridOutcome
+from pgm.inference.grid.settings import GridSettings
 from pgm.inference.grid.slices import GridModel, GridSlices, Worst
 from pgm.inference.grid.status import GridStatus, Refinement
-from pgm.inference.grid.value import Grid
 from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.schedule import Schedule
@@ -34,8 +34,8 @@ _WORK = 12
 
 
 def run(
-    graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, grid: Grid
-) -> GridPosterior:
+    graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, grid: GridSettings
+) -> GridOutcome:
     """The posterior on a grid, given the evidence `bound`.
 
     The schedule says whether to filter or to smooth, and with what lag; None smooths. A
@@ -48,7 +48,9 @@ def run(
     return found
 
 
-def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
+def _refined(
+    graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: GridSettings
+) -> GridOutcome:
     """The posterior on the first lattice on which the user's figure has settled.
 
     The number of cells along each axis is doubled until the figure has settled, or as often as
@@ -83,7 +85,7 @@ def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) 
     return replace(found, status=found.status.refined(record, settled))
 
 
-def _figure(grid: Grid, found: GridPosterior) -> Array:
+def _figure(grid: GridSettings, found: GridOutcome) -> Array:
     """The figure that is to settle: the log-evidence, or the user's function of the posterior.
 
     A function that fails, or has values that are not finite, is refused by a ModelError.
@@ -104,7 +106,7 @@ def _figure(grid: Grid, found: GridPosterior) -> Array:
     return figure
 
 
-def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
+def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: GridSettings) -> GridOutcome:
     """The posterior on the lattice of a grid, without refinement.
 
     Runs are filtered one after another, and smoothed if `kind` is smoothed or of a fixed lag.
@@ -150,7 +152,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
     filtered = filtered.reshape(*lead, *shape[1:])
     values = (filtered,) if smoothed is None else (smoothed.reshape(filtered.shape), filtered)
     log_evidence = log_evidence.reshape(lead)
-    return GridPosterior(graph, grid, kind, log_evidence, status, lattice, bound, *values)
+    return GridOutcome(graph, grid, kind, log_evidence, status, lattice, bound, *values)
 
 
 class _Kept(StateChain):
@@ -172,7 +174,7 @@ class _Kept(StateChain):
         return self._made
 
 
-def require_room(lattice: Lattice, grid: Grid, steps: int, runs: int, sets: int) -> None:
+def require_room(lattice: Lattice, grid: GridSettings, steps: int, runs: int, sets: int) -> None:
     """Refuse a grid whose beliefs would not fit memory, by a ModelError, before any is made.
 
     steps: How many beliefs a run has, T + 1.

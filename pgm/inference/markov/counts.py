@@ -12,11 +12,11 @@ import numpy as np
 
 from pgm.cpds import CPD
 from pgm.inference.markov.joints import pair
-from pgm.inference.markov.posterior import StatePosterior
+from pgm.inference.markov.outcome import StateOutcome
 from pgm.kernels.arrays import Array, Integers
 
 
-def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Array]:
+def expected_counts(posterior: StateOutcome, cpds: list[CPD]) -> dict[CPD, Array]:
     """The expected number of times that each CPD's parents and child had their states.
 
     cpds: CPDs of the posterior's model, for which to count; their tables are arrays of numbers, not

@@ -37,7 +37,7 @@ from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
 
-class OnlineTables(InCode, Immutable):
+class TableSteps(InCode, Immutable):
     """A filter of a discrete network for one step at a time.
 
     Made by ``OnlineFilter(model)``, of a network of tables. It is immutable, and so are its
@@ -52,6 +52,11 @@ class OnlineTables(InCode, Immutable):
     def __init__(self, model: DynamicBayesianNetwork, lag: int | None = None) -> None:
         self._set(model=model, lag=lag)
         require_beliefs(self._plan, BoundEvidence(0, (), (), ()), 2)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options of `OnlineFilter` by which the same steps are made."""
+        return {"lag": self.lag}
 
     @cached_property
     def _plan(self) -> SlicePlan:
@@ -231,7 +236,7 @@ def online_tables(
     lineariser: Any = TAYLOR,
     schedule: Any = None,
     lag: int | None = None,
-) -> OnlineTables:
+) -> TableSteps:
     """The filter of a network of tables, made by ``OnlineFilter(model, ...)``.
 
     Its lag, in steps, is `lag` or that of a schedule `FixedLag`; else it has none. A lineariser
@@ -248,4 +253,4 @@ def online_tables(
         raise ModelError(
             f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
         )
-    return OnlineTables(model, schedule.lag if isinstance(schedule, FixedLag) else None)
+    return TableSteps(model, schedule.lag if isinstance(schedule, FixedLag) else None)

@@ -17,8 +17,8 @@ from pgm.inference.belief_kind import FILTERED
 from pgm.inference.impossible import OVER_TIME, RAISE, ImpossibleEvidence, allows
 from pgm.inference.markov.chain import TINY, StateChain
 from pgm.inference.markov.impossible_runs import first_lost
+from pgm.inference.markov.outcome import StateOutcome
 from pgm.inference.markov.plan import SlicePlan, TableSlices
-from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.markov.single_state import DirectChain
 from pgm.inference.schedule import Schedule
@@ -29,7 +29,7 @@ from pgm.resources import require_memory
 
 def run(
     graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, impossible: str = RAISE
-) -> StatePosterior:
+) -> StateOutcome:
     """The posterior after the messages of a filter, a fixed-lag smoother or a smoother.
 
     `schedule` is a `Filtering`, `FixedLag` or `Smoothing`; None or a `Calibration` smooths. Beliefs
@@ -51,7 +51,7 @@ def run(
         require_beliefs(plan, bound, sets + 1)  # a copy has the NaN
         chain = _without_impossible(slices)
     status = Status.of([], np.ones(bound.runs, dtype=bool), bound.lead)
-    return StatePosterior(graph, status, kind, plan, chain)
+    return StateOutcome(graph, status, kind, plan, chain)
 
 
 def solved(slices: TableSlices) -> StateChain:

@@ -13,18 +13,6 @@ from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.networks import DynamicBayesianNetwork
 
 
-def require_neither(gate: object, watch: object, compiled: object) -> None:
-    """Refuse a gate, a watch and compiled steps, for beliefs that are not Gaussian.
-
-    Only Gaussian beliefs have a use for them. A `ModelError` is raised if `gate` is not None, or
-    `watch` (the test whether a belief is lost) or `compiled` is true.
-    """
-    for name, value in (("gate", gate), ("watch", watch or None), ("compiled", compiled or None)):
-        if value is not None:
-            own = "innovations have a covariance" if name != "compiled" else "steps are its kernels"
-            raise ModelError(f"{name}= is for beliefs that are Gaussian, whose {own}: leave it out")
-
-
 def require_settings(
     model: Any, lineariser: Any, schedule: Any, lag: int | None, gate: Gate = None
 ) -> Filtering | FixedLag:

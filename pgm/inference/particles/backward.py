@@ -33,8 +33,8 @@ import numpy as np
 from pgm.inference.particles.cloud import Cloud, uniform
 from pgm.inference.particles.laws import GaussianLaw, Law, Root, Some, States
 from pgm.inference.particles.model import ParticleModel
+from pgm.inference.particles.settings import FULL, ParticleSettings
 from pgm.inference.particles.streams import BACKWARD, stream
-from pgm.inference.particles.value import FULL, Particles
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices, systematic
@@ -61,7 +61,7 @@ class Backward:
     def __init__(
         self,
         model: ParticleModel,
-        particles: Particles,
+        particles: ParticleSettings,
         clouds: Sequence[Cloud],
         restarted: Mask,
     ) -> None:

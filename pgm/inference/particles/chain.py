@@ -32,8 +32,8 @@ from pgm.inference.particles.laws import Drawing, Some, States
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
 from pgm.inference.particles.record import Record
+from pgm.inference.particles.settings import IGNORE, RAISE, RESTART, Injection, ParticleSettings
 from pgm.inference.particles.streams import FORWARD, INJECTED, RESTARTED, STARTED, stream
-from pgm.inference.particles.value import IGNORE, RAISE, RESTART, Injection, Particles
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices
 from pgm.variables import Variable
@@ -71,7 +71,7 @@ class ParticleChain:
         self,
         graph: DynamicGraph,
         model: ParticleModel,
-        particles: Particles,
+        particles: ParticleSettings,
         record: Record,
     ) -> None:
         self.model, self.particles, self.record = model, particles, record

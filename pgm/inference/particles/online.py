@@ -33,8 +33,8 @@ from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.number import LikelihoodSampling
 from pgm.inference.particles.record import Record
 from pgm.inference.particles.run import require_fitting, require_room
+from pgm.inference.particles.settings import ParticleSettings
 from pgm.inference.particles.status import ParticleStatus
-from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array
@@ -69,7 +69,7 @@ class OnlineParticleBelief(Shown, NoArray):
     log_evidence: Array
     status: ParticleStatus
     kind: Kind
-    _filter: OnlineParticles
+    _filter: ParticleSteps
     _cloud: Cloud
     _model: ParticleModel
     # The particles of the step before, and the inputs that moved them, where they are moved again
@@ -119,7 +119,7 @@ class OnlineParticleBelief(Shown, NoArray):
         return at_a_step(self._title, self, hidden, self.lead)
 
 
-class OnlineParticles(PointFilter[OnlineParticleBelief]):
+class ParticleSteps(PointFilter[OnlineParticleBelief]):
     """A particle filter for one step at a time; made by ``OnlineFilter(model, belief=particles)``.
 
     Random numbers are keyed by seed, run and step, so that the particles are those of `pgm.filter`.
@@ -131,7 +131,7 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     ----------
     model : DynamicBayesianNetwork
         The network, which may have leading axes of runs.
-    belief : Particles
+    belief : ParticleSettings
         How many particles a belief has, and how they are drawn.
 
     Raises
@@ -150,9 +150,9 @@ class OnlineParticles(PointFilter[OnlineParticleBelief]):
     array([2.])
     """
 
-    belief: Particles
+    belief: ParticleSettings
 
-    def __init__(self, model: DynamicBayesianNetwork, belief: Particles) -> None:
+    def __init__(self, model: DynamicBayesianNetwork, belief: ParticleSettings) -> None:
         self._set(model=model, belief=belief)
         require_fitting(belief, model)
         size = sum(variable.dimension for variable in (*model.states, *model.controls))

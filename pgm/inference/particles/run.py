@@ -15,17 +15,20 @@ from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.guided_proposal import require_guidable
 from pgm.inference.particles.model import ParticleModel
-from pgm.inference.particles.posterior import ParticlePosterior
+from pgm.inference.particles.outcome import ParticleOutcome
 from pgm.inference.particles.record import Record
-from pgm.inference.particles.value import Particles
+from pgm.inference.particles.settings import ParticleSettings
 from pgm.inference.schedule import Schedule
 from pgm.networks import DynamicBayesianNetwork
 from pgm.resources import gibibytes, require_memory
 
 
 def run(
-    graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, particles: Particles
-) -> ParticlePosterior:
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    schedule: Schedule | None,
+    particles: ParticleSettings,
+) -> ParticleOutcome:
     """The posterior given the evidence `bound`, as particles.
 
     The schedule says whether they are filtered or smoothed; without one they are smoothed. Warnings
@@ -51,10 +54,10 @@ def run(
     status.warn()
     log_evidence = record.log_density.sum(axis=0).reshape(bound.lead)
     told = kind, log_evidence, status
-    return ParticlePosterior(graph, particles, *told, model, clouds, filtered)
+    return ParticleOutcome(graph, particles, *told, model, clouds, filtered)
 
 
-def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None:
+def require_fitting(particles: ParticleSettings, model: DynamicBayesianNetwork) -> None:
     """Refuse, by a ModelError, particles whose proposal, start or injection the model rules out."""
     if particles.proposal is not None:
         require_guidable(model)
@@ -64,7 +67,7 @@ def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None
         particles.injection.cells.require(model)
 
 
-def _require_possible(particles: Particles, model: ParticleModel, kind: Kind) -> None:
+def _require_possible(particles: ParticleSettings, model: ParticleModel, kind: Kind) -> None:
     """Refuse particles whose injection or start does not fit the schedule or the evidence.
 
     A ModelError is raised if there is an injection and the `kind` of the posterior is not filtered.
@@ -86,7 +89,7 @@ def _require_possible(particles: Particles, model: ParticleModel, kind: Kind) ->
         )
 
 
-def require_room(size: int, particles: Particles, steps: int, runs: int, kind: Kind) -> None:
+def require_room(size: int, particles: ParticleSettings, steps: int, runs: int, kind: Kind) -> None:
     """Refuse, by a ModelError, particles that would not fit memory, before any are drawn.
 
     size: The number of components of a particle.

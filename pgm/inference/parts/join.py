@@ -20,8 +20,8 @@ from pgm.inference.belief_kind import FILTERED, SMOOTHED
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
+from pgm.inference.chain.outcome import ChainOutcome
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import GateRecord, Sensor
 from pgm.inference.family import Family
 from pgm.inference.status import Status
@@ -34,8 +34,8 @@ def joined(
     bound: BoundEvidence,
     lineariser: Lineariser,
     status: Status,
-    found: Sequence[ChainPosterior],
-) -> ChainPosterior:
+    found: Sequence[ChainOutcome],
+) -> ChainOutcome:
     """The posterior of all runs from the posteriors of its parts, `found`, in their order.
 
     It equals the posterior of one call for all runs. `graph`, `bound` and `status`, like the
@@ -61,7 +61,7 @@ def swept_once(
     lineariser: Lineariser,
     status: Status,
     beliefs: Sequence[Array],
-) -> ChainPosterior:
+) -> ChainOutcome:
     """The posterior of a filter or smoother that linearised once, from its beliefs of all runs.
 
     `beliefs` are arrays (T+1, runs, ...) of the filtered means, covariances and log-densities,
@@ -72,10 +72,10 @@ def swept_once(
     mean, cov, log_density, *smoothed = beliefs
     swept, kind = Filtered(plan, mean, cov, log_density), SMOOTHED if smoothed else FILTERED
     last = Beliefs(*smoothed) if smoothed else None
-    return ChainPosterior(graph, status, kind, plan, swept, last, None)
+    return ChainOutcome(graph, status, kind, plan, swept, last, None)
 
 
-def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
+def _swept(plan: ChainPlan, found: Sequence[ChainOutcome]) -> Forward:
     """The moments and log-densities of the parts' forward passes, joined to those of all runs.
 
     `found` are the posteriors of the parts, in order. `plan` is that of all runs, into which the

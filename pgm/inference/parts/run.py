@@ -27,8 +27,8 @@ from pgm.inference.associations import is_open
 from pgm.inference.belief_kind import Kind
 from pgm.inference.chain import last_places
 from pgm.inference.chain.association import associated
-from pgm.inference.chain.kept_posterior import KeptPosterior
-from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.kept_outcome import KeptOutcome
+from pgm.inference.chain.outcome import ChainOutcome
 from pgm.inference.chain.run import run as run_chain
 from pgm.inference.parts.join import joined, one_status, swept_once
 from pgm.inference.parts.shared_memory import Shape, address
@@ -58,7 +58,7 @@ def run(
     start: Start | None,
     keep: Keep | None,
     executor: Executor | None,
-) -> ChainPosterior | KeptPosterior:
+) -> ChainOutcome | KeptOutcome:
     """The posterior of a chain with Gaussian beliefs, given the evidence `bound`, by a schedule.
 
     Measurements of unknown things are first associated with candidates. If digits are lost, one
@@ -99,7 +99,7 @@ def run(
     status._warn()
     if kept is not None:
         kinds = {result.log_evidence_kind for result in results}
-        return KeptPosterior(
+        return KeptOutcome(
             graph,
             status,
             results[0].kind,
@@ -113,7 +113,7 @@ def run(
     return joined(graph, bound, lineariser, status, each)
 
 
-def _told(posterior: ChainPosterior) -> ChainPosterior:
+def _told(posterior: ChainOutcome) -> ChainOutcome:
     """Return the posterior itself, after a `PrecisionWarning` if rounding leaves it few digits."""
     posterior.status._warn()
     return posterior
@@ -306,7 +306,7 @@ class Share:
         return []
 
     def moments(
-        self, arrays: Sequence[Array], found: ChainPosterior | None
+        self, arrays: Sequence[Array], found: ChainOutcome | None
     ) -> Iterable[tuple[Array, Array]]:
         """Pairs of a mean and a covariance, (steps, runs, ...), that a part has sent.
 
@@ -320,7 +320,7 @@ class Share:
             return zip(arrays[:-1:2], arrays[1:-1:2], strict=True)
         return zip(arrays[::3], arrays[1::3], strict=True)  # with log-densities between
 
-    def arrays(self, found: ChainPosterior, runs: int) -> list[Array]:
+    def arrays(self, found: ChainOutcome, runs: int) -> list[Array]:
         """The arrays of a part's posterior that are sent back, in the order of `shapes`.
 
         They are of kept marginals or of beliefs; this is not called where the posterior is sent
@@ -373,7 +373,7 @@ class Result(NamedTuple):
     log_evidence_kind: str
     careful: bool
     arrays: Sequence[Array] | None = None
-    found: ChainPosterior | None = None
+    found: ChainOutcome | None = None
 
 
 def run_job(job: Job) -> Result:

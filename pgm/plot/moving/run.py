@@ -17,8 +17,8 @@ from pgm.boundary import as_tuple, is_whole
 from pgm.compile import BalancedGraph
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.factors.scope import labels
-from pgm.inference import ChainPosterior, ParticlePosterior
+from pgm.factors.scope import Scope, labels
+from pgm.inference import Posterior
 from pgm.inference.belief_kind import SMOOTHED
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import Unit
@@ -38,7 +38,7 @@ _ENTRY, _ROW = 1.3, 0.2  # the width of an entry of the legend, and its height
 
 @public
 def animate(
-    posterior: ChainPosterior | ParticlePosterior,
+    posterior: Posterior[Any],
     path: str | PathLike[str],
     *,
     variable: Variable | None = None,
@@ -62,7 +62,8 @@ def animate(
 
     Parameters
     ----------
-    posterior : ChainPosterior or ParticlePosterior
+    posterior : Posterior
+        Of Gaussian beliefs, or particles.
         From `pgm.filter` or `pgm.smooth` on a dynamic network. For particles the ellipses are
         those of the same mean and covariance.
     path : path
@@ -189,10 +190,12 @@ def _head(plane: Axes, marks: list[Artist]) -> Text:
 
 
 def _check(posterior: Any) -> None:
-    if not isinstance(posterior, ChainPosterior | ParticlePosterior):
+    known = isinstance(posterior, Posterior)
+    if not known or not posterior._outcome.moving:
+        what = posterior._title if known else f"a {type(posterior).__name__}"
         raise ModelError(
             "animate draws the posterior of a dynamic network with Gaussian beliefs or particles, "
-            f"not a {type(posterior).__name__}; beliefs of cells, of grids or tables, are for "
+            f"not {what}; beliefs of cells, of grids or tables, are for "
             "pgm.plot.animate_beliefs(posterior[x], path)"
         )
     if isinstance(posterior.graph, BalancedGraph):
@@ -202,8 +205,8 @@ def _check(posterior: Any) -> None:
         )
 
 
-def _state(posterior: ChainPosterior | ParticlePosterior, variable: Variable | None) -> Variable:
-    states = posterior.graph.layout.states
+def _state(posterior: Posterior[Any], variable: Variable | None) -> Variable:
+    states: Scope = posterior.graph.layout.states
     if variable is None:
         found = next((each for each in states if each.dimension > 1), None)
         if found is None:

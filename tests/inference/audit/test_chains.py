@@ -92,7 +92,7 @@ def test_beliefs_that_know_all_measurements_are_judged():
         STEPS + 1: pgm.smooth(model(0.0), evidence),
     }
     for count, posterior in runs.items():
-        judged = ChainDraws.make(posterior).judged
+        judged = ChainDraws.make(posterior._outcome).judged
         assert judged.tolist() == [False] * (STEPS + 1 - count) + [True] * count
 
 

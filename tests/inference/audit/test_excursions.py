@@ -92,7 +92,7 @@ def chain(steps):
 @pytest.mark.parametrize("steps", [1, 2, 5])
 def test_draws_come_from_the_density_that_is_told(steps):
     """The mean of q/d over draws of d is one, and of d/r over draws of both."""
-    draws = ChainDraws.make(chain(steps))
+    draws = ChainDraws.make(chain(steps)._outcome)
     rng = np.random.default_rng(1)
     q, d = (draws.draw(40_000, rng, defensive=kind) for kind in (False, True))
     for of in (lambda each: each.gaussian, lambda each: each.defensive):

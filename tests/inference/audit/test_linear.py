@@ -20,7 +20,7 @@ level = pgm.Variable("level")
 def check(posterior, *, relative=False, samples=200):
     """All weights are equal, to the evidence that the innovations give."""
     assert posterior.log_evidence_kind == "exact"
-    assert ChainDraws.make(posterior).relative == relative
+    assert ChainDraws.make(posterior._outcome).relative == relative
     found = pgm.audit(posterior, samples=samples, rng=1)
     lead = posterior.log_evidence.shape
     assert found.log_weights.shape == (*lead, samples)

@@ -146,7 +146,7 @@ def test_an_exact_sensor_beside_a_nonlinear_one(grouped):
     likelihood = normal(2.4, 0.9 + GRID**2, 0.4) * normal(3.0, 0.9 + GRID**2, 0.4)
     due = (normal(GRID, mean, variance) * likelihood).sum() * SPACING * normal(0.9, 0.5, 1.0)
     posterior = pgm.smooth(model, evidence, steps=1)
-    assert ChainDraws.make(posterior).relative
+    assert ChainDraws.make(posterior._outcome).relative
     near(pgm.audit(posterior, samples=20_000, rng=0), np.log(due))
 
 

@@ -191,7 +191,7 @@ def test_a_squared_measurement_far_beyond_the_prior(reading, told):
 def test_draws_with_modes_come_from_the_density_that_is_told():
     """The mean of q/r, and of d/r, over draws of both is one half each."""
     model, evidence = drive(ON_A_LINE, 5, runs=(2,))
-    chain = ChainDraws.make(pgm.smooth(model, evidence, **CAREFUL))
+    chain = ChainDraws.make(pgm.smooth(model, evidence, **CAREFUL)._outcome)
     network = pgm.BayesianNetwork(
         [
             pgm.GaussianCPD(number, 0.3, 1.0),
@@ -199,7 +199,7 @@ def test_draws_with_modes_come_from_the_density_that_is_told():
         ]
     )
     answer = pgm.infer(pgm.compile(network), {square: 4.0}, start={number: 2.0})
-    for draws in (chain, TreeDraws.make(answer)):
+    for draws in (chain, TreeDraws.make(answer._outcome)):
         assert len(draws.modes.paths) >= 1
         rng = np.random.default_rng(1)
         both = [draws.draw(8_000, rng, defensive=kind) for kind in (False, True)]
@@ -249,9 +249,9 @@ def test_without_other_modes_draws_are_those_of_excursions():
 def test_runs_in_parts_have_the_modes_of_all_at_once(monkeypatch):
     model, evidence = drive(ON_A_LINE, 1, runs=(3,))
     answer = pgm.smooth(model, evidence, **CAREFUL)
-    whole = ChainDraws.make(answer).modes
+    whole = ChainDraws.make(answer._outcome).modes
     monkeypatch.setattr(chain_modes, "ROOM", 1)
-    parts = ChainDraws.make(answer).modes
+    parts = ChainDraws.make(answer._outcome).modes
     np.testing.assert_allclose(parts.shares, whole.shares, atol=1e-6)
     for one, other in zip(parts.paths, whole.paths, strict=True):
         np.testing.assert_allclose(one.first.offset, other.first.offset, atol=1e-3)

@@ -119,7 +119,8 @@ def test_all_else_is_read_from_a_plan():
 def test_batches_are_never_first_questions():
     net = asia()
     evidence = {net.variables[0]: np.array([0, 1])}
-    assert isinstance(pgm.infer(pgm.compile(net), evidence)._beliefs, tree_beliefs.TreeBeliefs)
+    posterior = pgm.infer(pgm.compile(net), evidence)
+    assert isinstance(posterior._outcome._beliefs, tree_beliefs.TreeBeliefs)
     one = {net.variables[0]: np.array([1])}
     assert pgm.infer(pgm.compile(net), one)[net.variables[1]].values.shape == (1, 2)
 

@@ -182,4 +182,4 @@ def test_what_a_posterior_says_of_itself():
     assert posterior.log_evidence_kind == "exact"
     assert posterior.status.iterations == 1
     assert posterior.status.converged.all()
-    assert repr(posterior).startswith("DiscretePosterior(ClusterGraph(")
+    assert repr(posterior).startswith("Posterior(ClusterGraph(")

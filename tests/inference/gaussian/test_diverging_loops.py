@@ -124,7 +124,7 @@ def test_the_radius_of_networks_that_are_and_are_not_walk_summable():
         net, evidence, _, J = readings_of_four(3, noise, unknowns)
         graph = pgm.compile(net, method=pgm.Bethe())
         found, _ = sent(graph, evidence, pgm.Flooding(iterations=3))
-        assert spectral_radius(found._sent, 0) == pytest.approx(radius(J), rel=1e-9)
+        assert spectral_radius(found._outcome._sent, 0) == pytest.approx(radius(J), rel=1e-9)
         assert found._why_unsettled().startswith(
             "The network is walk-summable" if radius(J) < 1.0 else "The network is not walk-summ"
         )
@@ -144,11 +144,11 @@ def test_the_radius_is_of_the_run_that_is_furthest_off():
     graph = pgm.compile(net, method=pgm.Bethe())
     found, told = sent(graph, {a: [[0.0], [9.0]], b: [[0.0], [5.0]]}, pgm.Flooding(iterations=4))
     last = int(np.argmax(found.status.residuals[-1]))
-    group = [family.exact for family in found._model.families].index(False)
-    at = found._model.points[group][0][0, last]  # where the function is expanded
+    group = [family.exact for family in found._outcome._model.families].index(False)
+    at = found._outcome._model.points[group][0][0, last]  # where the function is expanded
     rows = np.array([[1.0 + 0.2 * at[0], 1.0], [1.0, 1.0]]) / 0.1
     assert f"{radius(np.eye(2) + rows.T @ rows):.3g}" in told or "walk-summable (" in told
-    assert spectral_radius(found._sent, last) == pytest.approx(
+    assert spectral_radius(found._outcome._sent, last) == pytest.approx(
         radius(np.eye(2) + rows.T @ rows), rel=1e-9
     )
 

@@ -329,4 +329,4 @@ def test_proper_networks_have_no_exact_relations():
     drawn = regular(0, 5)
     evidence, _ = drawn.observe(np.random.default_rng(0), 0.4)
     posterior = pgm.infer(pgm.compile(drawn.network()), evidence)
-    assert posterior._messages.buffer.exact is None
+    assert posterior._outcome._messages.buffer.exact is None

@@ -154,14 +154,14 @@ def test_moderate_networks_stay_in_float64():
     """More digits cost time, which networks that do not need them are not to pay."""
     for cpds, evidence in (motion(1e3, 0.1), motion(100.0, 0.0, exact=True)):
         posterior = pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), evidence)
-        assert not isinstance(posterior._done.beliefs, careful.DenseBeliefs)
+        assert not isinstance(posterior._outcome._done.beliefs, careful.DenseBeliefs)
 
 
 def test_messages_of_a_network_in_more_digits():
     """Forms are in float64, and where they exist they integrate to the same evidence."""
     cpds, evidence = motion(2.0**20, 1.0, steps=2)
     posterior = pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), evidence)
-    assert isinstance(posterior._done.beliefs, careful.DenseBeliefs)
+    assert isinstance(posterior._outcome._done.beliefs, careful.DenseBeliefs)
     assert posterior.log_evidence_kind == "exact"
     form = posterior.belief(len(posterior.graph) - 1)
     assert_allclose(form.log_integral, posterior.log_evidence, rtol=1e-9)

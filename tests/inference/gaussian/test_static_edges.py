@@ -197,7 +197,7 @@ def test_pickling():
 
 def test_a_repr_of_a_posterior():
     posterior, _ = posterior_of(regular(5, 4, 1), lead=(2, 1))
-    assert repr(posterior).startswith("GaussianPosterior(ClusterGraph(")
+    assert repr(posterior).startswith("Posterior(ClusterGraph(")
     assert "runs (2, 1)" in repr(posterior)
 
 

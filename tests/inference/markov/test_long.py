@@ -63,7 +63,7 @@ def test_a_textbook(size, steps, sticky):
     known, smoothed, log_evidence = textbook(parts[0], [parts[1]] * steps, weights)
     network = model(x, z, *parts)
     posterior = pgm.smooth(network, {z: states})
-    assert isinstance(posterior._chain, DirectChain)
+    assert isinstance(posterior._outcome._chain, DirectChain)
     assert_allclose(posterior.filtered[x].values, known, **EQUAL)
     assert_allclose(posterior[x].values, smoothed, **EQUAL)
     assert_allclose(posterior.log_evidence, log_evidence, rtol=1e-12)
@@ -111,7 +111,7 @@ def test_commands_and_sparse_matrices(first):
     assert_allclose(posterior[x].values, smoothed, **EQUAL)
     assert_allclose(posterior.log_evidence, log_evidence, rtol=1e-12)
     runs = pgm.smooth(network, {z: np.stack([states[::-1], states]), u: commands})
-    assert isinstance(runs._chain, DirectChain)
+    assert isinstance(runs._outcome._chain, DirectChain)
     assert_allclose(runs[x].values[1], smoothed, **EQUAL)
     assert_allclose(runs.log_evidence[1], log_evidence, rtol=1e-12)
 
@@ -146,7 +146,7 @@ def test_sensors_of_which_some_are_missing_in_some_runs(others):
         own = {each: values[run] for each, values in evidence.items() if each != w}
         own |= {w: pgm.sightings(faint[run], step=due)} if "dim" in others else {}
         alone = pgm.smooth(network, own)
-        assert isinstance(alone._chain, DirectChain)
+        assert isinstance(alone._outcome._chain, DirectChain)
         assert_allclose(alone[x].values, smoothed, **EQUAL)
         assert_allclose(alone.filtered[x].values, known, **EQUAL)
         assert_allclose(alone.log_evidence, log_evidence, rtol=1e-12)
@@ -217,7 +217,7 @@ def test_an_impossible_state_hides_no_other(steps):
     _, smoothed = exactly([0.0, 0.5, 0.5], np.eye(3), [np.ones(3), *seen[:, states].T])
     posterior = pgm.smooth(network, {z: states})
     assert_allclose(posterior[x].values, smoothed, rtol=1e-9, atol=1e-300)
-    chain = StateChain(posterior._slices).run()
+    chain = StateChain(posterior._outcome._slices).run()
     due = chain.smoothed_beliefs()
     assert_allclose(due, smoothed, rtol=1e-9, atol=1e-300)
 

@@ -135,7 +135,7 @@ def test_weights_far_below_float64_do_no_harm():
 
 
 def test_an_online_warning_names_its_step():
-    robot = pgm.OnlineParticles(cart(noise=1e-4), few())
+    robot = pgm.OnlineFilter(cart(noise=1e-4), belief=few())
     belief = robot.predict(robot.predict(robot.initial()))
     with pytest.warns(pgm.ParticleWarning, match="at step 2 "):
         robot.update(belief, {z: [40.0]})

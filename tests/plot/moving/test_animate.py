@@ -279,7 +279,7 @@ GRID = pgm.filter(
     ("posterior", "name", "given", "told"),
     [
         (SMOOTHED[x], "a.gif", {}, "not a Gaussian; beliefs of cells.*animate_beliefs"),
-        (GRID, "a.gif", {}, "not a GridPosterior; beliefs of cells"),
+        (GRID, "a.gif", {}, r"not Posterior\(.*cells.*; beliefs of cells"),
         (SMOOTHED, "a.avi", {}, r"'a\.avi' is no moving picture.*ends in \.gif"),
         (SMOOTHED, "a.gif", {"rate": 0}, "rate is a number of pictures a second"),
         (SMOOTHED, "a.gif", {"clusters": 0}, "clusters is a whole number, 1 or more, not 0"),

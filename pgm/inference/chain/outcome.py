@@ -1,6 +1,6 @@
 """The results of inference on a chain: beliefs over time, joints and messages on request.
 
-A `ChainPosterior` keeps the moments that the passes over a Gaussian dynamic network found, and
+A `ChainOutcome` keeps the moments that the passes over a Gaussian dynamic network found, and
 computes from them, when asked, marginals, joints, and the messages, beliefs and potentials of
 clusters. The steps are 0..T. A canonical form (K, h, g) is exp(−½ xᵀK x + hᵀx + g). A pass in
 *twice the digits* works with pairs of float64.
@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from pgm.inference.chain.messages import backward_messages, first_potential, pot
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reweighting import Weights, evidence_kind
 from pgm.inference.limits import require_runs
-from pgm.inference.posterior import Posterior
+from pgm.inference.outcome import CHAIN, Outcome
 from pgm.inference.status import Status
 from pgm.inference.summaries import over_time
 from pgm.kernels import canonical
@@ -49,7 +50,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ChainPosterior(Innovated, Posterior):
+class ChainOutcome(Innovated, Outcome[Gaussian]):
     """The beliefs of a chain of clusters after a schedule of messages.
 
     ``posterior[x]`` is a stacked `Gaussian`: states at steps 0..T, hidden controls at
@@ -93,6 +94,10 @@ class ChainPosterior(Innovated, Posterior):
     array([[1.]])
     """
 
+    beliefs: ClassVar[str] = "Gaussian beliefs"
+    form: ClassVar[str] = CHAIN
+    moving: ClassVar[bool] = True
+
     graph: DynamicGraph
     status: Status
     kind: Kind
@@ -104,7 +109,7 @@ class ChainPosterior(Innovated, Posterior):
     _windows: Windows | None = None
     associations: Found = field(default_factory=dict)
 
-    def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
+    def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a hidden variable, at one step or at all.
 
         Any other variable, or a step where it does not stand, raises EvidenceError.
@@ -195,7 +200,7 @@ class ChainPosterior(Innovated, Posterior):
         return backward_messages(self._plan, self._forward)
 
     @quiet()
-    def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
+    def joint(self, *variables: Variable) -> Gaussian:
         """The joint belief of hidden variables at any steps.
 
         It knows the measurements that the belief at the latest of the steps knows: after filtering

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,7 +25,8 @@ from pgm.inference.gaussian.row_buffer import Buffer
 from pgm.inference.gaussian.tree import TreePlan
 from pgm.inference.gaussian.walks import shown, spectral_radius
 from pgm.inference.limits import require_runs
-from pgm.inference.posterior import Posterior, require_variable
+from pgm.inference.outcome import NETWORK, Outcome
+from pgm.inference.posterior import require_variable
 from pgm.inference.status import Status
 from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, Integers, apply, frozen, inner, quiet, transpose
@@ -33,7 +35,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GaussianPosterior(Posterior):
+class GaussianOutcome(Outcome[Gaussian]):
     """The beliefs of a Gaussian network given its evidence.
 
     The leading axes of all results are the user's axes of runs. On a tree the beliefs are exact for
@@ -47,6 +49,10 @@ class GaussianPosterior(Posterior):
         Whether messages and linearisation have converged, and how many digits are correct.
     """
 
+    beliefs: ClassVar[str] = "Gaussian beliefs"
+    form: ClassVar[str] = NETWORK
+
+    kind: ClassVar[None] = None
     graph: ClusterGraph
     status: Status
     _plan: TreePlan
@@ -59,7 +65,7 @@ class GaussianPosterior(Posterior):
         return self._model.layout.hidden
 
     @quiet()
-    def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
+    def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a variable without evidence, (*runs, d)."""
         places = self._require_hidden(variable)
         cluster, _ = self._done.beliefs.places.homes
@@ -116,7 +122,7 @@ class GaussianPosterior(Posterior):
         return Gaussian._make(scope, mean.reshape(*lead, size), wide.reshape(*lead, size, size))
 
     @quiet()
-    def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
+    def joint(self, *variables: Variable) -> Gaussian:
         """The joint of variables without evidence, in the order given, (*runs, n).
 
         Variables of several clusters are joined along the tree between them. On a graph with loops
@@ -290,7 +296,7 @@ class GaussianPosterior(Posterior):
     @property
     def _title(self) -> str:
         lead = self._model.lead
-        return f"GaussianPosterior({self.graph._title}{f', runs {lead}' if lead else ''})"
+        return f"Posterior({self.graph._title}{f', runs {lead}' if lead else ''})"
 
     def _summary(self) -> Summary:
         return of_network(self._title, self, self._plan.layout.hidden, self._model.lead)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from pgm.inference.markov.impossible_runs import blank, blanked
 from pgm.inference.markov.joints import joint, pair, potential
 from pgm.inference.markov.marginals import Beliefs, StateMarginals
 from pgm.inference.markov.plan import SlicePlan, TableSlices
-from pgm.inference.posterior import Posterior
+from pgm.inference.outcome import SLICES, Outcome
 from pgm.inference.status import Status
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array, Integers, frozen
@@ -38,7 +38,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StatePosterior(Posterior):
+class StateOutcome(Outcome[Table]):
     """The beliefs of a chain of tables after a schedule of messages.
 
     ``posterior[x]`` is a stacked `Table` with the user's axes of runs, then one of steps: 0..T for
@@ -78,6 +78,9 @@ class StatePosterior(Posterior):
     Table(rain[2]: no 0.1, yes 0.9)
     """
 
+    beliefs: ClassVar[str] = "tables"
+    form: ClassVar[str] = SLICES
+
     graph: DynamicGraph
     status: Status
     kind: Kind
@@ -97,7 +100,7 @@ class StatePosterior(Posterior):
     def _lead(self) -> tuple[int, ...]:
         return self._chain.slices.lead
 
-    def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
+    def __getitem__(self, variable: Variable) -> Table:
         """The marginal of a hidden variable, at one step or at all.
 
         Any other variable raises EvidenceError.
@@ -159,7 +162,7 @@ class StatePosterior(Posterior):
         """The kind of `log_evidence`: always ``"exact"``."""
         return "exact"
 
-    def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
+    def joint(self, *variables: Variable) -> Table:
         """The joint of hidden variables at steps, ``x.at(3)``.
 
         It is given the measurements that the belief at the latest of these steps knows.

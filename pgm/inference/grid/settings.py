@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -23,58 +23,8 @@ _ADVICE = "give (lo, hi, cells), or of an angle the number of cells of its circl
 
 
 @public
-class Grid(InCode, Immutable):
-    r"""Beliefs as probabilities of grid cells, for posteriors of any shape.
-
-    .. math:: p(x_t \mid z) \approx \sum_k p_k \, δ(x_t - c_k)
-
-    - c_k: the centres of cells: point masses stand there, and sensors are asked for the density
-      of their measurements there;
-    - p_k: their probabilities. Gaussian CPDs move them by kernels on the lattice, which have the
-      mean and variance of the transition exactly where the variance is f(1 − f)h² or more: h is the
-      width of a cell, f the part by which a displacement goes past a whole number of cells. Where
-      the variance is less, ``status.added`` has the variance that the lattice adds. The density of
-      other CPDs is evaluated from each centre to each, and normalised; a mixture is moved part by
-      part.
-
-    Costs grow with the number of cells: three components, such as a pose in the plane, are
-    practical.
-
-    Parameters
-    ----------
-    cells : mapping
-        By component of the states: ``(lo, hi, cells)`` of an interval, in the units of the
-        component, or the number of cells of the full circle of an angle. A component is called by
-        its name; where states share it, as ``"x.east"``; a scalar may be named by its variable.
-    dtype : numpy type
-        Type of the beliefs that are kept, ``np.float64`` or ``np.float32``, which takes half the
-        memory; the arithmetic is in double precision either way.
-    refine : str or callable, optional
-        The figure that is to settle: ``"log_evidence"``, or a function of the `GridPosterior`. The
-        cells along all n axes are doubled until it changes by no more than the tolerance; each
-        doubling takes about 2^n times the time and memory of the one before. Without it the cells
-        stay as they are given.
-    tolerance : float
-        The largest change of a figure that has settled, in its own units.
-    doublings : int
-        The most doublings; if the figure has not settled by then, ``status.converged`` is False,
-        and a `GridWarning` says so.
-
-    Raises
-    ------
-    ModelError
-        If an extent is no such interval or number, or another argument has no allowed value.
-
-    References
-    ----------
-    Burgard, Fox, Hennig & Schmidt, Estimating the absolute position of a mobile robot using
-    position probability grids, 1996; Bucy & Senne, Digital synthesis of nonlinear filters, 1971.
-
-    Examples
-    --------
-    >>> Grid({"east": (0.0, 10.0, 100), "north": (0.0, 6.7, 67), "heading": 72})
-    Grid(east: 100 of 0.1, north: 67 of 0.1, heading: 72 of 5 degrees)
-    """
+class GridSettings(InCode, Immutable):
+    """The cells of a grid, how its beliefs are kept, and when it is refined; see `Grid`."""
 
     cells: Mapping[str | Variable, Extent]
     dtype: Any
@@ -109,7 +59,7 @@ class Grid(InCode, Immutable):
         self._set(tolerance=float(tolerance), doublings=int(doublings))
 
     @public
-    def finer(self, times: int = 2) -> Grid:
+    def finer(self, times: int = 2) -> Self:
         """The same grid with `times` as many cells along each axis: 2 halves all widths.
 
         Raises
@@ -119,7 +69,7 @@ class Grid(InCode, Immutable):
 
         Examples
         --------
-        >>> Grid({"north": (0.0, 6.0, 12), "heading": 36}).finer()
+        >>> pgm.Grid({"north": (0.0, 6.0, 12), "heading": 36}).finer()
         Grid(north: 24 of 0.25, heading: 72 of 5 degrees)
         """
         require_count(self, "times", times)
@@ -127,7 +77,7 @@ class Grid(InCode, Immutable):
             key: value * times if isinstance(value, int) else (*value[:2], value[2] * times)
             for key, value in self.cells.items()
         }
-        return Grid(
+        return type(self)(
             cells,
             dtype=self.dtype,
             refine=self.refine,
@@ -136,7 +86,7 @@ class Grid(InCode, Immutable):
         )
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Grid) and self._key() == other._key()
+        return type(other) is type(self) and self._key() == other._key()
 
     def __hash__(self) -> int:
         return hash(self._key())

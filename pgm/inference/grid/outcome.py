@@ -1,88 +1,43 @@
-"""What filters and smoothers on a grid return: the states' beliefs and the log-evidence.
-
-Point masses are the centres of a grid's cells, or particles; posteriors by either have one base
-class, which stands here.
-"""
+"""What filters and smoothers on a grid keep: the states' beliefs and the log-evidence."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.compile import DynamicGraph
-from pgm.display import NoArray, Shown, Summary, Viewed
+from pgm.display import Summary
 from pgm.errors import EvidenceError
-from pgm.evidence import BoundEvidence
+from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.inference.associations import Found
 from pgm.inference.belief_kind import FILTERED, Kind
 from pgm.inference.grid.associations import associations
-from pgm.inference.grid.belief import GridBelief, PointMassBelief, require_step, scope_axes
+from pgm.inference.grid.belief import GridBelief, require_step, scope_axes
 from pgm.inference.grid.lattice import Lattice
+from pgm.inference.grid.settings import GridSettings
 from pgm.inference.grid.status import GridStatus
-from pgm.inference.grid.value import Grid
-from pgm.inference.labelled import Labelled
+from pgm.inference.outcome import Outcome
 from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
-Belief = TypeVar("Belief", bound=PointMassBelief)
-
-
-class PointPosterior(Labelled, Viewed, Shown, NoArray, Generic[Belief]):
-    """Base of posteriors over time by point masses: cells of a grid, or particles.
-
-    They cannot be iterated over (`__iter__` is None). `_arrays` has words for the error that says,
-    where a posterior is taken for an array, which arrays to take.
-    """
-
-    # Python would else iterate by asking for the variables 0, 1, ...
-    __iter__: ClassVar[None] = None
-
-    _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
-
-    def __getitem__(self, variable: Variable) -> Belief:
-        """The marginal of a state, or of a hidden control that was drawn.
-
-        Parameters
-        ----------
-        variable : Variable
-            ``x``, of all steps, or ``x.at(3)``.
-
-        Returns
-        -------
-        GridBelief or ParticleBelief
-            Leading axes (*runs, T+1) of a state over time, (*runs, T) of a hidden control,
-            (*runs) at a step.
-
-        Raises
-        ------
-        EvidenceError
-            If the posterior has no beliefs over the variable.
-        ModelError
-            If the variable stands after the last step.
-        """
-        return self.joint(require_variable(variable))
-
-    def joint(self, *variables: Variable) -> Belief:
-        """The joint belief of some variables, of all steps or at given ones, in the order given."""
-        raise NotImplementedError
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GridPosterior(PointPosterior[GridBelief]):
+class GridOutcome(Outcome[GridBelief]):
     """The beliefs of a dynamic network's states on a grid.
 
     Attributes
     ----------
     graph : DynamicGraph
         The compiled network.
-    grid : Grid
+    grid : GridSettings
         The grid at the resolution that was used: the finest, if the user's grid was refined.
     kind : Kind
         Filtered, fixed-lag or smoothed.
@@ -91,24 +46,12 @@ class GridPosterior(PointPosterior[GridBelief]):
         is missing.
     status : GridStatus
         The figures by which to judge the posterior: losses at the bounds, cells too wide.
-    filtered : GridPosterior
+    filtered : GridOutcome
         The posterior with the beliefs of the forward sweep; of a filter, the posterior itself.
-
-    Examples
-    --------
-    >>> from pgm.examples import walk, x, z
-    >>> grid = pgm.Grid({"x": (-8.0, 8.0, 160)})
-    >>> posterior = pgm.smooth(walk, {z: [[4.0]]}, belief=grid)
-    >>> posterior[x].mean.ravel().round(2)
-    array([1., 2.])
-    >>> posterior[x.at(1)].std.round(2)
-    array([1.])
-    >>> posterior.joint(x.at(1)).mean.round(2)
-    array([2.])
     """
 
     graph: DynamicGraph
-    grid: Grid
+    grid: GridSettings
     kind: Kind
     log_evidence: Array
     status: GridStatus
@@ -119,6 +62,21 @@ class GridPosterior(PointPosterior[GridBelief]):
 
     def __post_init__(self) -> None:
         self.log_evidence.flags.writeable = False
+
+    beliefs: ClassVar[str] = "beliefs on a grid"
+    called: ClassVar[str] = "grid"
+    silent: ClassVar[str] = (
+        "a grid sends probabilities of cells from slice to slice, and keeps no messages"
+    )
+
+    @property
+    def readings(self) -> Sequence[Reading]:
+        """The measurements, sensor by sensor."""
+        return self._bound.readings
+
+    def __getitem__(self, variable: Variable) -> GridBelief:
+        """The marginal of a state, at all steps or at one."""
+        return self.joint(require_variable(variable))
 
     @property
     def _hidden(self) -> Scope:
@@ -140,7 +98,7 @@ class GridPosterior(PointPosterior[GridBelief]):
         return associations(self._lattice, self._bound, values)
 
     @property
-    def filtered(self) -> GridPosterior:
+    def filtered(self) -> GridOutcome:
         """The posterior with the filtered beliefs; of a filter, the posterior itself."""
         if self._filtered is None:
             return self
@@ -198,7 +156,7 @@ class GridPosterior(PointPosterior[GridBelief]):
         runs = self.log_evidence.shape
         which = f", runs {runs}" if runs else ""
         return (
-            f"GridPosterior({self.kind}, over {list(over)}, {self._lattice.size:,} cells, "
+            f"Posterior({self.kind}, over {list(over)}, {self._lattice.size:,} cells, "
             f"{self.graph.steps + 1} steps{which})"
         )
 

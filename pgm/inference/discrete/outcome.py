@@ -9,6 +9,7 @@ which these are flattened.
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,7 +27,8 @@ from pgm.inference.discrete.joints import holder, joint
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs
 from pgm.inference.discrete.storage import sepset_between
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
-from pgm.inference.posterior import Posterior, require_variable
+from pgm.inference.outcome import TABLES, Outcome
+from pgm.inference.posterior import require_variable
 from pgm.inference.status import Status
 from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, frozen
@@ -35,7 +37,7 @@ from pgm.variables import Discrete, Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DiscretePosterior(Posterior):
+class DiscreteOutcome(Outcome[Table]):
     """The beliefs of a discrete network; leading axes are runs.
 
     ``posterior[v]`` and ``posterior.joint(v, w)`` are a `Table` of probabilities. On a tree the
@@ -53,11 +55,15 @@ class DiscretePosterior(Posterior):
     `status` tells the iterations and residuals of the schedule, and whether each run converged.
     """
 
+    beliefs: ClassVar[str] = "tables"
+    form: ClassVar[str] = TABLES
+
+    kind: ClassVar[None] = None
     graph: ClusterGraph
     status: Status
     _beliefs: TreeBeliefs | AllowedBeliefs | FirstBeliefs | LoopyBeliefs
 
-    def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
+    def __getitem__(self, variable: Variable) -> Table:
         """The marginal probabilities, (*runs, size), of a variable hidden in at least one run."""
         wanted = self._require_hidden(variable)
         return self._table((wanted,), self._beliefs.marginal(wanted))
@@ -91,7 +97,7 @@ class DiscretePosterior(Posterior):
         """The variables that are hidden in at least one run, and so have marginals."""
         return tuple(v for v in self.graph.network.variables if not self._is_observed(v))
 
-    def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
+    def joint(self, *variables: Variable) -> Table:
         """The joint of variables, each hidden in at least one run.
 
         The probabilities are (*runs, size of each variable...), in the order given. On a tree the
@@ -208,7 +214,7 @@ class DiscretePosterior(Posterior):
     @property
     def _title(self) -> str:
         lead = self._beliefs.evidence.lead
-        return f"DiscretePosterior({self.graph._title}{f', runs {lead}' if lead else ''})"
+        return f"Posterior({self.graph._title}{f', runs {lead}' if lead else ''})"
 
     def _summary(self) -> Summary:
         return of_network(self._title, self, self._hidden, self._beliefs.evidence.lead)

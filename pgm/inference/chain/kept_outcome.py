@@ -1,6 +1,6 @@
 """Posteriors of dynamic networks that keep the marginals of some variables alone.
 
-They take less memory than a `ChainPosterior`, which keeps the beliefs over all hidden variables,
+They take less memory than a `ChainOutcome`, which keeps the beliefs over all hidden variables,
 and answers for joints, messages and innovations too. The steps are 0..T.
 """
 
@@ -8,21 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NoReturn
+from typing import ClassVar
 
-from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import EvidenceError, GraphError
-from pgm.factors import CanonicalForm, Gaussian
+from pgm.errors import EvidenceError, PgmError
+from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, listed
 from pgm.inference.associations import Found
 from pgm.inference.belief_kind import FILTERED, Kind
-from pgm.inference.chain.innovations import Innovations
-from pgm.inference.chain.marginals import Marginals, located
-from pgm.inference.lost import Lost
-from pgm.inference.posterior import Posterior
-from pgm.inference.rejections import Rejections
+from pgm.inference.chain.marginals import located
+from pgm.inference.outcome import QUESTIONS, Outcome
 from pgm.inference.status import Status
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
@@ -30,7 +26,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KeptPosterior(Posterior):
+class KeptOutcome(Outcome[Gaussian]):
     """A posterior of which only the marginals of some hidden variables, at all steps, are kept.
 
     `filter`, `smooth` and `infer` return it with ``keep=[x]``. ``posterior[x]`` has means
@@ -70,6 +66,8 @@ class KeptPosterior(Posterior):
     array([[0.75]])
     """
 
+    silent: ClassVar[str] = "keep= kept marginals alone: no messages; leave it out to have them"
+
     graph: DynamicGraph
     status: Status
     kind: Kind
@@ -78,7 +76,7 @@ class KeptPosterior(Posterior):
     _log_evidence_kind: str
     associations: Found = field(default_factory=dict)
 
-    def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
+    def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a variable that was kept, at all its steps or at one.
 
         Raises
@@ -113,58 +111,18 @@ class KeptPosterior(Posterior):
         """The kind of `log_evidence`, one of those that the class lists, such as ``exact``."""
         return self._log_evidence_kind
 
-    @property
-    def predicted(self) -> Marginals:
-        """Marginals given the measurements before each step are not kept: raises EvidenceError."""
-        raise EvidenceError(self._missing("marginals given the measurements before each step"))
-
-    @property
-    def filtered(self) -> Marginals:
-        """The forward pass is not kept: raises an EvidenceError that says how to filter."""
-        here = self.kind == FILTERED
-        what = "are posterior[x] here" if here else "are kept by pgm.filter(..., keep=[x])"
-        raise EvidenceError(f"{self._missing('the forward pass')}; filtered marginals {what}")
-
-    @property
-    def innovations(self) -> Mapping[Variable, Innovations]:
-        """Innovations are not kept: raises EvidenceError."""
-        raise EvidenceError(self._missing("innovations"))
-
-    @property
-    def rejected(self) -> Mapping[Variable, Rejections]:
-        """The decisions of gates are not kept: raises EvidenceError."""
-        raise EvidenceError(self._missing("rejections by gates"))
-
-    @property
-    def lost(self) -> Lost:
-        """The steps at which the belief was probably wrong are not known: raises EvidenceError.
-
-        They are found from innovations, which are not kept.
-        """
-        raise EvidenceError(self._missing("innovations, which tell where a belief was lost"))
-
-    def joint(self, *variables: Variable) -> NoReturn:
-        """Joint beliefs are not kept: raises EvidenceError."""
-        raise EvidenceError(self._missing("joints"))
-
-    def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
-        """Messages are not kept: raises GraphError."""
-        raise GraphError(self._missing("messages"))
-
-    def belief(self, cluster: int | Cluster) -> CanonicalForm:
-        """Beliefs of clusters are not kept: raises GraphError."""
-        raise GraphError(self._missing("beliefs of clusters"))
-
-    def potential(self, cluster: int | Cluster) -> CanonicalForm:
-        """Potentials of clusters are not kept: raises GraphError."""
-        raise GraphError(self._missing("potentials of clusters"))
-
-    def _missing(self, what: str) -> str:
-        """The text of an error: `what`, such as "joints", was not kept, and how to have it."""
-        return (
+    def refusal(self, question: str) -> PgmError:
+        """The error for what was not kept, such as joints, saying how to have it."""
+        what, error = QUESTIONS[question]
+        text = (
             f"{what}: not kept, since keep= keeps {self.kind} marginals, log-evidence and status "
             "alone; leave keep= out to have everything"
         )
+        if question == "filtered":
+            here = self.kind == FILTERED
+            text += "; filtered marginals "
+            text += "are posterior[x] here" if here else "are kept by pgm.filter(..., keep=[x])"
+        return error(text)
 
     @property
     def _title(self) -> str:

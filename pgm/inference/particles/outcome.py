@@ -7,10 +7,11 @@ the network with its evidence.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,32 +19,34 @@ from pgm.compile import DynamicGraph
 from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import Summary
 from pgm.errors import EvidenceError
+from pgm.evidence import Reading
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.inference.associations import Found, collected
 from pgm.inference.belief_kind import FILTERED, Kind
 from pgm.inference.grid.belief import require_step
-from pgm.inference.grid.posterior import PointPosterior
+from pgm.inference.outcome import Outcome
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.components import parts
 from pgm.inference.particles.laws import Some
 from pgm.inference.particles.model import ParticleModel, Sensor
+from pgm.inference.particles.settings import ParticleSettings
 from pgm.inference.particles.status import ParticleStatus
-from pgm.inference.particles.value import Particles
+from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParticlePosterior(PointPosterior[ParticleBelief]):
+class ParticleOutcome(Outcome[ParticleBelief]):
     """The beliefs of a dynamic network as weighted draws.
 
     Attributes
     ----------
     graph : DynamicGraph
         The compiled network.
-    particles : Particles
+    particles : ParticleSettings
         The user's choice: how many particles there are, and how they were drawn.
     kind : Kind
         Filtered, fixed-lag or smoothed. A smoother's particles are trajectories: the i-th of each
@@ -52,7 +55,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         (*runs): the logarithm of an unbiased estimate of p(measurements).
     status : ParticleStatus
         How many particles are effective, and where measurements were impossible.
-    filtered : ParticlePosterior
+    filtered : ParticleOutcome
         The beliefs of the forward sweep; of a filter, the posterior itself.
 
     Examples
@@ -66,7 +69,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
     """
 
     graph: DynamicGraph
-    particles: Particles
+    particles: ParticleSettings
     kind: Kind
     log_evidence: Array
     status: ParticleStatus
@@ -78,6 +81,20 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         self.log_evidence.flags.writeable = False
         for cloud in (*self._clouds, *self._filtered):
             cloud.states.flags.writeable = cloud.log_weights.flags.writeable = False
+
+    beliefs: ClassVar[str] = "particles"
+    called: ClassVar[str] = "particles"
+    moving: ClassVar[bool] = True
+    silent: ClassVar[str] = "particles are drawn from slice to slice: there are no messages to show"
+
+    @property
+    def readings(self) -> Sequence[Reading]:
+        """The measurements, sensor by sensor."""
+        return [sensor.reading for sensor in self._model.sensors]
+
+    def __getitem__(self, variable: Variable) -> ParticleBelief:
+        """The marginal of a hidden variable, at all steps or at one."""
+        return self.joint(require_variable(variable))
 
     @property
     def _hidden(self) -> Scope:
@@ -126,7 +143,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
             yield np.stack(total)
 
     @property
-    def filtered(self) -> ParticlePosterior:
+    def filtered(self) -> ParticleOutcome:
         """The filtered beliefs, those of the forward sweep; of a filter, the posterior itself."""
         if self.kind == FILTERED:
             return self
@@ -205,7 +222,7 @@ class ParticlePosterior(PointPosterior[ParticleBelief]):
         runs = self.log_evidence.shape
         which = f", runs {runs}" if runs else ""
         return (
-            f"ParticlePosterior({self.kind}, over {list(self._model.places)}, {self.particles.n:,} "
+            f"Posterior({self.kind}, over {list(self._model.places)}, {self.particles.n:,} "
             f"particles, {self.graph.steps + 1} steps{which})"
         )
 

@@ -1,0 +1,21 @@
+"""The family of beliefs of a call: the one that the user gives, or that of the network's CPDs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pgm.inference.belief_family import BeliefFamily, require_family
+from pgm.inference.markov.family import TABLES
+from pgm.inference.moments import MOMENTS
+
+
+def family_of(model: Any, belief: Any = None) -> BeliefFamily[Any]:
+    """The given family, or tables of a discrete network, or moments of any other.
+
+    A `belief` that is no family, or a model that cannot have it, is a ModelError.
+    """
+    if belief is not None:
+        require_family(belief, model)
+        found: BeliefFamily[Any] = belief
+        return found
+    return TABLES if model.discrete else MOMENTS

@@ -1,0 +1,132 @@
+"""Running a schedule with a user's own family of beliefs: one sweep forward, and one back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pgm.compile import DynamicGraph
+from pgm.errors import ModelError, NumericalError
+from pgm.evidence import BoundEvidence
+from pgm.inference import sweep
+from pgm.inference.associations import by_density
+from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.markov.schedule_kinds import kind_of, require_chain
+from pgm.inference.own.outcome import Hidden, OwnOutcome
+from pgm.inference.own.slices import BACK, TAKEN, Slice
+from pgm.inference.own.status import status_of
+from pgm.inference.particles.model import ParticleModel
+from pgm.kernels.arrays import Array
+from pgm.progress import counted
+
+if TYPE_CHECKING:
+    from pgm.inference.belief_family import BeliefFamily
+    from pgm.inference.options import Call
+
+
+class OwnChain:
+    """A user's family along a chain, with the methods of a forward sweep, and its record.
+
+    predicted, known: The beliefs before and after the measurements of each step so far.
+    log_density: By step, the log-density of its measurements, (runs,).
+    """
+
+    def __init__(self, family: BeliefFamily[Any], model: ParticleModel) -> None:
+        self.family, self.model = family, model
+        self.predicted: list[Any] = []
+        self.known: list[Any] = []
+        self.log_density: list[Array] = []
+
+    def start(self) -> Any:
+        """The family's belief over the slice at step 0."""
+        return self.family.begin(Slice(self.model, 0))
+
+    def predict(self, step: int, belief: Any) -> Any:
+        """The family's belief over a step's slice."""
+        return self.family.predict(Slice(self.model, step), belief)
+
+    def take(self, step: int, belief: Any) -> tuple[Any, Array]:
+        """The family's belief given the measurements of a step, and their log-density, (runs,).
+
+        Nothing is asked where nothing was measured. A log-density that is NaN, plus infinity or of
+        a wrong shape is refused.
+        """
+        at = Slice(self.model, step, TAKEN)
+        if not at.measurements:
+            return belief, np.zeros(at.runs)
+        found = self.family.take(at, belief)
+        if not isinstance(found, tuple) or len(found) != 2:
+            raise ModelError(
+                f"{self.family!r}: take(at, belief) returns the belief and a log-density, not "
+                f"{type(found).__name__}"
+            )
+        log_density = np.asarray(found[1], dtype=np.float64)
+        if log_density.shape not in ((), (1,), (at.runs,)):
+            raise ModelError(
+                f"{self.family!r}: the log-density of take(at, belief) has shape "
+                f"{log_density.shape} at step {step}; ({at.runs},), one a run, was due"
+            )
+        log_density = np.broadcast_to(log_density.reshape(-1), (at.runs,))
+        bad = np.isnan(log_density) | (log_density == np.inf)
+        if bad.any():
+            run = self.model.bound.first_run + int(bad.argmax())
+            raise NumericalError(
+                f"{self.family!r}: the log-density of the measurements at step {step}, run {run}, "
+                f"is {log_density[bad][0]}",
+                step=step,
+                run=run,
+            )
+        return found[0], log_density
+
+    def keep(self, step: int, predicted: Any, known: Any, log_density: Array | float) -> None:
+        """Keep a step's beliefs and the log-density of its measurements."""
+        self.predicted.append(predicted)
+        self.known.append(known)
+        self.log_density.append(np.asarray(log_density))
+
+    def back(self, step: int, later: Any) -> Any:
+        """The family's belief over a step's slice that knows what that of the next step knows."""
+        at = Slice(self.model, step, BACK)
+        return self.family.back(at, self.known[step], self.predicted[step + 1], later)
+
+    def smoothed(self, kind: Kind) -> list[Any]:
+        """The beliefs of all steps that know the measurements up to a lag later, or all."""
+        last = len(self.known) - 1
+        if kind == SMOOTHED:
+            found = dict(sweep.backward(self, last, self.known[-1]))
+            return [found[step] for step in range(last + 1)]
+        beliefs = []
+        for step in counted(range(last + 1), "back"):
+            belief = self.known[kind.last(step, last)]
+            for before in range(kind.last(step, last) - 1, step - 1, -1):
+                belief = self.back(before, belief)
+            beliefs.append(belief)
+        return beliefs
+
+
+def run(
+    family: BeliefFamily[Any], graph: DynamicGraph, bound: BoundEvidence, call: Call
+) -> OwnOutcome:
+    """The beliefs of a user's family after a call's schedule, without one smoothed.
+
+    A family that cannot flow back is refused a smoother, by a ModelError.
+    """
+    require_chain(graph, family.beliefs)
+    kind = kind_of(call.schedule, family.beliefs)
+    if kind != FILTERED and not family.flows_back:
+        raise ModelError(
+            f"{family!r} says not how its beliefs flow back, so that they can be filtered alone: "
+            "use pgm.filter, or define back(at, known, predicted, later)"
+        )
+    model = ParticleModel(graph.model, by_density(bound), np.float64)
+    chain = OwnChain(family, model)
+    sweep.forward(chain, bound.steps, chain)
+    smoothed = None if kind == FILTERED else chain.smoothed(kind)
+    shown = chain.known if smoothed is None else smoothed
+    lead = bound.lead
+    log_evidence = np.sum(chain.log_density, axis=0).reshape(lead)
+    status = status_of(family, shown, lead)
+    hidden = Hidden(graph.model, dict(model.places))
+    told = kind, log_evidence, status, hidden
+    return OwnOutcome(graph, family, *told, chain.known, chain.predicted, smoothed)

@@ -1,0 +1,144 @@
+"""A chain of one's own: the Poisson–gamma filter of a drifting rate, in closed form."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import nbinom
+
+import pgm
+
+rate, count, dose = pgm.variables("rate count dose")
+
+
+class Gamma(pgm.BeliefFamily):
+    """Beliefs Γ(a, b) over a rate, which forgets by a share a step (West & Harrison, 1997)."""
+
+    beliefs = "gamma beliefs"
+
+    def __init__(self, a, b, forget=0.9):
+        self.a, self.b, self.forget = a, b, forget
+
+    def begin(self, at):
+        return np.full((2, at.runs), [[self.a], [self.b]])
+
+    def predict(self, at, belief):
+        return self.forget * belief
+
+    def take(self, at, belief):
+        (seen,) = at.measurements
+        a, b = belief
+        times = seen.inputs[dose][:, 0]
+        found = np.where(np.isnan(seen.value[:, 0]), 0.0, seen.value[:, 0])
+        log_density = nbinom.logpmf(found, a, b / (b + times))
+        known = np.array([a + found, b + times])
+        missing = np.isnan(seen.value[:, 0])
+        return np.where(missing, belief, known), np.where(missing, 0.0, log_density)
+
+    def moments(self, belief):
+        a, b = belief
+        return (a / b)[:, None], (a / b**2)[:, None, None]
+
+
+def poisson(rate, dose, size, rng):
+    return rng.poisson(np.abs(rate * dose)).astype(float)
+
+
+MODEL = pgm.DynamicBayesianNetwork(
+    [pgm.GaussianCPD(rate, 2.0, 1.0)],
+    [pgm.LinearGaussianCPD(rate, {rate.previous: 1.0}, cov=0.01)],
+    [pgm.SampledCPD(count, (rate, dose), sample=poisson)],
+)
+COUNTS = np.array([[3.0], [np.nan], [5.0], [0.0]])
+DOSES = np.array([[1.0], [2.0], [2.0], [0.5]])
+FAMILY = Gamma(2.0, 1.0)
+
+
+def due(counts):
+    """Shapes and rates after each step, and ln p of all counts, one number after another."""
+    a, b, total, found = 2.0, 1.0, 0.0, [(2.0, 1.0)]
+    for (seen,), (times,) in zip(counts, DOSES, strict=True):
+        a, b = 0.9 * a, 0.9 * b
+        if not np.isnan(seen):
+            total += nbinom.logpmf(seen, a, b / (b + times))
+            a, b = a + seen, b + times
+        found.append((a, b))
+    return np.array(found), total
+
+
+def test_it_filters_in_closed_form():
+    posterior = pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=FAMILY)
+    parts, total = due(COUNTS)
+    assert_allclose(posterior[rate].mean[:, 0], parts[:, 0] / parts[:, 1], rtol=1e-12)
+    assert_allclose(posterior[rate].cov[:, 0, 0], parts[:, 0] / parts[:, 1] ** 2, rtol=1e-12)
+    assert_allclose(posterior.log_evidence, total, rtol=1e-12)
+    assert isinstance(posterior[rate], pgm.Gaussian)
+
+
+@pytest.mark.parametrize("runs", [(2,), (2, 3)])
+def test_it_filters_many_runs_at_once(runs):
+    rng = np.random.default_rng(1)
+    counts = rng.poisson(3.0, (*runs, 4, 1)).astype(float)
+    posterior = pgm.filter(MODEL, {count: counts, dose: DOSES}, belief=FAMILY)
+    for run in np.ndindex(*runs):
+        parts, total = due(counts[run])
+        assert_allclose(posterior[rate].mean[run][:, 0], parts[:, 0] / parts[:, 1], rtol=1e-12)
+        assert_allclose(posterior.log_evidence[run], total, rtol=1e-12)
+
+
+def test_it_goes_online():
+    robot = pgm.OnlineFilter(MODEL, belief=FAMILY)
+    belief = robot.initial()
+    parts, total = due(COUNTS)
+    for step in range(4):
+        belief = robot.predict(belief)
+        belief = robot.update(belief, {count: COUNTS[step], dose: DOSES[step]})
+        assert_allclose(belief[rate].mean, parts[step + 1, :1] / parts[step + 1, 1], rtol=1e-12)
+    assert_allclose(belief.log_evidence, total, rtol=1e-12)
+    assert_allclose(belief.value[:, 0], parts[-1], rtol=1e-12)
+
+
+def test_it_cannot_be_smoothed():
+    with pytest.raises(pgm.ModelError, match="says not how its beliefs flow back"):
+        pgm.smooth(MODEL, {count: COUNTS, dose: DOSES}, belief=FAMILY)
+
+
+class Faulty(Gamma):
+    """One method returns what it should not."""
+
+    def __init__(self, method, value):
+        super().__init__(2.0, 1.0)
+        setattr(self, method, lambda *_: value)
+
+
+@pytest.mark.parametrize(
+    ("method", "value", "error", "text"),
+    [
+        ("take", None, pgm.ModelError, "returns the belief and a log-density, not NoneType"),
+        ("take", (1, np.zeros(3)), pgm.ModelError, r"has shape \(3,\) at step 1; \(1,\)"),
+        ("take", (1, np.nan), pgm.NumericalError, "at step 1, run 0, is nan"),
+        ("take", (1, np.inf), pgm.NumericalError, "at step 1, run 0, is inf"),
+        ("moments", (np.zeros(1), np.eye(1)), pgm.ModelError, r"\(runs, d\) and \(runs, d, d\)"),
+        ("draws", (np.zeros((2, 3)), None), pgm.ModelError, r"\(runs, n, d\) was due"),
+    ],
+)
+def test_what_a_method_returns_is_checked(method, value, error, text):
+    with pytest.raises(error, match=text):
+        pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=Faulty(method, value))[rate]
+
+
+@pytest.mark.parametrize("missing", ["begin", "predict", "take", "moments"])
+def test_a_method_that_is_missing_is_named(missing):
+    methods = {name: vars(Gamma)[name] for name in ("begin", "predict", "take", "moments")}
+    del methods[missing]
+    made = type("Half", (pgm.BeliefFamily,), {**methods, "a": 2.0, "b": 1.0, "forget": 0.9})()
+    with pytest.raises(pgm.ModelError, match=missing):
+        pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=made)[rate]
+
+
+def test_points_of_a_wrong_shape_are_refused():
+    class Flat(Gamma):
+        def begin(self, at):
+            return at.moved(np.zeros((3, 1)), at.generators(0))
+
+    with pytest.raises(pgm.ModelError, match=r"have shape \(3, 1\); \(1, n, 1\) was due"):
+        pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=Flat(2.0, 1.0))

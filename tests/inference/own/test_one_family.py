@@ -1,0 +1,126 @@
+"""What was written for each kind of belief is written once, and asks the family, never the kind."""
+
+import ast
+import inspect
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pgm
+from pgm.examples import walk, x, z
+from pgm.inference import belief_family, families, options
+from tests.inference.own.ensemble import EnsembleKalman
+
+PACKAGE = Path(pgm.__file__).parent
+SOURCES = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
+# The folders of the families.
+HOMES = {"chain", "discrete", "gaussian", "grid", "markov", "online", "own", "particles", "parts"}
+FAMILIES = (
+    r"Grid|Particles|Moments|Tables|GridSettings|ParticleSettings|\w+Outcome|\w+Steps|"
+    r"GridStatus|ParticleStatus|OnlineStates|Online\w+Belief"
+)
+
+
+def classes(pattern):
+    """The public classes of the package by that name."""
+    found = [
+        node.name
+        for source in SOURCES.values()
+        for node in ast.parse(source).body
+        if isinstance(node, ast.ClassDef) and re.fullmatch(pattern, node.name)
+    ]
+    return sorted(found)
+
+
+def test_there_is_one_class_of_results_and_one_online_filter():
+    assert classes(r"\w*Posterior") == ["Posterior"]
+    assert classes(r"\w*OnlineFilter") == ["OnlineFilter"]
+
+
+def test_nobody_asks_what_kind_a_family_is():
+    asked = re.compile(rf"isinstance\([^)]*\b({FAMILIES})\b")
+    outside = [path for path in SOURCES if not HOMES & set(path.relative_to(PACKAGE).parts)]
+    assert not [path for path in outside if asked.search(SOURCES[path])]
+
+
+def test_a_signature_stands_once():
+    assert not [
+        path
+        for path, source in SOURCES.items()
+        if "inference" in path.parts and re.search(r"^ *@overload", source, re.MULTILINE)
+    ]
+
+
+def test_no_option_is_named_in_two_refusals():
+    """Options that a party has no use for are refused by `options.require` alone."""
+    for option in (*options.Call._fields, "belief", "watch"):
+        named = re.compile(rf'["f ]{option}= (is|are) for ')
+        # `most_probable` maximises, and has options of its own.
+        where = [p.name for p, s in SOURCES.items() if named.search(s) and p.name != "maximum.py"]
+        assert len(where) <= 1 + (option in ("memory", "compiled")), (option, where)
+
+
+def taking_a_belief():
+    """The public functions and classes with an argument `belief`, by name."""
+    for name in pgm.__all__:
+        value = getattr(pgm, name)
+        if callable(value) and not (inspect.isclass(value) and issubclass(value, Exception)):
+            try:
+                arguments = inspect.signature(value).parameters
+            except ValueError:
+                continue
+            if "belief" in arguments and "BeliefFamily" in str(arguments["belief"].annotation):
+                yield name
+
+
+CALLS = {
+    "filter": lambda belief: pgm.filter(walk, {z: [[4.0]]}, belief=belief)[x].mean,
+    "smooth": lambda belief: pgm.smooth(walk, {z: [[4.0]]}, belief=belief)[x].mean,
+    "infer": lambda belief: pgm.infer(pgm.compile(walk, 1), {z: [[4.0]]}, belief=belief)[x].mean,
+    "OnlineFilter": lambda belief: pgm.OnlineFilter(walk, belief=belief).initial()[x].mean,
+}
+
+
+def test_every_entry_point_that_takes_a_belief_is_tried():
+    assert set(taking_a_belief()) == set(CALLS)
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize(
+    "belief",
+    [
+        None,
+        pgm.Grid({"x": (-8.0, 12.0, 200)}),
+        pgm.Particles(2000, seed=0),
+        EnsembleKalman(2000),
+    ],
+    ids=["moments", "grid", "particles", "ensemble"],
+)
+def test_a_family_goes_through_every_entry_point(name, belief):
+    due = CALLS[name](None)
+    np.testing.assert_allclose(CALLS[name](belief), due, atol=0.15)
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("belief", ["grid", 3, pgm.Grid, EnsembleKalman])
+def test_what_is_no_family_is_refused(name, belief):
+    with pytest.raises(pgm.ModelError, match=r"belief= is a pgm.Grid\(...\) .* or a family"):
+        CALLS[name](belief)
+
+
+def test_the_family_is_that_of_the_network():
+    assert families.family_of(walk) is families.MOMENTS
+    assert isinstance(families.MOMENTS, belief_family.BeliefFamily)
+    assert isinstance(families.TABLES, belief_family.BeliefFamily)
+
+
+@pytest.mark.parametrize(
+    "name", ["ChainPosterior", "GridPosterior", "KeptPosterior", "ParticlePosterior"]
+)
+def test_old_names_are_told_the_new_ones(name):
+    with pytest.warns(DeprecationWarning, match=f"pgm.{name} is pgm.Posterior now"):
+        assert getattr(pgm, name) is pgm.Posterior
+    with pytest.warns(DeprecationWarning, match="pgm.OnlineGrid is pgm.OnlineFilter now"):
+        assert pgm.OnlineGrid is pgm.OnlineFilter
